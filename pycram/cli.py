@@ -1,4 +1,7 @@
-"""The command line: ``pycram demo`` and ``pycram run`` record any plan, ``pycram describe`` describes robots."""
+"""The command line: ``pycram demo`` and ``pycram run`` record any plan, ``pycram describe`` describes robots.
+
+The command starts itself again (:mod:`pycram.seeding`), so whatever takes long to load is imported where it is used.
+"""
 
 from __future__ import annotations
 
@@ -16,21 +19,19 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pycram.foundation.failures import BadArgument, PlanFailure, PycramError
-from pycram.models import robot_urdfs
-from pycram.scheduling.order import order_of
+import recorder
 from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
-from recorder import RecordingError, record
+from recorder.closed_output import discard, until_closed
+from recorder.errors import RecordingError
 from recorder.packages import NotInstalled, needed, versions
-from recorder.records import format_error
 from recorder.tracing.interrupts import Terminated
-from recorder.viewer.address import Kind, Target
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from recorder import Recording
 
+_PAGE = "serve"  # of --rerun
 _WITH_ROBOTS = "set_the_table"  # the demo that any of the robots in the box runs
 _SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
 
@@ -51,10 +52,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is not None:
         return _run_command(argv)
+    code = _SUCCEEDED
     try:
-        code = _run_command(argv)
+        with until_closed():
+            code = _run_command(argv)
         if code == _INTERRUPTED:  # another one ends the process at once, and leaves no traceback of tidying up
             signal.signal(signal.SIGINT, signal.SIG_DFL)
+    except OSError as error:
+        discard(sys.stdout)
+        _tell(f"pycram: {error}")  # such as a full disk
+        return _WRONG_USAGE
     except KeyboardInterrupt:
         return _INTERRUPTED
     return code
@@ -97,6 +104,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
         options.rerun,
         seed=seed,
         order=options.order,
+        motion=options.motion,
         local_variables=not options.no_locals,
         overwrite=options.overwrite,
         durable=options.durable,
@@ -122,7 +130,8 @@ def _explore(options: argparse.Namespace, plan: Path, log: Path, arguments: Sequ
     from pycram.exploration import command  # noqa: PLC0415  as above
 
     def run_once(order: str, file: Path) -> None:
-        run(plan, file, arguments, seed=seed, order=order, local_variables=not options.no_locals, overwrite=True)
+        kept = not options.no_locals
+        run(plan, file, arguments, seed=seed, order=order, motion=options.motion, local_variables=kept, overwrite=True)
 
     return command.run(
         run_once,
@@ -130,6 +139,7 @@ def _explore(options: argparse.Namespace, plan: Path, log: Path, arguments: Sequ
         arguments,
         options.explore,
         seed=seed,
+        motion=options.motion,
         depth=options.depth or exploration.DEPTH,
         limit=options.limit or exploration.LIMIT,
         file=log,
@@ -160,7 +170,7 @@ def _parser() -> argparse.ArgumentParser:
     names = sorted(file.stem for file in demos().glob("*.py"))
     demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
     demo.add_argument("name", nargs="?", default="set_the_table", choices=names, help="which (default: set_the_table)")
-    robots = sorted(Path(name).stem for name in robot_urdfs.NAMES)
+    robots = sorted(file.stem for file in (Path(__file__).parent / "models" / "robots").glob("*.toml"))
     demo.add_argument("--robot", choices=robots, help=f"which robot does it, in {_WITH_ROBOTS} (default: pr2)")
     plan = commands.add_parser(
         "run", help="run a plan", description="Runs a plan: any Python file. Arguments after -- go to the plan."
@@ -191,11 +201,18 @@ def _parser() -> argparse.ArgumentParser:
             help="another order of branches than the seed draws, as --explore tells it",
         )
         recorded.add_argument(
+            "--motion",
+            choices=("simulated", "continuous"),
+            default="",
+            help="how motions are carried out where the plan doesn't say: at once (simulated, the default), or in "
+            "simulated time, on paths without collision (continuous)",
+        )
+        recorded.add_argument(
             "--explore",
             metavar="N",
             type=_count,
             help="run it in N orders of its branches, and tell those that end differently, and what decides. "
-            "Exit code 0: all end alike. 1: they don't",
+            "Exit code 0: all succeed, and end alike. 1: else",
         )
         recorded.add_argument(
             "--depth", metavar="D", type=_count, help="of the races that --explore finds (default: 3)"
@@ -263,6 +280,9 @@ def _seconds(text: str) -> float:
 
 
 def _order(text: str) -> str:
+    from pycram.foundation.failures import BadArgument  # noqa: PLC0415  heavy
+    from pycram.scheduling.order import order_of  # noqa: PLC0415  heavy
+
     try:
         order_of(text, None)
     except BadArgument as error:
@@ -271,6 +291,8 @@ def _order(text: str) -> str:
 
 
 def _viewer(text: str) -> str:
+    from recorder.viewer.address import Target  # noqa: PLC0415  heavy
+
     try:
         Target.parse(text)
     except RecordingError as error:
@@ -286,6 +308,7 @@ def run(
     *,
     seed: int | None = None,
     order: str = "",
+    motion: str = "",
     local_variables: bool = True,
     overwrite: bool = False,
     durable: bool = False,
@@ -300,6 +323,7 @@ def run(
         live: The live viewer; see :func:`recorder.record`.
         seed: Of random numbers; None to leave them as they are.
         order: Of branches; "" for the one that the seed draws.
+        motion: The execution environment where the plan names none; "" for "simulated".
         local_variables: Whether failures hold the plan's local variables.
         overwrite: Whether a recording that is there is replaced.
         durable: Whether records survive the loss of power.
@@ -315,9 +339,11 @@ def run(
     seed_random_numbers(seed)
     try:
         with needed():
-            from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  --version and --help need no executor
+            from pycram.motions.environments import set_default  # noqa: PLC0415  --version and --help need no executor
+            from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
         seed_order(seed, order)
-        recorded = record(
+        set_default(motion)
+        recorded = recorder.record(
             file,
             live,
             name=plan.stem,
@@ -325,6 +351,7 @@ def run(
             source=plan,
             seed=seed,
             order=order,
+            environment=motion,
             output=True,
             locals=local_variables,
             overwrite=overwrite,
@@ -342,7 +369,7 @@ def run(
         sys.argv, sys.path[:] = before
     if recording is not None and recording.path.is_file() and not (_was_lost(error) or isinstance(error, NotInstalled)):
         _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
-        if live == Kind.SERVE.value and not isinstance(error, KeyboardInterrupt | Terminated):
+        if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
         if debug and code == _FAILED:
             _debug(recording.path)
@@ -351,26 +378,35 @@ def run(
 
 def _report(error: BaseException) -> int:
     """Print how a plan ended, and return the exit code."""
+    from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
+    from recorder.records import format_error  # noqa: PLC0415  heavy
+
     match error:
         case RecordingError() | NotInstalled():
-            print(f"pycram: {error}", file=sys.stderr)
+            _tell(f"pycram: {error}")
             return _WRONG_USAGE
         case Terminated():
-            print(f"\npycram: interrupted by {error.signal}", file=sys.stderr)
+            _tell(f"\npycram: interrupted by {error.signal}")
             return int(error.code or 0)
         case SystemExit():
             if isinstance(error.code, int | None):
                 return error.code or _SUCCEEDED
-            print(error.code, file=sys.stderr)
+            _tell(str(error.code))
             return _FAILED
         case KeyboardInterrupt():
-            print("\npycram: interrupted", file=sys.stderr)
+            _tell("\npycram: interrupted")
             return _INTERRUPTED
-    traceback.print_exception(error)
+    _tell("".join(traceback.format_exception(error)).rstrip())
     kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
     how = "failed" if isinstance(error, PlanFailure) else kind
-    print(f"\npycram: the plan {how}: {format_error(error)}", file=sys.stderr)
+    _tell(f"\npycram: the plan {how}: {format_error(error)}")
     return _FAILED
+
+
+def _tell(text: str) -> None:
+    """Print a message, if anybody reads it: how a plan ended doesn't depend on that."""
+    with until_closed():
+        print(text, file=sys.stderr)
 
 
 def _was_lost(error: BaseException | None) -> bool:
@@ -387,7 +423,7 @@ def _keep_page(recording: Recording) -> None:
     """Serve the viewer's page until Ctrl-C, if the plan was started from a terminal."""
     if recording.viewer is None or not sys.stdin.isatty():
         return
-    print("pycram: the page stays until Ctrl-C", file=sys.stderr)
+    _tell("pycram: the page stays until Ctrl-C")
     with contextlib.suppress(KeyboardInterrupt):
         recording.viewer.wait()
 
@@ -405,9 +441,9 @@ def _wait_for_threads() -> None:
 
 
 def _print_next_steps(log: Path, size: float, code: int) -> None:
-    print(f"pycram: recorded to {log} ({size:.1f} MB). Next:", file=sys.stderr)
+    _tell(f"pycram: recorded to {log} ({size:.1f} MB). Next:")
     for verb in ("info", "tree", "view") if code == _SUCCEEDED else ("why", "tree", "view"):
-        print(f"  pycram-replay {verb} {shlex.quote(str(log))}", file=sys.stderr)
+        _tell(f"  pycram-replay {verb} {shlex.quote(str(log))}")
 
 
 if __name__ == "__main__":

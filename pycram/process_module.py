@@ -1,6 +1,10 @@
-"""Process modules, under the names of the thesis (4.7-4.9); PyCRAM's own serve the simulated environment."""
+"""Process modules, under the names of the thesis (4.7-4.9); PyCRAM's own serve two execution environments."""
 
+from functools import partial
+
+from pycram.motions.continuous import IN_SIMULATED_TIME
 from pycram.motions.environments import (
+    CONTINUOUS,
     SIMULATED,
     NoProcessModule,
     execution_environment,
@@ -14,3 +18,4 @@ from pycram.motions.resources import Resources
 __all__ = ["NoProcessModule", "ProcessModule", "Resources", "execution_environment", "register"]
 
 register_default(SIMULATED, default_modules)  # the modules are built on the class that chooses among them
+register_default(CONTINUOUS, partial(default_modules, IN_SIMULATED_TIME))

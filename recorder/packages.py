@@ -25,6 +25,8 @@ _EXTRAS: Final = {
     "trimesh": "executor",
     "collada": "executor",
     "example-robot-data": "executor",
+    "ompl": "executor",
+    "toppra": "executor",
     "PIL": "render",
     "pyarrow": "viewer",
     "rerun": "viewer",
@@ -34,7 +36,18 @@ _EXTRAS: Final = {
 
 
 #: Whose versions recordings hold.
-_RECORDED: Final = ("pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "rerun-sdk")
+_RECORDED: Final = (
+    "pycram",
+    "pybullet",
+    "mcap",
+    "protobuf",
+    "numpy",
+    "trimesh",
+    "example-robot-data",
+    "ompl",
+    "toppra",
+    "rerun-sdk",
+)
 
 
 class NotInstalled(ModuleNotFoundError):

@@ -68,6 +68,7 @@ def record(
     source: str | Path | None = None,
     seed: int | None = None,
     order: str = "",
+    environment: str = "",
     output: bool = False,
     locals: bool = True,  # noqa: A002  as they are called in Python
     overwrite: bool = False,
@@ -90,6 +91,7 @@ def record(
         source: the plan's file, which is attached; by default the program's, if it has one.
         seed: what random numbers were seeded with, for the record; it seeds nothing.
         order: of branches, for the record, where it isn't drawn from the seed.
+        environment: execution environment of the plan, for the record, where one was asked for.
         output: whether lines that are printed or logged are records too.
         locals: whether failures hold the local variables of the plan's functions.
         overwrite: whether a recording that is there is replaced.
@@ -107,7 +109,10 @@ def record(
     title = escaped(name or (program.stem if program else "plan"))
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
     provenance.describe(began, given, program, seed, order)
+    began.environment = environment
     began.by_program = program is not None and _is_program(program)
+    if began.by_program:
+        began.called_as = escaped(sys.argv[0])
     began.number = _numbers[title] = _numbers[title] + 1
     start = time.perf_counter_ns()
     sink = _redirect(began) if _redirect is not None else None

@@ -17,7 +17,9 @@ from PIL import Image
 
 from pycram import bullet_world_reasoning as btr, cli
 from pycram.bullet_world import BulletWorld, Object
+from pycram.describing.guess import guess
 from pycram.designator import MotionDesignator
+from pycram.models import load
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
 
@@ -239,10 +241,26 @@ def test_hands_that_are_not_understood_are_left_out(describe: Callable[..., Ende
         "left": None,
         "right": None,
     }
-    assert "# no gripper: 2 joints hang on it, not understood" in ended.stdout
+    assert (
+        "# no gripper: by their collision shapes, LeftSakeBaseFingerLink1, LeftSakeBaseFingerLink2 don't close on one "
+        "another from two sides\n" in ended.stdout
+    ), "the file turns them otherwise than what is seen"
     (tmp_path / "mine.toml").write_text(ended.stdout)
     checked = describe("--check", "mine.toml", urdf)
     assert checked.returncode == 0, checked.stdout  # also that parked arms don't meet
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("robot", "joints", "why"),
+    [
+        ("so100.urdf", 5, "jaw has no collision shapes: nothing would be held"),
+        ("alex_nub_hands.urdf", 7, "nothing that moves hangs on it"),  # LeftGripperYaw turns all of the hand
+    ],
+)
+def test_what_ends_without_a_gripper_says_why(robot: str, joints: int, why: str) -> None:
+    arms = guess(load.load(urdf_of(robot))).arms
+    assert {(len(arm.joints), hand) for arm, hand in arms} == {(joints, why)}
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _ARM: Final = 4  # joints one after the other that make an arm
 _SEVERAL: Final = 2  # fingers
+_TURNS_ALL: Final = math.pi  # rad between its limits: more than any jaw's, a wrist's
 _HEAD: Final = re.compile(r"head|neck", re.IGNORECASE)
 _LEG: Final = re.compile(r"leg|hip|knee|ankle|foot|haa|hfe|kfe", re.IGNORECASE)
 _WHEEL: Final = re.compile(r"wheel|caster|rotor", re.IGNORECASE)
@@ -114,9 +115,13 @@ class Tree:
         return [ArmChain(name, tuple(run), tuple(below)) for name, (run, below) in zip(names, found, strict=True)]
 
     def _begins_hand(self, joint: Joint, leading: set[str]) -> bool:
-        """Whether the joint next to one is a finger's: a joint named so on which several fingers hang is a wrist's."""
+        """Whether the joint next to one is a finger's.
+
+        A joint named so is a wrist's if several fingers hang on it, or if it turns farther than a jaw does.
+        """
         (after,) = self._next[joint.name]
-        wrist = len(self._next[after.name]) >= _SEVERAL
+        lower, upper = limits(after)
+        wrist = len(self._next[after.name]) >= _SEVERAL or upper - lower > _TURNS_ALL
         named = _FINGER_LINK.search(after.child) or (not wrist and _FINGER.search(after.name))
         return after.name in leading or after.name in self.urdf.mimics or bool(named)
 

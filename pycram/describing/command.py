@@ -33,8 +33,6 @@ def run(options: argparse.Namespace) -> int:
         return _check(description, options) if options.check else _write(text or "", description, options)
     except AssetError as error:
         return _refused(str(error))
-    except (OSError, ValueError) as error:
-        return _refused(f"{options.picture}: {error}")
 
 
 def _write(text: str, description: RobotDescription, options: argparse.Namespace) -> int:
@@ -73,7 +71,10 @@ def _loaded(description: RobotDescription, urdf: str, world: BulletWorld) -> Obj
 def _draw(robot: Object, file: Path) -> None:
     from pycram.describing.picture import draw  # noqa: PLC0415  needs the extra for pictures
 
-    draw(robot, file)
+    try:
+        draw(robot, file)
+    except (OSError, ValueError) as error:  # ValueError: of a name that is no picture's
+        raise AssetError(file, str(error)) from error
     print(f"picture in {file}", file=sys.stderr)
 
 

@@ -74,7 +74,7 @@ class Guess:
 
     Attributes:
         model: the robot's.
-        arms: its arms, with what is at their ends; None where nothing was recognised.
+        arms: its arms, with what is at their ends, or why no gripper was recognised there.
         torso: the joint that lifts the arms.
         camera: the link of a camera, "" for none.
         head: its joints.
@@ -82,7 +82,7 @@ class Guess:
     """
 
     model: Model
-    arms: Sequence[tuple[ArmChain, HandGuess | None]]
+    arms: Sequence[tuple[ArmChain, HandGuess | str]]
     torso: Joint | None
     camera: str
     head: Mapping[str, str]
@@ -105,13 +105,29 @@ def guess(model: Model) -> Guess:
     )
 
 
-def _hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | None:
-    """Return the gripper of an arm; None if it has none that closes from two sides."""
+def _hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | str:
+    """Return the gripper of an arm, or why there is none that closes from two sides."""
+    if not arm.fingers:
+        return "nothing that moves hangs on it"
+    ends = [joint for joint in arm.fingers if not tree.below(joint)]
     tips = list(fingers_of(tree, arm, {link for link in tree.urdf.links if link in corners}))
     if any(len(moving) > _PHALANGES for _, moving in tips):
-        return None
+        return f"{len(arm.fingers)} joints hang on it, in fingers that curl"
+    if len(tips) < min(len(ends), _SIDES):
+        solid = {link for link, _ in tips}
+        names = [joint.child for joint in ends if joint.child not in solid]
+        return f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} no collision shapes: nothing would be held"
     if len(tips) < _SIDES:
-        return _one_jaw(tree, corners, tips[0][0], tips[0][1][0]) if tips and len(tips[0][1]) == 1 else None
+        ((jaw, (joint, *others)),) = tips
+        hand = None if others else _one_jaw(tree, corners, jaw, joint)
+        return hand or f"by its collision shapes, {jaw} doesn't close against anything that stays still"
+    return _fingers(tree, tips, corners) or (
+        f"by their collision shapes, {', '.join(link for link, _ in tips)} don't close on one another from two sides"
+    )
+
+
+def _fingers(tree: Tree, tips: Sequence[tuple[str, list[Joint]]], corners: Corners) -> HandGuess | None:
+    """Return a gripper of two fingers and more, all of which move; None if they don't close from two sides."""
     joints = list({joint.name: joint for _, moving in tips for joint in moving}.values())
     palm = joints[0].parent
     links = [link for link, _ in tips]

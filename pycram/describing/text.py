@@ -76,17 +76,17 @@ def as_toml(
     return "\n".join(lines) + "\n"
 
 
-def _arm(arm: ArmChain, hand: HandGuess | None, park: Sequence[float] | None) -> Iterator[str]:
+def _arm(arm: ArmChain, hand: HandGuess | str, park: Sequence[float] | None) -> Iterator[str]:
+    gripper = None if isinstance(hand, str) else hand
     yield from ("", f"[arms.{arm.name}]", f"base_link = {_quoted(arm.joints[0].parent)}")
-    yield f"tool_frame = {_quoted(hand.palm if hand else arm.joints[-1].child)}"
-    if hand and hand.offset != IDENTITY:
-        yield _offset(hand.offset)
+    yield f"tool_frame = {_quoted(gripper.palm if gripper else arm.joints[-1].child)}"
+    if gripper and gripper.offset != IDENTITY:
+        yield _offset(gripper.offset)
     yield from _listed("joints", [joint.name for joint in arm.joints])
     if park is not None:
         yield from ("", f"[arms.{arm.name}.poses]", f"park = {_row(park)}")
-    if hand is None:
-        what = f"{len(arm.fingers)} joints hang on it, not understood" if arm.fingers else "nothing hangs on it"
-        yield f"# no gripper: {what}"
+    if isinstance(hand, str):
+        yield f"# no gripper: {hand}"
         return
     yield from ("", f"[arms.{arm.name}.gripper]", f"palm = {_quoted(hand.palm)}")
     yield from _listed("fingers", hand.fingers)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pycram.exploration.runs import Runner
     from pycram.scheduling.order import Standing
 
-_ALIKE, _DIFFERENT, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
+_SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
 _MAX_TOLD: Final = 6  # differences of states, and precedences
 _WIDTH: Final = 200  # characters of a failure
 
@@ -34,6 +34,7 @@ def run(
     count: int,
     *,
     seed: int,
+    motion: str = "",
     depth: int,
     limit: float,
     file: Path,
@@ -48,6 +49,7 @@ def run(
         arguments: The plan's.
         count: How many orders.
         seed: The runs'.
+        motion: Their execution environment, where one was asked for.
         depth: Of the races.
         limit: Seconds that a run may take.
         file: What recordings are named after.
@@ -67,7 +69,7 @@ def run(
     except (NotExplorable, RecordingError) as error:
         print(f"pycram: {error}", file=sys.stderr)
         return _WRONG_USAGE
-    command = ["pycram", "run", "--seed", str(seed)]
+    command = ["pycram", "run", *(["--motion", motion] if motion else []), "--seed", str(seed)]
     rest = [plan, *(["--", *arguments] if arguments else [])]
     if as_json:
         print(json.dumps(_data(result, command, rest), indent=2))
@@ -75,7 +77,8 @@ def run(
         print(*_lines(result, plan, command, rest, depth), sep="\n")
     if result.interrupted:
         return _INTERRUPTED
-    return _ALIKE if result.alike else _DIFFERENT
+    succeeded = all(found.ending.kind == SUCCEEDED for found in result.found)
+    return _SUCCEEDED if succeeded and result.alike else _FAILED
 
 
 def _data(result: Exploration, command: list[str], rest: list[str]) -> dict[str, object]:

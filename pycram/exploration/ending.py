@@ -12,21 +12,22 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Fluent, Keyframe, Mutation, Run, format_failure
+from recorder.records import Fluent, Keyframe, Mutation, Run, format_failure, without_addresses
+from recorder.tracing.journal import NullSink
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from recorder.mcap.sink import McapSink
-    from recorder.records import BodyState, Effect, Failure, Record
+    from recorder.records import Attachment, BodyState, Effect, Failure, Record
     from recorder.records.asset import AssetFile
+    from recorder.tracing.journal import Sink
 
 _DISTANCE: Final = 0.01  # m
 _ANGLE: Final = 0.1  # rad
 _JOINT: Final = 0.02  # rad or m
 _NUMBER: Final = 1e-3  # of fluents
 _DECIMAL: Final = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
-_ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")  # of a Python object; another one in each run
 #: What kinds of endings are called.
 SUCCEEDED, FAILED, DEADLOCK, TIME_LIMIT, DIED = "succeeded", "failed", "deadlock", "time limit", "died"
 
@@ -59,8 +60,8 @@ class Ending:
             return False
         if self.kind == SUCCEEDED:
             return next(iter(self.differences(other)), None) is None
-        told = [(_DECIMAL.sub("#", _ADDRESS.sub("", each.failure)), each.line) for each in (self, other)]
-        return told[0] == told[1]
+        mine, others = ((_DECIMAL.sub("#", without_addresses(each.failure)), each.line) for each in (self, other))
+        return mine == others
 
     def differences(self, other: Ending) -> Iterator[str]:
         """Yield in words what is otherwise in its state than in another one's."""
@@ -107,7 +108,7 @@ def _same(a: object, b: object) -> bool:
     if isinstance(a, int | float) and isinstance(b, int | float) and not isinstance(a, bool) | isinstance(b, bool):
         return a == b or abs(a - b) <= _NUMBER
     if isinstance(a, str) and isinstance(b, str):
-        return _ADDRESS.sub("", a) == _ADDRESS.sub("", b)
+        return without_addresses(a) == without_addresses(b)
     return a == b
 
 
@@ -122,7 +123,7 @@ class EndingSink:
     """
 
     def __init__(self, file: McapSink | None = None) -> None:
-        self._file = file
+        self._file: Sink = file or NullSink()
         self._lines: dict[str, str] = {}  # of failures
         self.ending = Ending(DIED, "its process ended")
         if file is not None:
@@ -130,8 +131,7 @@ class EndingSink:
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Take a record."""
-        if self._file is not None:
-            self._file.write(topic, record, payload)
+        self._file.write(topic, record, payload)
         if isinstance(record, Mutation):
             self._change(record.world, record.WhichOneof("command") or "", record.effect)
         elif isinstance(record, Keyframe):
@@ -140,25 +140,22 @@ class EndingSink:
         elif isinstance(record, Fluent):
             if not record.source:
                 self.ending.fluents[record.name] = record.after_json
-        elif "failure" in record.DESCRIPTOR.fields_by_name and record.failure.type:  # type: ignore[union-attr]
-            self._note_line(record.failure)  # type: ignore[union-attr]
+        elif (failure := getattr(record, "failure", None)) is not None and failure.type:
+            self._note_line(failure)
         if isinstance(record, Run) and record.phase == Run.FINISHED:
             self._end(record)
 
     def attach(self, asset: AssetFile) -> None:
         """Take a file."""
-        if self._file is not None:
-            self._file.attach(asset)
+        self._file.attach(asset)
 
     def flush(self) -> None:
         """Make all safe that was taken."""
-        if self._file is not None:
-            self._file.flush()
+        self._file.flush()
 
     def close(self) -> None:
         """End."""
-        if self._file is not None:
-            self._file.close()
+        self._file.close()
 
     def _change(self, world: str, command: str, effect: Effect) -> None:
         if command == "open_world":  # after another one of that name
@@ -185,7 +182,7 @@ class EndingSink:
             for joint, position in zip(state.joints, state.joint_positions, strict=True):
                 body[f"/{joint}"] = [position]
 
-    def _attach(self, world: str, attachments: Iterable[object]) -> None:
+    def _attach(self, world: str, attachments: Iterable[Attachment]) -> None:
         for each in attachments:
             if (held := _held(world, each)) not in self.ending.held:
                 self.ending.held.append(held)
@@ -204,5 +201,5 @@ class EndingSink:
             ending.kind = DEADLOCK if end.failure.type == "DeadlockedBranches" else FAILED
 
 
-def _held(world: str, each: object) -> str:
-    return f"{world}: {each.carrier} holds {each.body}"  # type: ignore[attr-defined]
+def _held(world: str, each: Attachment) -> str:
+    return f"{world}: {each.carrier} holds {each.body}"

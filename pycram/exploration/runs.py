@@ -12,13 +12,14 @@ import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pycram.exploration.ending import DIED, TIME_LIMIT, Ending, EndingSink
-from pycram.projection.child import Child, wait
+from pycram.projection.child import Child, usable_cores, wait
 from pycram.scheduling.order import Made, Precedence, Standing
 from pycram.scheduling.schedule import scheduler
 from recorder.mcap.sink import McapSink
+from recorder.provenance import metadata, pycram_revision
 from recorder.recording import redirected
 
 if TYPE_CHECKING:
@@ -68,7 +69,8 @@ class Runs:
     def __init__(self, run: Runner, limit: float) -> None:
         self._run = run
         self._limit = limit
-        self.cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self.cores = usable_cores()
+        pycram_revision()  # once, for the records of all: it starts git
 
     def all(self, orders: Iterable[str], file: Path | None = None) -> Generator[tuple[int, Attempt], None, None]:
         """Run it in several orders at once; yield each with its index, as they end. None outlives the iteration."""
@@ -118,18 +120,17 @@ class _Process:
         seconds = time.monotonic() - self.child.began
         late = Ending(TIME_LIMIT, f"it still ran after {self._limit:g} s")
         if not self.child.received:
-            status = self.child.status
-            name = signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else ""
-            how = f"its process was ended by {name}" if name else f"its process ended with {os.WEXITSTATUS(status)}"
+            signalled, code = self.child.signal, os.waitstatus_to_exitcode(self.child.status)
+            how = f"its process was ended by {signalled}" if signalled else f"its process ended with {code}"
             return Attempt(self._order, late if self._interrupted else Ending(DIED, how), 0, (), seconds)
-        answer: Mapping[str, object] = json.loads(self.child.received)
+        answer: Mapping[str, Any] = json.loads(self.child.received)
         return Attempt(
             self._order,
-            late if self._interrupted else Ending(**answer["ending"]),  # type: ignore[arg-type]
-            answer["turns"],  # type: ignore[arg-type]
+            late if self._interrupted else Ending(**answer["ending"]),
+            answer["turns"],
             tuple(
                 Made(Precedence(*own), Standing(*first), Standing(*second), [Precedence(*each) for each in passed])
-                for own, first, second, passed in answer["made"]  # type: ignore[attr-defined]
+                for own, first, second, passed in answer["made"]
             ),
             seconds,
         )
@@ -144,8 +145,7 @@ def _attempt(run: Runner, order: str, file: Path | None) -> bytes:
     def sink_of(began: RunRecord) -> Sink | None:
         if os.getpid() != process:  # a projection has a recording of its own
             return None
-        metadata = {"plan": began.name, "plan_arguments": " ".join(began.arguments), "started_ns": str(time.time_ns())}
-        sinks.append(EndingSink(McapSink(path, metadata) if file is not None and not sinks else None))
+        sinks.append(EndingSink(McapSink(path, metadata(began)) if file is not None and not sinks else None))
         return sinks[-1]
 
     with redirected(sink_of):

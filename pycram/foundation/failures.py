@@ -50,6 +50,7 @@ __all__ = [
     "JointLimitError",
     "LookingFailed",
     "MissingPart",
+    "NoPath",
     "NoWorld",
     "NotDrivable",
     "ObjectsChanged",
@@ -173,13 +174,55 @@ class PostureInCollision(PlanFailure):
         arms: names of the arms.
         bodies: names of what they would touch, the robot's own for itself.
         pairs: the links that would overlap most, one pair an object; of the robot itself all.
+        torso: joint of the torso, and the height in m at which they would touch nothing; None if there is none.
     """
 
-    def __init__(self, arms: Sequence[str], bodies: Sequence[str], pairs: Sequence[CollisionPair] = ()) -> None:
+    def __init__(
+        self,
+        arms: Sequence[str],
+        bodies: Sequence[str],
+        pairs: Sequence[CollisionPair] = (),
+        *,
+        torso: tuple[str, float] | None = None,
+    ) -> None:
         touched = phrases(pairs) if pairs else f"it would touch {', '.join(bodies)}"
-        super().__init__(f"the {' and '.join(arms)} arm can't take that posture: {touched}; it stays where it is")
+        hint = f"; with {torso[0]} at {torso[1]:g} m it could" if torso else ""
+        super().__init__(f"the {' and '.join(arms)} arm can't take that posture: {touched}; it stays where it is{hint}")
         self.arms = list(arms)
         self.bodies = list(bodies)
+        self.pairs = list(pairs)
+        self.torso = torso
+
+
+class NoPath(PlanFailure):
+    """No path was found, within a budget of checks, on which nothing is touched; which doesn't prove that none exists.
+
+    Attributes:
+        mover: what was to move: "left arm", "base", ...
+        goal: where to: joint values in rad or m by name; of a base x, y and yaw in the world.
+        checks: configurations that were checked for collisions.
+        nearest: to the goal of those to which a path was found.
+        distance: of that to the goal: Euclidean, of joint values; of a base in m, with half a metre for a radian.
+        pairs: the links that were in the way most often.
+    """
+
+    def __init__(
+        self,
+        mover: str,
+        goal: Mapping[str, float],
+        checks: int,
+        nearest: Mapping[str, float],
+        distance: float,
+        pairs: Sequence[CollisionPair],
+    ) -> None:
+        often = f"; most often {phrases(pairs)}" if pairs else ""
+        looked = f"in {checks} configurations that were checked, it came within {distance:.2f} of the goal"
+        super().__init__(f"the {mover} finds no path there: {looked}{often}; it stays where it is")
+        self.mover = mover
+        self.goal = dict(goal)
+        self.checks = checks
+        self.nearest = dict(nearest)
+        self.distance = distance
         self.pairs = list(pairs)
 
 

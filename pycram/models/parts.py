@@ -1,6 +1,7 @@
 """Parts of a mesh: its triangles by colour, with the materials and textures of COLLADA and OBJ files.
 
-COLLADA files are read by pycollada directly: what trimesh does to them besides takes three times as long.
+COLLADA files are read by pycollada directly: what trimesh does to them besides takes three times as long. OBJ files of
+triangles without materials, as all are that recordings hold, are read here: to import trimesh takes a second.
 """
 
 from __future__ import annotations
@@ -132,24 +133,35 @@ def _dae(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[Part
                 yield Part(triangles, _rgba(diffuse))
 
 
-def _check_faces(content: bytes) -> None:
-    """Refuse an OBJ with a face whose corners aren't there: PyBullet would end the process.
+def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
+    """Return the numbers of an OBJ's vertices, as text, and for each face its vertices, counted from 0.
 
     Raises:
-        ValueError: There is one, or a line that PyBullet breaks in two.
+        ValueError: A face has a corner that isn't there, or a line is one that PyBullet breaks in two: either would end
+            the process.
     """
     known = dict.fromkeys((b"v", b"vt", b"vn"), 0)
+    vertices: list[list[bytes]] = []
+    faces: list[list[int]] = []
     for line in content.replace(b"\r", b"\n").split(b"\n"):
         if len(line) > _MAX_LINE:
             raise ValueError(f"a line has {len(line)} bytes")
         key, *words = line.split() or [b""]
         if key in known:
             known[key] += 1
+            if key == b"v":
+                vertices.append(words[:3])
         elif key == b"f":
+            corners = []
             for word in words:
-                for number, count in zip(word.split(b"/"), known.values(), strict=False):
-                    if number and not 0 < (int(number) if number[:1] != b"-" else count + 1 + int(number)) <= count:
+                for place, (number, count) in enumerate(zip(word.split(b"/"), known.values(), strict=False)):
+                    at = int(number or 1) if number[:1] != b"-" else count + 1 + int(number)
+                    if number and not 0 < at <= count:
                         raise ValueError(f"the face {line.decode(errors='replace')!r} has a corner that isn't there")
+                    if not place:
+                        corners.append(at - 1)
+            faces.append(corners)
+    return vertices, faces
 
 
 def _dae_uv(mesh: collada.triangleset.BoundTriangleSet) -> Array | None:
@@ -157,7 +169,13 @@ def _dae_uv(mesh: collada.triangleset.BoundTriangleSet) -> Array | None:
 
 
 def _obj(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[Part]:
-    _check_faces(content)
+    vertices, faces = _read_faces(content)
+    if cover is None and b"mtl" not in content and all(len(corners) == 3 for corners in faces):
+        if any(len(numbers) < 3 for numbers in vertices):
+            raise ValueError("a vertex has less than three numbers")
+        table = np.array(vertices).astype(np.float64).reshape(-1, 3)
+        yield Part(table[np.array(faces, dtype=np.intp).reshape(-1, 3)], None)
+        return
     has_materials = b"mtllib" in content
     resolver = trimesh.resolvers.FilePathResolver(str(file))
     with quiet():

@@ -42,8 +42,12 @@ class Module(Protocol):
 Modules: TypeAlias = Mapping[str, Module]
 
 SIMULATED = "simulated"
+"""The environment in which motions are done at once."""
+CONTINUOUS = "continuous"
+"""The environment in which they take simulated time."""
 
-_environment: ContextVar[str] = ContextVar("pycram_environment", default=SIMULATED)
+_environment: ContextVar[str] = ContextVar("pycram_environment", default="")
+_of_run = SIMULATED  # where the plan names none, in any thread
 _lock = threading.Lock()
 _registered: dict[tuple[str, str], Modules] = {}
 _defaults: dict[str, Callable[[], Modules]] = {}
@@ -82,13 +86,19 @@ def execution_environment(name: str) -> Iterator[None]:
     """Use the process modules of an environment in the ``with`` block.
 
     Args:
-        name: "simulated" (the default), or an environment that modules are registered for.
+        name: "simulated" (the default), "continuous", or an environment that modules are registered for.
 
     Raises:
         BadArgument: It isn't a name.
     """
     with Binding(_environment, checks.text("name", name)):
         yield
+
+
+def set_default(name: str) -> None:
+    """Use the process modules of an environment wherever the plan names none, in all threads of this process."""
+    global _of_run  # noqa: PLW0603  of the run, which is the process's
+    _of_run = name or SIMULATED
 
 
 def register(robot: str, environment: str, modules: Modules) -> None:
@@ -143,7 +153,7 @@ class Chosen:
 
 def current_environment() -> str:
     """Return the name of the current execution environment."""
-    return _environment.get()
+    return _environment.get() or _of_run
 
 
 def module_for(cmd: str, world: BulletWorld) -> Chosen:
@@ -158,8 +168,8 @@ def module_for(cmd: str, world: BulletWorld) -> Chosen:
     modules, registered_for = _modules_of(world, world.robot)
     if cmd not in modules:
         why = "" if world.robot.description else _undescribed(world.robot)
-        raise NoProcessModule(cmd, world.robot.urdf.name, _environment.get(), sorted(modules), why)
-    return Chosen(modules[cmd], _environment.get(), registered_for=registered_for)
+        raise NoProcessModule(cmd, world.robot.urdf.name, current_environment(), sorted(modules), why)
+    return Chosen(modules[cmd], current_environment(), registered_for=registered_for)
 
 
 def _undescribed(robot: Object) -> str:
@@ -171,7 +181,7 @@ def _undescribed(robot: Object) -> str:
 
 def _modules_of(world: BulletWorld, robot: Object) -> tuple[Modules, str]:
     """Return the modules of a robot, and its name if they were registered for it."""
-    environment = _environment.get()
+    environment = current_environment()
     with _lock:
         registered = _registered.get((robot.urdf.name, environment))
         if registered is not None:

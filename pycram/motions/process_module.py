@@ -34,6 +34,7 @@ Result: TypeAlias = Any
 Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
 
 _ONE_AT_A_TIME = Resources(moves=frozenset({"module"}))
+_TOGETHER = Resources()
 
 #: Queues of the modules that a running module performs motions with; concurrent modules have separate ones.
 _inner_queues: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVar("pycram_modules", default=None)
@@ -43,7 +44,12 @@ class ProcessModule(ABC):
     """Carries out one kind of motion, one designator at a time, in order of arrival.
 
     Motions that it performs are parts of that motion, within its resources.
+
+    Attributes:
+        one_at_a_time: False for one that keeps nothing of a designator: two arms may move by the same module.
     """
+
+    one_at_a_time = True
 
     resolvers: ClassVar[Resolvers[Chooser]] = Resolvers("process modules")
     """Functions that return a module for a designator, or None; called before the registered modules are looked up.
@@ -79,10 +85,11 @@ class ProcessModule(ABC):
         return designator.resources()
 
     def execute(self, designator: Designator) -> Result:
-        """Carry a designator out after all earlier ones; a failure frees the module for the next."""
+        """Carry a designator out, after all earlier ones if need be; a failure frees the module for the next."""
         inner = _inner_queues.get()
         queue = self._queue if inner is None else inner.setdefault(self, ResourceQueue())
-        with Ticket(queue, _ONE_AT_A_TIME).turn(), Binding(_inner_queues, {}), performing(designator):
+        turn = Ticket(queue, _ONE_AT_A_TIME if self.one_at_a_time else _TOGETHER).turn()
+        with turn, Binding(_inner_queues, {}), performing(designator):
             checkpoint()
             solution: Mapping[str, object] = designator.reference()
             task = span("process-module", type(self).__name__, solution)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -23,7 +22,7 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.foundation.names import export
 from pycram.language.actions import name_of, run
-from pycram.projection.child import Child, limit_memory, wait
+from pycram.projection.child import Child, limit_memory, usable_cores, wait
 from pycram.scheduling.locks import refuse_held
 from pycram.world import saved_state
 from pycram.world.current import current, open_worlds
@@ -204,15 +203,15 @@ def _project_all(
     _refuse_impossible()
     running: dict[int, tuple[_Projection, ExitStack]] = {}
     outcomes: dict[int, tuple[Outcome, _Projection, ExitStack]] = {}  # those that have ended, by candidate
-    told: list[Outcome] = []
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    ended: list[Outcome] = []  # those on record
+    cores = usable_cores()
     following, needed = 0, len(actions)
     with ExitStack() as ending:
         while following < needed or running:
             while following < needed and len(running) < cores:
                 tasks = ending.enter_context(ExitStack())
                 projection = _Projection(
-                    actions[following], names[following], room, tasks, begun=following == len(told)
+                    actions[following], names[following], room, tasks, begun=following == len(ended)
                 )
                 running[following] = projection, tasks
                 following += 1
@@ -229,14 +228,14 @@ def _project_all(
                 if until == "first" and outcome.succeeded:
                     needed = min(needed, number + 1)
             # On record is one after the other, in their order, whoever ends earlier and however many cores there are.
-            while len(told) in outcomes and len(told) < needed:
-                outcome, projection, tasks = outcomes.pop(len(told))
+            while len(ended) in outcomes and len(ended) < needed:
+                outcome, projection, tasks = outcomes.pop(len(ended))
                 with tasks:
                     projection.end(outcome)
-                told.append(outcome)
-                if len(told) in running and len(told) < needed:
-                    running[len(told)][0].begin()
-    return told
+                ended.append(outcome)
+                if len(ended) in running and len(ended) < needed:
+                    running[len(ended)][0].begin()
+    return ended
 
 
 def _time_left(running: dict[int, tuple[_Projection, ExitStack]], limit: float | None) -> float | None:
@@ -301,7 +300,8 @@ class _Projection:
             self.child.kill()
             return self._died(f"took longer than {limit:g} s")
         if not self.child.received:
-            return self._died(_end(self.child.status))
+            signalled, code = self.child.signal, os.waitstatus_to_exitcode(self.child.status)
+            return self._died(f"was ended by {signalled}" if signalled else f"ended its process with exit code {code}")
         try:
             succeeded, result, failure, steps, state, unsent = _Unpickler(BytesIO(self.child.received)).load()
         except Exception as error:  # noqa: BLE001  of a class that the action has made, say
@@ -335,12 +335,6 @@ class _Projection:
         self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None
     ) -> None:
         self._task.finish(error)
-
-
-def _end(status: int) -> str:
-    if os.WIFSIGNALED(status):
-        return f"was ended by {signal.Signals(os.WTERMSIG(status)).name}"
-    return f"ended its process with exit code {os.WEXITSTATUS(status)}"
 
 
 def _path() -> Path | None:

@@ -74,10 +74,20 @@ class Child:
             os.kill(self.pid, signal.SIGKILL)
             self._reap()
 
+    @property
+    def signal(self) -> str:
+        """The name of the signal that has ended it; "" if none has."""
+        return signal.Signals(os.WTERMSIG(self.status)).name if os.WIFSIGNALED(self.status) else ""
+
     def _reap(self) -> None:
         os.close(self._reading)
         _, self.status = os.waitpid(self.pid, 0)
         self.ended = True
+
+
+def usable_cores() -> int:
+    """Return how many children of this process can run at once."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def wait(children: Sequence[Child], timeout: float | None) -> None:

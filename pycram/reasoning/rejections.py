@@ -150,6 +150,25 @@ class Contorted(Rejection):
 
 
 @dataclass(frozen=True, slots=True)
+class Unreached(Rejection):
+    """A search for a path didn't get there.
+
+    Attributes:
+        checks: configurations that were checked.
+        distance: from the goal to the nearest configuration that was reached: rad, or m of a base.
+        pairs: the links that were in the way most often.
+    """
+
+    checks: int
+    distance: float
+    pairs: Sequence[CollisionPair] = ()
+
+    def miss(self) -> float:
+        """Return the distance."""
+        return self.distance
+
+
+@dataclass(frozen=True, slots=True)
 class Unseen(Rejection):
     """Too little of it is seen.
 

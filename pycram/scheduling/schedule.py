@@ -206,6 +206,11 @@ def seed_order(seed: int | None, order: str = "") -> None:
     scheduler().draw_from(seed, order)
 
 
+def run_seed() -> int | None:
+    """Return the run's seed; None where nobody has set one."""
+    return _seed
+
+
 class Condition:
     """Something that branches and threads wait for; see :func:`pycram.scheduling.cancellation.wait`.
 

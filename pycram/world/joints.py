@@ -24,9 +24,7 @@ _MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which given positions may miss eac
 
 def set_positions(body: Object, positions: Mapping[str, float]) -> None:
     """Put joints to positions (rad or m, by name); see :meth:`pycram.world.object.Object.set_joint_positions`."""
-    if not isinstance(positions, Mapping):
-        raise BadArgument("positions", positions, "values by joint name, such as {'torso_lift_joint': 0.2}")
-    checked = {name: _checked(body, name, position) for name, position in positions.items()}
+    checked = checked_positions(body, positions)
     command = records.MoveJoints(body=body.name, joints=list(checked), positions=list(checked.values()))
     checked = coupled(body, checked)
     engine = body.world.engine
@@ -41,6 +39,19 @@ def set_positions(body: Object, positions: Mapping[str, float]) -> None:
         carried.move_attached(body, transaction)
         if body.is_environment:
             transaction.fire(body.world.get_manipulation_event(), body)
+
+
+def checked_positions(body: Object, positions: Mapping[str, float]) -> dict[str, float]:
+    """Return positions (rad or m, by name) that joints of an object can have.
+
+    Raises:
+        BadArgument: They aren't numbers by name.
+        UnknownName: It has no such joint.
+        JointLimitError: One is outside the joint's limits.
+    """
+    if not isinstance(positions, Mapping):
+        raise BadArgument("positions", positions, "values by joint name, such as {'torso_lift_joint': 0.2}")
+    return {name: _checked(body, name, position) for name, position in positions.items()}
 
 
 def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pycram.physics.body import Body
     from pycram.world.attachment import Attachment
     from pycram.world.world import BulletWorld
-    from recorder.geometry import Pose
+    from recorder.geometry import Pose, Quaternion, Vector
     from recorder.geometry.urdf import Urdf
 
 ENVIRONMENT = "environment"
@@ -302,27 +302,31 @@ class Object(ReadOnlyAttributes):
 
     def set_position_and_orientation(self, position: Sequence[float], orientation: Sequence[float]) -> None:
         """Put it at a pose, with all that it carries; if it is carried itself, it gets a new relative pose."""
-        pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
-        command = records.MoveBody(body=self.name, position=pose[0], orientation=pose[1])
-        with self.world.transactions.begin(records.Mutation(move_body=command)) as transaction:
+        self._move(checks.vector("position", position), checks.quaternion("orientation", orientation))
+
+    def set_position(self, position: Sequence[float], orientation: Sequence[float] | None = None) -> None:
+        """Put it at a position, with its present orientation unless one is given."""
+        turned = None if orientation is None else checks.quaternion("orientation", orientation)
+        self._move(checks.vector("position", position), turned)
+
+    def set_orientation(self, orientation: Sequence[float]) -> None:
+        """Turn it about its base link's origin."""
+        self._move(None, checks.quaternion("orientation", orientation))
+
+    def _move(self, position: Vector | None, orientation: Quaternion | None) -> None:
+        """Put it at a pose; None is what it has when its turn has come: other branches may move it before."""
+        with self.world.transactions.begin(records.Mutation(move_body=records.MoveBody(body=self.name))) as transaction:
             self.world.trajectories.refuse("set its pose", self)
+            now = self.world.engine.pose(self.handle)
+            pose = (position or now[0], orientation or now[1])
+            command = transaction.command.move_body
+            command.position[:], command.orientation[:] = pose
             self.world.engine.set_pose(self.handle, pose)
             transaction.mark_modified(self)
             carried.move_attached(self, transaction)
             attachment.renew(self, transaction)
             if self.is_environment:
                 transaction.fire(self.world.get_manipulation_event(), self)
-
-    def set_position(self, position: Sequence[float], orientation: Sequence[float] | None = None) -> None:
-        """Put it at a position, with its present orientation unless one is given."""
-        with self.world.lock:
-            kept = self.get_orientation() if orientation is None else orientation
-            self.set_position_and_orientation(position, kept)
-
-    def set_orientation(self, orientation: Sequence[float]) -> None:
-        """Turn it about its base link's origin."""
-        with self.world.lock:
-            self.set_position_and_orientation(self.get_position(), orientation)
 
     def set_joint_position(self, name: str, position: float) -> None:
         """Put one joint to a position; see :meth:`set_joint_positions`."""

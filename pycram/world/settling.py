@@ -88,12 +88,14 @@ class RestDetector:
         self._last = now, after = self._look()
         if now > step:
             seconds = (now - step) / records.STEPS_PER_SECOND
-            self._speeds.append({body: _moved(body, before[body], after[body]) / seconds for body in after})
+            known = [body for body in after if body in before]  # others take and load things while somebody waits
+            self._speeds.append({body: _moved(body, before[body], after[body]) / seconds for body in known})
         self.restless = [body for body in after if not self._rests(body)]
         return len(self._speeds) == INTERVALS and not self.restless
 
     def _rests(self, body: Object) -> bool:
-        return len(self._speeds) == INTERVALS and at_rest([speeds[body] for speeds in self._speeds])
+        speeds = [known[body] for known in self._speeds if body in known]
+        return len(speeds) == INTERVALS and at_rest(speeds)
 
     def _look(self) -> tuple[int, Mapping[Object, Snapshot]]:
         return self._world.sim_step, {body: take_snapshot(body) for body in self._world.objects if _counts(body)}

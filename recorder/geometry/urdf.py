@@ -133,7 +133,9 @@ class Urdf:
         """
         pose = IDENTITY
         for joint in self.chain(self.root, link):
-            pose = geometry.multiply(pose, joint.pose(self._value(joint.name, positions)))
+            fixed = joint.type == "fixed"  # most are
+            at = joint.origin if fixed else joint.pose(self._value(joint.name, positions))
+            pose = geometry.multiply(pose, at)
         return pose
 
     def link_poses(self, positions: Mapping[str, float]) -> dict[str, Pose]:

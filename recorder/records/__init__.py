@@ -67,6 +67,7 @@ from recorder.records.values import (
     format_failure as format_failure,
     from_json as from_json,
     to_json as to_json,
+    without_addresses as without_addresses,
 )
 
 Record: TypeAlias = (

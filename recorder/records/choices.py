@@ -76,6 +76,12 @@ def _touching(data: Mapping[str, Any]) -> str:
     return f"{pairs}, and {data['more']} more" if data.get("more") else pairs
 
 
+def _unreached(data: Mapping[str, Any]) -> str:
+    pairs = ", ".join(pair_text(pair) for pair in data["pairs"])
+    often = f"; most often {pairs}" if pairs else ""
+    return f"no path in {data['checks']} checks, which came within {data['distance']:.2f} of the goal{often}"
+
+
 def _misfit(data: Mapping[str, Any]) -> str:
     width = data["width"]
     if width is None:
@@ -106,6 +112,7 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     "Slips": _slips,
     "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
     "Unseen": _unseen,
+    "Unreached": _unreached,
     "Inferior": lambda data: f"{data['by']} {data['value']:g}",
     "Untried": lambda _: "not tried",
     "Unfit": lambda data: str(data["reason"]),

@@ -898,7 +898,7 @@ class Change(_message.Message):
     def __init__(self, step: _Optional[int] = ..., set: _Optional[str] = ..., world: _Optional[str] = ..., answer: _Optional[str] = ..., seed: _Optional[str] = ...) -> None: ...
 
 class Run(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "phase", "name", "succeeded", "failure", "duration_ns", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program", "origin", "by_program", "number", "order", "interrupted_by", "checkpoint")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "phase", "name", "succeeded", "failure", "duration_ns", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program", "origin", "by_program", "called_as", "number", "order", "environment", "interrupted_by", "checkpoint")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PHASE_UNSPECIFIED: _ClassVar[Run.Phase]
@@ -933,8 +933,10 @@ class Run(_message.Message):
     PROGRAM_FIELD_NUMBER: _ClassVar[int]
     ORIGIN_FIELD_NUMBER: _ClassVar[int]
     BY_PROGRAM_FIELD_NUMBER: _ClassVar[int]
+    CALLED_AS_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     ORDER_FIELD_NUMBER: _ClassVar[int]
+    ENVIRONMENT_FIELD_NUMBER: _ClassVar[int]
     INTERRUPTED_BY_FIELD_NUMBER: _ClassVar[int]
     CHECKPOINT_FIELD_NUMBER: _ClassVar[int]
     seq: int
@@ -961,8 +963,10 @@ class Run(_message.Message):
     program: str
     origin: Origin
     by_program: bool
+    called_as: str
     number: int
     order: str
+    environment: str
     interrupted_by: str
     checkpoint: int
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., arguments: _Optional[_Iterable[str]] = ..., directory: _Optional[str] = ..., seed: _Optional[str] = ..., hash_seed: _Optional[str] = ..., plan: _Optional[_Union[Revision, _Mapping]] = ..., pycram: _Optional[_Union[Revision, _Mapping]] = ..., host: _Optional[str] = ..., cpu: _Optional[str] = ..., program: _Optional[str] = ..., origin: _Optional[_Union[Origin, _Mapping]] = ..., by_program: bool = ..., number: _Optional[int] = ..., order: _Optional[str] = ..., interrupted_by: _Optional[str] = ..., checkpoint: _Optional[int] = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., arguments: _Optional[_Iterable[str]] = ..., directory: _Optional[str] = ..., seed: _Optional[str] = ..., hash_seed: _Optional[str] = ..., plan: _Optional[_Union[Revision, _Mapping]] = ..., pycram: _Optional[_Union[Revision, _Mapping]] = ..., host: _Optional[str] = ..., cpu: _Optional[str] = ..., program: _Optional[str] = ..., origin: _Optional[_Union[Origin, _Mapping]] = ..., by_program: bool = ..., called_as: _Optional[str] = ..., number: _Optional[int] = ..., order: _Optional[str] = ..., environment: _Optional[str] = ..., interrupted_by: _Optional[str] = ..., checkpoint: _Optional[int] = ...) -> None: ...

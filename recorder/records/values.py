@@ -28,6 +28,7 @@ MAX_NESTING: Final = 100
 MAX_DIGITS: Final = 300
 """Of a whole number, which a float still holds then; what has longer ones is recorded as its text."""
 _BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')  # a text that has no end takes all
+_ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What JSON holds."""
@@ -203,6 +204,14 @@ def _innermost(trace: TracebackType | None) -> TracebackType | None:
 def format_failure(failure: Failure) -> str:
     """A recorded failure by its type, and its message if it has one."""
     return f"{failure.type}: {failure.message}" if failure.message else failure.type
+
+
+def without_addresses(text: str) -> str:
+    """Return a text without the addresses that Python gives objects in it which have no text of their own.
+
+    They are others in each process.
+    """
+    return _ADDRESS.sub("", text)
 
 
 def escaped(text: str) -> str:

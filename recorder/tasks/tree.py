@@ -10,11 +10,12 @@ import json
 import math
 import threading
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from recorder.records import Task
 from recorder.tasks import tree_picture, tree_text
 from recorder.tasks.node import BY_ID, Node, State, decisive, walk
+from recorder.tasks.packed import PackedTask
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,6 +34,8 @@ class Tree:
         limit: number of tasks; beyond it those that ended first are forgotten, each before what it is part of. None to
             keep all.
         size: bytes of records; likewise.
+        unpacked: number of tasks whose records stay parsed; those of the others are packed, which takes less memory and
+            more time.
 
     Attributes:
         nodes: by id.
@@ -44,12 +47,13 @@ class Tree:
 
     __hash__ = None  # type: ignore[assignment]  # it grows
 
-    def __init__(self, limit: int | None = None, size: int | None = None) -> None:
+    def __init__(self, limit: int | None = None, size: int | None = None, unpacked: float = math.inf) -> None:
         self.began: int | None = None
         self.output: dict[int, list[Output]] = {}
         self._limit = math.inf if limit is None else limit
         self._size_limit = math.inf if size is None else size
         self._weighs = size is not None
+        self._unpacked = unpacked
         self._size = 0
         self._lock = threading.Lock()
         self._roots: dict[int, Node] = {}
@@ -63,13 +67,15 @@ class Tree:
 
     def apply(self, record: Task, size: int = 0) -> Node:
         """Adds the next record, which is kept, and returns its task; ``size`` is its bytes, where they are known."""
-        number, phase = record.task, record.phase
+        number, phase, above = record.task, record.phase, record.parent
         if self._weighs and not size:
             size = record.ByteSize()
+        if len(self.nodes) >= self._unpacked:
+            record = cast("Task", PackedTask(record))
         with self._lock:
             node = self.nodes.get(number)
             if node is None:
-                parent = self.nodes.get(record.parent)
+                parent = self.nodes.get(above)
                 node = self.nodes[number] = Node(record, parent, record if phase == _ASKED else None)
                 (self._roots if parent is None else parent.parts)[number] = node
             elif phase == _STARTED:
@@ -132,13 +138,13 @@ class Tree:
         """The same in one string."""
         return "\n".join(self.lines(depth, whole=whole))
 
-    def facts(self, depth: int | None = None) -> list[dict[str, object]]:
+    def facts(self, depth: int | None = None) -> Iterator[dict[str, object]]:
         """All tasks down to a depth as data for JSON, each before its children."""
         return tree_text.facts(self.roots, self.failure_path(), depth, self.output)
 
     def to_json(self) -> str:
         """The same as JSON."""
-        return json.dumps(self.facts(), ensure_ascii=False)
+        return json.dumps(list(self.facts()), ensure_ascii=False)
 
     def to_dot(self) -> str:
         """A graph for Graphviz."""

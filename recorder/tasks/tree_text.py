@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import groupby
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
@@ -114,10 +116,10 @@ def facts(
     failure_path: Sequence[Node],
     max_depth: int | None = None,
     output: Mapping[int, Sequence[Output]] | None = None,
-) -> list[dict[str, object]]:
+) -> Iterator[dict[str, object]]:
     """All tasks as data for JSON, each before its children; see :func:`rows`."""
     failing = {node.id for node in failure_path}
-    return [
+    return (
         {
             "id": node.id,
             "parent": node.parent.id if node.parent is not None else None,
@@ -141,7 +143,7 @@ def facts(
         }
         for depth, node in walk(roots)
         if max_depth is None or depth < max_depth
-    ]
+    )
 
 
 def _choice_lines(query: Query) -> Iterator[str]:
@@ -169,14 +171,14 @@ def _extent(node: Node) -> str:
 def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> list[Node | str]:
     """Siblings, folded, and between them the lines of their parent's output, which are folded likewise."""
     shown: list[Node | str] = []
-    rest = list(output)
+    told = 0  # lines that are shown
     for item in _folded(nodes, whole=whole):
-        if not isinstance(item, str):
-            began = (item.asked or item.started).seq
-            shown += _said([record for record in rest if record.seq < began], whole=whole)
-            rest = [record for record in rest if record.seq >= began]
+        if not isinstance(item, str) and told < len(output):
+            before = bisect_left(output, (item.asked or item.started).seq, told, key=attrgetter("seq"))
+            shown += _said(output[told:before], whole=whole)
+            told = before
         shown.append(item)
-    return shown + _said(rest, whole=whole)
+    return shown + _said(output[told:], whole=whole)
 
 
 def _said(output: Sequence[Output], *, whole: bool) -> list[Node | str]:

@@ -203,6 +203,11 @@ def interrupted_by() -> str:
     return signal.Signals(_terminated or _SIGINT).name
 
 
+def is_uninterrupted() -> bool:
+    """Whether the main thread is in a section."""
+    return bool(_open and _sections)
+
+
 def is_pending() -> bool:
     """Whether a Ctrl-C is deferred."""
     return _pending

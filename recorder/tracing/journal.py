@@ -54,6 +54,22 @@ class Sink(Protocol):
         """Ends; all that was taken is safe afterwards."""
 
 
+class NullSink:
+    """Drops all records and files; a sink that inherits from it defines only what it doesn't drop."""
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        """Drops a record."""
+
+    def attach(self, asset: AssetFile) -> None:
+        """Drops a file."""
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
 class Source(World, Protocol):
     """A world as the journal sees it."""
 

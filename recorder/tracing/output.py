@@ -14,6 +14,7 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Final
 
+from recorder.closed_output import discard
 from recorder.records import Output, escaped, format_error
 from recorder.tracing import journal, stack_room
 from recorder.tracing.branch_identity import current_ident, current_name
@@ -108,7 +109,8 @@ class _Origin:
 class RecordedStream:
     """A text stream that passes everything on to another one, and records the lines.
 
-    Whatever else is asked of it, the other one does.
+    Whatever else is asked of it, the other one does. A plan doesn't end because nobody reads along any more, as after
+    ``| head``: then its lines are only recorded.
     """
 
     def __init__(self, stream: TextIO, name: str, log: Journal) -> None:
@@ -118,7 +120,11 @@ class RecordedStream:
 
     def write(self, text: str) -> int:
         """Writes a text, and records the lines that it ends."""
-        count = self._stream.write(text)
+        try:
+            count = self._stream.write(text)
+        except BrokenPipeError:
+            discard(self._stream)
+            count = len(text)
         if not (self._ended or _logging.get()) and journal.records_here(self._log):
             self._take(text)
         return count
@@ -127,6 +133,13 @@ class RecordedStream:
         """Writes texts one after the other."""
         for line in lines:
             self.write(line)
+
+    def flush(self) -> None:
+        """Passes on what waits in the other one."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            discard(self._stream)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)

@@ -6,7 +6,6 @@ address, to which records are sent, or from which pages fetch them.
 
 from __future__ import annotations
 
-import http.client
 import os
 import socket
 import sys
@@ -26,11 +25,7 @@ PORT: Final = 9876  # where viewers listen by default
 _POLL_PERIOD: Final = 0.2  # s between two attempts to reach a viewer
 HOST: Final = "127.0.0.1"  # what is recorded is nobody's business on the network
 
-_SCHEMES: Final = {
-    "rerun": http.client.HTTPSConnection,
-    "rerun+http": http.client.HTTPConnection,
-    "rerun+https": http.client.HTTPSConnection,
-}
+_SCHEMES: Final = ("rerun", "rerun+http", "rerun+https")
 _HINT: Final = f"say spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or serve"
 _METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
 _SOCKETS: Final = Path("/proc/net/tcp")
@@ -91,8 +86,11 @@ def address(port: int) -> str:
 
 def answers(url: str) -> bool:
     """Whether a viewer's server takes an empty stream of messages there; an open port isn't enough."""
+    import http.client  # noqa: PLC0415  most recordings have no viewer
+
     parts = urlsplit(url)
-    connection = _SCHEMES[parts.scheme](str(parts.hostname), parts.port or PORT, timeout=_ANSWER_TIMEOUT)
+    kind = http.client.HTTPConnection if parts.scheme == "rerun+http" else http.client.HTTPSConnection
+    connection = kind(str(parts.hostname), parts.port or PORT, timeout=_ANSWER_TIMEOUT)
     try:
         connection.request("POST", _METHOD, headers={"content-type": "application/grpc-web+proto"})
         reply = connection.getresponse()

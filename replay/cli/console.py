@@ -40,13 +40,26 @@ def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
 
 def print_json(value: object, *, flush: bool = False) -> None:
     """Print a result as a line of JSON; numbers that JSON lacks become strings ("nan"), bytes in names escapes."""
+    print(_json(value), flush=flush)
+
+
+def print_json_list(values: Iterable[object]) -> None:
+    """Print results as one list of JSON, in the memory of one of them."""
+    between = "["
+    for value in values:
+        print(between, _json(value), sep="", end="")
+        between = ", "
+    print("[]" if between == "[" else "]")
+
+
+def _json(value: object) -> str:
     try:
         text = json.dumps(value, allow_nan=False)
     except ValueError:  # rare: only in recordings that make no sense
         text = json.dumps(_sound(value), allow_nan=False)
     if "\\udc" in text:  # or in other characters' pairs
         text = json.dumps(_sound(value), allow_nan=False)
-    print(text.replace("\x7f", "\\u007f"), flush=flush)
+    return text.replace("\x7f", "\\u007f")
 
 
 def print_result(data: Callable[[], object], lines: Iterable[str], *, as_json: bool) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import linecache
 from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message
 from replay.cli.fork import AGAIN
 from replay.cli.main import FINE
-from replay.cli.retracing import add_arguments
+from replay.cli.retracing import add_source_and_arguments
+from replay.errors import ReplayError
 from replay.explain.root_cause import uncaught_failure
 from replay.explain.step_names import HINT
 
@@ -29,7 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-checkpoints", action="store_true", help="keep no copies of the plan: going back runs it again"
     )
-    add_arguments(parser)
+    add_source_and_arguments(parser)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -37,10 +39,24 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     from replay.cli.debug_commands import Prompt  # noqa: PLC0415  needs the executor
     from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415
     from replay.debug.session import Session  # noqa: PLC0415
+    from replay.retrace.plan_process import last_own_step  # noqa: PLC0415
 
+    if options.json:
+        raise ReplayError("debug is a prompt, whose answers are text; the other verbs have --json")
     failed = uncaught_failure(log) is not None
     step = log.step(options.step if options.step is not None else "failure" if failed else 0)
-    with GuidedPlan(log, options.plan, options.arguments, checkpoints=not options.no_checkpoints) as plan:
+    if options.step is None:
+        step = min(step, last_own_step(log))
+    with GuidedPlan(
+        log,
+        options.plan,
+        options.arguments,
+        checkpoints=not options.no_checkpoints,
+        recorded_source=options.recorded_source,
+    ) as plan:
+        for file, source in plan.recorded_files.items():  # the prompt lists it, whatever there is on the disk
+            lines = source.decode("utf-8", "replace").splitlines(keepends=True)
+            linecache.cache[str(file)] = len(source), None, lines, str(file)
         session = Session(log, plan)
         print_message(f"the plan runs again up to step {min(step, plan.last)}; {AGAIN}")
         for note in plan.notes:

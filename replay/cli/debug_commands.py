@@ -159,6 +159,8 @@ class Prompt(FramesPrompt):
             given = [question.strip(), *_words(option + rest)]
         if name == "fork" and given and not given[0].startswith("-"):
             given.insert(0, "-o")
+        if name == "fork" and self.session.plan.recorded_files and "--plan" not in given:
+            given.insert(0, "--recorded-source")
         before, after = _VERBS[name]
         step = str(self.session.step)
         arguments = [step if each == "STEP" else each for each in chain(before, given, after)]

@@ -11,6 +11,7 @@ from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
 from replay.cli import formatting, record_text
 from replay.cli.console import visible
 from replay.cli.debug_prompt import LinePrompt
+from replay.debug.guided_plan import Interrupted
 from replay.errors import ReplayError
 from replay.state.json_data import kind_of
 
@@ -48,8 +49,15 @@ class FramesPrompt(LinePrompt):
         self.follow: Callable[[int], None] | None = None
 
     def begin(self, step: int) -> None:
-        """Go to the first step."""
-        self.halted(self.session.go(step), step)
+        """Go to the first step; where Ctrl-C ends the plan on its way there, to the start."""
+        try:
+            halt = self.session.go(step)
+        except Interrupted as interrupted:
+            if interrupted.step < 0:
+                raise
+            self.print_error(str(interrupted))
+            halt = self.session.go(interrupted.step)
+        self.halted(halt, halt.arrival.step)
 
     # --- where the plan is ------------------------------------------------------------------------------------------
 

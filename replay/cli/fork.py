@@ -37,7 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help="set something after that step: milk.position=1,2,0.9 (also orientation, color), a joint as "
-        "pr2.torso_lift_joint=0.2, a fluent as battery=20; repeatable",
+        "pr2.torso_lift_joint=0.2, a fluent as battery=20 (fluent:left.battery=20 if its name has a dot); repeatable",
     )
     parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last)")
     parser.add_argument(
@@ -62,7 +62,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
     step = log.step(options.at)
     target = new_file(log, options.target, "fork")
-    print_message(f"the plan runs again up to step {step}; {AGAIN}")
     forked = fork(
         log,
         step,
@@ -75,6 +74,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         seed=options.seed,
         control=options.control,
         recorded_source=options.recorded_source,
+        begun=lambda: print_message(f"the plan runs again up to step {step}; {AGAIN}"),
     )
     return tell(log, forked, as_json=options.json)
 

@@ -53,6 +53,7 @@ def _lines(log: Recording, info: Summary) -> list[tuple[str, str]]:
         ("origin", _origin(info.start)),
         ("directory", info.start.directory if info.start else ""),
         ("seed", _seed(info.start)),
+        ("motion", _motion(info.start)),
         ("revision", _revision(info.start)),
         ("started", f"{info.started:%Y-%m-%d %H:%M:%S} UTC"),
         ("took", f"{info.seconds:.3f} s"),
@@ -99,6 +100,10 @@ def _seed(start: Run | None) -> str:
     seed = start.seed or "none is known"
     sets = "" if seed == start.hash_seed else f"; order of sets: {start.hash_seed}"
     return f"{seed}{sets}{start.order and f'; order of branches: {start.order}'}"
+
+
+def _motion(start: Run | None) -> str:
+    return start.environment if start is not None else ""
 
 
 def _revision(start: Run | None) -> str:

@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.closed_output import discard, until_closed
 from recorder.packages import NotInstalled, needed
 from recorder.suggestions import suggestion
 from replay.cli.console import print_message
@@ -65,6 +66,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names may have characters that a terminal lacks
     arguments = _joined(sys.argv[1:] if argv is None else argv)
+    code = FINE
+    try:
+        with until_closed():
+            code = _command(arguments)
+    except OSError as error:
+        discard(sys.stdout)
+        return _report(str(error), USAGE)  # such as a full disk
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    return code
+
+
+def _command(arguments: list[str]) -> int:
     if arguments == ["--version"]:
         from importlib.metadata import version  # noqa: PLC0415  slow to import
 
@@ -75,17 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         options = _parser(arguments[:1], verb).parse_args(arguments)
     except SystemExit as end:  # after printing help, or an error
         return FINE if not end.code else USAGE
-    try:
-        code = _run(_module(options.verb), options)
-        sys.stdout.flush()
-    except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is discarded
-        if isinstance(error, BrokenPipeError):  # as by `head`
-            return FINE
-        return _report(str(error), USAGE)  # such as a full disk
-    except KeyboardInterrupt:
-        return _INTERRUPTED
-    return code
+    return _run(_module(options.verb), options)
 
 
 def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:

@@ -29,8 +29,12 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     from replay.retrace.fork import resume  # noqa: PLC0415  needs the executor
 
     target = new_file(log, options.target, "resumed")
-    print_message(f"the plan runs again up to step {len(log) - 1}, where it was killed; {AGAIN}")
     resumed = resume(
-        log, target, plan=options.plan, arguments=options.arguments, recorded_source=options.recorded_source
+        log,
+        target,
+        plan=options.plan,
+        arguments=options.arguments,
+        recorded_source=options.recorded_source,
+        begun=lambda: print_message(f"the plan runs again up to step {len(log) - 1}, where it was killed; {AGAIN}"),
     )
     return tell(log, resumed, as_json=options.json)

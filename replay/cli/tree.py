@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from replay.cli.console import print_json, print_text
+from replay.cli.console import print_json_list, print_text
 from replay.explain.step_names import HINT
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the tree."""
     tree = log.tree(options.at)
     if options.json:
-        print_json(tree.facts(options.depth))
+        print_json_list(tree.facts(options.depth))
     elif options.dot:
         print_text(tree.to_dot(), end="")
     elif options.svg:

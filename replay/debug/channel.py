@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import select
+import signal
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -12,6 +13,10 @@ if TYPE_CHECKING:
 
 Message: TypeAlias = "dict[str, Any]"
 _BLOCK: Final = 1 << 16
+PAUSE: Final = getattr(
+    signal, "SIGURG", signal.SIGINT
+)  # systems that can fork have it; without a handler it does nothing
+"""Asks a plan that makes no record, and so reads no message, to stop where it is."""
 
 
 class Channel:

@@ -12,12 +12,12 @@ import signal
 import socket
 import tempfile
 import threading
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn
 
-from replay.debug.channel import Channel
+from replay.debug.channel import PAUSE, Channel
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ class Copy:
         step: the last recorded step that it is known to have made.
         parted: whether it did something else after that than the recording has.
         can_wait: whether it could be copied there.
+        between: whether it has stopped after that step's record, on its way to the next one.
     """
 
     channel: Channel
@@ -67,6 +68,7 @@ class Copy:
     step: int = -1
     parted: bool = False
     can_wait: bool = False
+    between: bool = False
 
 
 class Copies:
@@ -121,6 +123,7 @@ class Copies:
             "changes": list(self._process.recorded_changes()),
         }
         self.runs += 1
+        request |= self._process.placed(str(Path(self._folder) / f"run-{self.runs}"))
         with self._noting_interrupts():
             self._root = self._process.start("replay.debug", request, self._errors)
             return self._stopped(None)
@@ -147,19 +150,19 @@ class Copies:
             PlanEnded: it has ended.
             KeyboardInterrupt: somebody has pressed Ctrl-C; nothing has changed.
         """
-        now, told = self.now, False
+        now, passed_on = self.now, False
         if now is None:
             raise PlanEnded(self._printed())
         with self._noting_interrupts():
             now.channel.send(question)
             while not (now.channel.has_read or select.select([now.channel], (), (), _POLL)[0]):
-                if self._interrupts and not told:
-                    told = True
+                if self._interrupts and not passed_on:
+                    passed_on = True
                     now.channel.send({"do": "interrupt"})
             answer = _received(now.channel)
         if answer is None:
             self._lost(now)
-        if told or "interrupted" in answer:
+        if passed_on or "interrupted" in answer:
             raise KeyboardInterrupt
         return answer
 
@@ -182,7 +185,7 @@ class Copies:
 
     def _stopped(self, running: Copy | None) -> Message:
         """Wait until the process that runs, or the one that comes next, has stopped."""
-        told = False
+        passed_on = False  # Ctrl-C, to the process that runs
         while True:
             sources: list[socket.socket | Channel] = [self._listener, *([running.channel] if running else [])]
             read = running is not None and running.channel.has_read
@@ -196,6 +199,7 @@ class Copies:
                 running.step = message["step"]
                 if message["reason"] != "waits":
                     running.parted, running.can_wait = message["reason"] == "parted", message["can_wait"]
+                    running.between = message["between"]
                     self.now = running
                     return message
                 self.waiting.append(running)
@@ -205,9 +209,11 @@ class Copies:
             if self._interrupts > 1:
                 self.end(running)
                 raise EndedByInterrupt
-            if self._interrupts and running is not None and not told:
-                told = True
+            if self._interrupts and running is not None and not passed_on:
+                passed_on = True
                 running.channel.send({"do": "interrupt"})
+                with suppress(ProcessLookupError):  # where it makes no record, it hears only this
+                    os.kill(running.pid, PAUSE)
 
     def _next(self, running: Copy | None) -> Copy:
         """Take the process that a copy has forked, which goes on."""

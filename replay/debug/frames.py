@@ -31,10 +31,15 @@ class PlanFrame(NamedTuple):
     frame: FrameType
     line: int
 
-    def facts(self) -> dict[str, object]:
-        """Return file, line, function and its first line."""
+    def facts(self, moved: tuple[str, str] | None) -> dict[str, object]:
+        """Return file, line, function and its first line; the file by the folder that the plan was moved from."""
         code = self.frame.f_code
-        return {"file": code.co_filename, "line": self.line, "function": code.co_name, "first": code.co_firstlineno}
+        return {
+            "file": code.co_filename.replace(*moved or ("", "")),
+            "line": self.line,
+            "function": code.co_name,
+            "first": code.co_firstlineno,
+        }
 
 
 def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool) -> list[PlanFrame]:

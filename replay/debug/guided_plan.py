@@ -26,14 +26,14 @@ _FINEST: Final = 4  # steps from a copy to where one goes back to
 
 
 class Interrupted(ReplayError):
-    """Somebody has pressed Ctrl-C until the plan's process was ended; the plan is where it was before.
+    """Somebody has pressed Ctrl-C until the plan's process was ended; the plan is where it was before, or at its start.
 
     Attributes:
-        step: where that is.
+        step: where that is; -1: it came to no step at all.
     """
 
     def __init__(self, step: int) -> None:
-        super().__init__(f"the plan came to no other step; it is at step {step} again")
+        super().__init__(f"the plan came to no other step; it is at {f'step {step} again' if step >= 0 else 'none'}")
         self.step = step
 
 
@@ -63,9 +63,11 @@ class GuidedPlan:
         plan: another file than the recorded one.
         arguments: other arguments than the recorded ones.
         checkpoints: whether copies of it wait at some steps; else going back is to run it again from its start.
+        recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
 
     Attributes:
         step: the last recorded step that it has made; -1 before the first.
+        recorded_files: the recorded source by its files' paths, if that runs.
         notes: what is different from when it was recorded.
         last: the last step that it can come to.
         parted: how it differs from the recording after that step; "" if it isn't known to.
@@ -82,12 +84,15 @@ class GuidedPlan:
         arguments: Sequence[str] | None = None,
         *,
         checkpoints: bool = True,
+        recorded_source: bool = False,
     ) -> None:
-        process = PlanProcess(log, plan, arguments)
+        process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
+        self.recorded_files = process.recorded_files
         self.notes = tuple(process.notes())
         self.step = -1
         self.last = len(log) - 1
         self.parted = ""
+        log.check()  # what is lost is known only then
         gap = next(iter(log.lost()), None)
         if gap is not None:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
@@ -132,8 +137,12 @@ class GuidedPlan:
         if copies.now is None and watched:
             self.go(self.step)
         now = copies.now
-        usable = [now] if watched else [*copies.waiting, now]
-        before = [each for each in usable if each is not None and not each.parted and each.step <= step]
+        usable = [now] if watched else [now, *copies.waiting]
+        before = [
+            each
+            for each in usable
+            if each is not None and not each.parted and (each.step < step or (each.step == step and not each.between))
+        ]
         origin = max(before, key=lambda each: each.step, default=None)
         if now is not None and now is not origin and now not in copies.waiting:
             copies.end(now)
@@ -158,9 +167,9 @@ class GuidedPlan:
                     },
                 )
         except EndedByInterrupt:
-            if left >= 0:
-                self.go(left)
-            raise Interrupted(left) from None
+            if step > 0 or left >= 0:
+                self.go(max(left, 0))
+            raise Interrupted(self.step) from None
         arrival = self._arrived(message) if message is not None else Arrival(step)
         copies.thin_out(self.step)
         return arrival

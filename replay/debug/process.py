@@ -32,6 +32,7 @@ def main(
     until: int,
     spacing: float | None,
     changes: Sequence[Mapping[str, Any]],
+    moved: tuple[str, str] | None,
 ) -> None:
     """Run a plan up to a step.
 
@@ -47,6 +48,7 @@ def main(
         until: the first step at which it stops.
         spacing: seconds of processor time between checkpoints; None for no checkpoints.
         changes: the fields of what was changed after its steps, where the recorded run is a fork.
+        moved: the folder that the plan's recorded source was written to, and the one that it came from.
     """
     os.setsid()  # Ctrl-C at the prompt isn't the plan's
     die_with(parent)
@@ -54,7 +56,8 @@ def main(
     clock.install()
     recorded = RecordReader(log)
     changed = [Change(**each) for each in changes]
-    sink = StoppingSink(recorded, address, Path(folder) / recorded.path.name, clock, Course(until), spacing, changed)
+    path = Path(folder) / recorded.path.name
+    sink = StoppingSink(recorded, address, path, clock, Course(until), spacing, changed, moved)
     with answered_by(sink.answers):
         run_plan(plan, arguments, seed, recorded, lambda _: sink, by_program=by_program)
     sink.close()

@@ -1,7 +1,8 @@
 """Expressions about recorded states, as ``milk.z``, ``holding(left)``, ``distance(pr2, cup) < 1``, and their changes.
 
 Names are bodies (``robot`` is the plan's robot) and arms; a body has ``x``, ``y``, ``z``, ``position``,
-``orientation``, ``velocity``, ``carrier``, and its joints. States are those of the world that is opened last.
+``orientation``, ``velocity``, ``carrier``, and its joints. Of several worlds, the one counts that was opened last of
+those that have it; ``lab.milk.z`` is that of the world ``lab``.
 """
 
 from __future__ import annotations
@@ -82,13 +83,15 @@ def changes(log: RecordReader, expression: str) -> list[Change]:
 
 
 def _value(code: CodeType, worlds: Mapping[str, WorldBuilder]) -> object:
-    opened = [world for world in worlds.values() if world.facts.get("open", True)]
+    opened = {name: _World(world) for name, world in worlds.items() if world.facts.get("open", True)}
     if not opened:
         raise LookupError("no world is open")
-    return _plain(eval(code, {"__builtins__": {}}, _Names(opened[-1])))  # noqa: S307  the user's own
+    return _plain(eval(code, {"__builtins__": {}}, _Names(opened)))  # noqa: S307  the user's own
 
 
 def _plain(value: object) -> object:
+    if isinstance(value, _World):
+        raise TypeError("a world is no value; name a body of it")
     return (value.position, value.orientation) if isinstance(value, _Body) else value
 
 
@@ -101,40 +104,75 @@ def _differ(before: object, after: object) -> bool:
 
 
 class _Names(dict[str, Any]):
-    """What names in an expression mean in a world."""
+    """What names in an expression mean in some worlds."""
 
-    def __init__(self, world: WorldBuilder) -> None:
+    def __init__(self, worlds: Mapping[str, _World]) -> None:
         super().__init__(_FUNCTIONS)
-        self._world = world
-        self |= {"holding": self._holding, "distance": _distance}
+        self._worlds = worlds
+        latest = list(worlds.values())[::-1]
+        self._latest = latest
+        self |= {"holding": next((each for each in latest if each.has_robot), latest[0]).holding, "distance": _distance}
 
     def __missing__(self, name: str) -> object:
-        for body in self._world.bodies:
-            if name in (body, re.sub(r"\W", "_", body)):
-                return _Body(self._world, body)
-        robot = str(self._world.facts.get("robot", ""))
-        if name == "robot" and robot in self._world.bodies:
-            return _Body(self._world, robot)
-        if name in self._arms():
-            return name
+        for world in self._latest:
+            found = world.find(name)
+            if found is not None:
+                return found
+        for known, world in self._worlds.items():
+            if _is_called(known, name):
+                return world
         raise NameError(f"no object is called {name}")
 
+
+def _is_called(known: str, name: str) -> bool:
+    return name in (known, re.sub(r"\W", "_", known))
+
+
+class _World:
+    """A world, with its bodies as attributes."""
+
+    def __init__(self, world: WorldBuilder) -> None:
+        self._world = world
+
+    @property
+    def has_robot(self) -> bool:
+        """Whether it has one."""
+        return self._robot in self._world.bodies
+
+    @property
+    def _robot(self) -> str:
+        return str(self._world.facts.get("robot", ""))
+
+    def find(self, name: str) -> object:
+        """Return a body, the robot or the name of an arm; None if nothing is called so."""
+        body = next((each for each in self._world.bodies if _is_called(each, name)), None)
+        if body is None and name == "robot" and self.has_robot:
+            body = self._robot
+        if body is not None:
+            return _Body(self._world, body)
+        return name if name in self._arms() else None
+
+    def __getattr__(self, name: str) -> object:
+        found = self.find(name)
+        if found is None:
+            raise AttributeError(f"no object of that world is called {name}")
+        return found
+
     def _arms(self) -> Mapping[str, Any]:
-        robot = self._world.bodies.get(str(self._world.facts.get("robot", "")))
+        robot = self._world.bodies.get(self._robot)
         if robot is None or not robot.loaded.robot_description:
             return {}
         description = description_of(robot.loaded.robot_description)
         return {} if description is None else description.arms
 
-    def _holding(self, arm: str | None = None) -> str | None:
+    def holding(self, arm: str | None = None) -> str | None:
         """Return what the robot holds, as the fluent ``holding`` tells it."""
-        robot = self._world.facts.get("robot", "")
         links = None
         if arm is not None:
             described = self._arms()[arm]
             links = set(described.links()) - {described.base_link}
         for held in self._world.attachments.values():
-            if held.carrier == robot and (links is None or held.carrier_link in links):
+            if held.carrier == self._robot and (links is None or held.carrier_link in links):
                 return held.body
         return None
 
@@ -172,6 +210,7 @@ def quantity_names(log: RecordReader, step: int) -> Iterator[str]:
     state = state_at(log, step)
     yield from (f"{each}(" for each in ("holding", "distance"))
     for world in state.worlds.values():
+        yield world.name
         for body in world.bodies.values():
             yield body.name
             yield from (f"{body.name}.{part}" for part in ("x", "y", "z", "position", "orientation", "carrier"))

@@ -19,13 +19,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.projection import obstacle
 from pycram.projection.child import Child, die_with
+from pycram.scheduling.locks import is_held
 from recorder.records import Task
-from recorder.tracing import forking, journal
+from recorder.tracing import forking, interrupts, journal
+from recorder.tracing.journal import NullSink
 from replay.debug import frames
-from replay.debug.channel import Channel
+from replay.debug.channel import PAUSE, Channel
 from replay.retrace.answers import Answers
 from replay.retrace.guide import Guide
-from replay.retrace.process import make_change
+from replay.retrace.process import make_change, rename
 from replay.retrace.steering import Steering
 
 if TYPE_CHECKING:
@@ -35,7 +37,6 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
     from recorder.records import Change, Record
-    from recorder.records.asset import AssetFile
     from replay.debug.channel import Message
     from replay.debug.standing_clock import StandingClock
     from replay.file.record_reader import RecordReader
@@ -95,13 +96,16 @@ class Course:
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)
 
     @classmethod
-    def of(cls, message: Message) -> Course:
-        """Return the course that a message asks for."""
-        watched = tuple(Watched(*each) for each in message["watched"])
+    def of(cls, message: Message, moved: tuple[str, str] | None) -> Course:
+        """Return the course that a message asks for; files are named by where the plan was, and have moved."""
+        new, old = moved or ("", "")
+        watched = tuple(
+            Watched(expression, file.replace(old, new), first) for expression, file, first in message["watched"]
+        )
         return cls(message["until"], frozenset(message["checkpoints"]), watched, message["through"])
 
 
-class StoppingSink:
+class StoppingSink(NullSink):
     """Guides a plan by its recording, and stops it.
 
     Args:
@@ -112,6 +116,7 @@ class StoppingSink:
         course: how far it goes at first.
         spacing: seconds of processor time between checkpoints; None for no checkpoints.
         changes: what was changed after its steps, where the recorded run is a fork.
+        moved: the folder that the plan's recorded source was written to, and the one that it came from.
 
     Attributes:
         path: as given.
@@ -127,6 +132,7 @@ class StoppingSink:
         course: Course,
         spacing: float | None,
         changes: Sequence[Change] = (),
+        moved: tuple[str, str] | None = None,
     ) -> None:
         self.path = path
         self._recorded = recorded
@@ -134,6 +140,7 @@ class StoppingSink:
         self._clock = clock
         self._course = course
         self._spacing = spacing
+        self._moved = moved
         self._guide = Guide(recorded, self._report, None, path)
         self.answers = Answers(self._guide, taken=False, refuse=_refuse)
         self._steering = Steering(changes, self.answers, make_change, _refuse)
@@ -145,6 +152,8 @@ class StoppingSink:
         self._failing = False
         self._step = -1
         self._frame: FrameType | None = None  # that the record comes from, while the plan is stopped
+        self._serving = False
+        signal.signal(PAUSE, self._pause)
         self._channel = self._connected(parent=0)
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
@@ -152,6 +161,8 @@ class StoppingSink:
         if self._over:
             return
         self._steering.complete(record)
+        if self._moved is not None:
+            rename(record, *self._moved)
         self._guide.write(topic, record, payload)
         if isinstance(record, Task) and record.phase in (Task.STARTED, Task.ASKED):
             self._parents[record.task] = record.parent
@@ -164,12 +175,6 @@ class StoppingSink:
             self._pass()
             self._frame = None
             self._steering.passed(record.seq, lambda: None)
-
-    def attach(self, asset: AssetFile) -> None:
-        """Ignore a file, as the guide does."""
-
-    def flush(self) -> None:
-        """Do nothing: each record is compared at once."""
 
     def close(self) -> None:
         """Stop for good: the plan has ended where its recording goes on."""
@@ -197,6 +202,13 @@ class StoppingSink:
             self._stop("step" if stopping else "watch" if changed else "interrupted")
         elif self._due():
             self._check_point()
+
+    def _pause(self, _: int, frame: FrameType | None) -> None:
+        """Stop between two records, where the plan makes none: it may hang. In the midst of one, that is to come."""
+        if self._step >= 0 and not (self._over or self._serving or interrupts.is_uninterrupted() or is_held()):
+            self._frame = frame
+            self._stop("interrupted", between=True)
+            self._frame = None
 
     def _noted_changes(self) -> bool:
         values = self._watched_values()
@@ -241,8 +253,6 @@ class StoppingSink:
         die_with(parent)
         self._channel.close()
         self._recorded.after_fork()
-        self.answers.after_fork()
-        self._steering.after_fork()
         self._channel = self._connected(parent)
         self._last_checkpoint = time.process_time()
         return True
@@ -256,10 +266,10 @@ class StoppingSink:
 
     # --- stopped ----------------------------------------------------------------------------------------------------
 
-    def _stop(self, reason: str) -> None:
+    def _stop(self, reason: str, *, between: bool = False) -> None:
         difference = self._difference
         found = None if difference is None else {"step": difference.step, "text": difference.text}
-        can_wait = reason != "parted" and self._spacing is not None and not obstacle()
+        can_wait = reason != "parted" and not between and self._spacing is not None and not obstacle()
         self._channel.send(
             {
                 "step": self._step,
@@ -267,12 +277,14 @@ class StoppingSink:
                 "difference": found,
                 "changes": self._course.changes,
                 "can_wait": can_wait,
+                "between": between,
             }
         )
         self._serve()
 
     def _serve(self) -> None:
         """Answer messages; return where the plan goes on."""
+        self._serving = True
         with self._clock.standing():
             while True:
                 message = self._channel.receive()
@@ -283,7 +295,8 @@ class StoppingSink:
                         break
                 else:
                     self._channel.send(self._answer(message))
-        self._course = Course.of(message)
+        self._serving = False
+        self._course = Course.of(message, self._moved)
         self._values = self._watched_values()
 
     def _answer(self, message: Message) -> Message:
@@ -295,7 +308,7 @@ class StoppingSink:
             case {"do": "interrupt"}:  # of what was done already
                 return {"interrupt": "late"}
             case {"do": "where"}:
-                return {"answer": [each.facts() for each in self._stack()]}
+                return {"answer": [each.facts(self._moved) for each in self._stack()]}
         frame = self._stack()[message["frame"]].frame
         doing: dict[str, Callable[[], Any]] = {
             "variables": lambda: frames.variables(frame, arguments=message["arguments"]),

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 MAX_DEPTH: Final = 2000
 """Levels of tasks in each other; plans come to about 1,000, where Python's stack ends."""
+_UNPACKED: Final = 20_000  # tasks; each takes some 3 kB, packed ones less than 1
 
 
 def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterator[Query]:
@@ -37,7 +38,7 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
     Raises:
         Damaged: tasks are nested deeper than any plan's.
     """
-    folded = Tree()
+    folded = Tree(unpacked=_UNPACKED)
     depths: dict[int, int] = {}
     for record in log.records((Task, Output), stop=stop):
         if isinstance(record, Output):

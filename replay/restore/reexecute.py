@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram.world import driving, saved_state
 from pycram.world.trajectory import Trajectory
 from recorder.records import Keyframe, Mutation
-from recorder.tracing.journal import Journal, unrecorded
+from recorder.tracing.journal import Journal, NullSink, unrecorded
 from replay.errors import Damaged, NotRestored
 from replay.restore.world import load_body, open_world, rebuild
 from replay.state.fold import fold
@@ -24,11 +24,10 @@ if TYPE_CHECKING:
 
     from pycram.world.world import BulletWorld
     from recorder.records import AttachBody, BeginTrajectory, DetachBody, MoveBody, MoveJoints, Record
-    from recorder.records.asset import AssetFile
     from replay.file.record_reader import RecordReader
 
 
-class _LastMutation:
+class _LastMutation(NullSink):
     """A sink that keeps the last mutation."""
 
     def __init__(self) -> None:
@@ -38,15 +37,6 @@ class _LastMutation:
         """Keep a record."""
         if isinstance(record, Mutation):
             self.record = Mutation.FromString(payload)
-
-    def attach(self, asset: AssetFile) -> None:
-        """Ignore a file: the recording has it."""
-
-    def flush(self) -> None:
-        """Nothing waits."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class Reexecution:
@@ -155,12 +145,14 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
         NotRestored: the world began before the recording.
         Damaged: records before that step are lost.
     """
+    lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
+    chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
+    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # of what wasn't read, nothing is known to be lost
+        pass
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         cause = f"step {gap.start} is lost; without exact, the state may do"
         raise Damaged(log.path, f"what led to step {step}", cause)
-    lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
-    chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
     with Reexecution(log, str(step), mode) as reexecution:
         for record in log.records_of(lifetime, (Mutation, Keyframe), chunks):
             if record.seq > step:

@@ -12,7 +12,6 @@ An answer that is given has the evidence of the query's own: it is asked first.
 from __future__ import annotations
 
 import inspect
-import os
 import re
 import threading
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from pycram.reasoning.queries.query import RECORDED_AS, Found, Verdict
 from pycram.world.object import Object
 from recorder import records
 from recorder.records import Query, from_json
+from recorder.tracing.process_identity import process
 from replay.errors import NoSuchName
 from replay.restore.question import BadQuestion, Name, Question, parse
 from replay.retrace.changes import BadChange, object_of
@@ -68,8 +68,8 @@ class Answers:
         self._guide = guide
         self._takes = taken
         self._refuse = refuse
-        self._process = os.getpid()
-        self._told: dict[int, Query] = {}  # by thread: what the record of its query has to tell beside
+        self._process = process()
+        self._beside: dict[int, Query] = {}  # by thread: what the record of its query has beside the answer
         self.taken = 0
         self.given: list[GivenAnswer] = []
 
@@ -77,39 +77,35 @@ class Answers:
         self, question: Asked, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]
     ) -> Any:
         """Answer a query; see :class:`pycram.reasoning.queries.query.Oracle`."""
-        if os.getpid() != self._process or not function.__module__.startswith(_OURS):
+        if process() != self._process or not function.__module__.startswith(_OURS):
             return ask()
         recorded = self._guide.upcoming() if self._takes else None
         if isinstance(recorded, Query) and _is_whole(recorded) and _asks(recorded, question, world):
-            self._told[threading.get_ident()] = recorded
+            self._beside[threading.get_ident()] = recorded
             self.taken += 1
             return _taken(recorded, world)
         own = ask()
         for given in self.given:
             if given.fits(question.name, question.arguments, world):
                 self.given.remove(given)
-                self._told[threading.get_ident()] = Query(by_fork=True, own_answer_json=records.to_json(own))
+                self._beside[threading.get_ident()] = Query(by_fork=True, own_answer_json=records.to_json(own))
                 try:
                     return given.replace(own, world)
                 except (BadChange, PycramError) as error:
                     self._refuse(error)
         return own
 
-    def after_fork(self) -> None:
-        """Go on in a copy of the process."""
-        self._process = os.getpid()
-
     def complete(self, record: Query) -> None:
         """Complete the record of a query that wasn't asked, or whose answer was given."""
-        told = self._told.pop(threading.get_ident(), None)
-        if told is None:
+        beside = self._beside.pop(threading.get_ident(), None)
+        if beside is None:
             return
-        if told.by_fork:
-            record.by_fork, record.own_answer_json = True, told.own_answer_json
+        if beside.by_fork:
+            record.by_fork, record.own_answer_json = True, beside.own_answer_json
             return
-        record.candidates.extend(told.candidates)
-        if told.HasField("chosen"):
-            record.chosen = told.chosen
+        record.candidates.extend(beside.candidates)
+        if beside.HasField("chosen"):
+            record.chosen = beside.chosen
 
 
 def _is_whole(recorded: Query) -> bool:

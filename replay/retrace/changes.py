@@ -34,6 +34,7 @@ _EXPECTED: Final = (
     "OBJECT.position=X,Y,Z (m, or these and a quaternion x,y,z,w), OBJECT.orientation=X,Y,Z,W, OBJECT.color=R,G,B,A, "
     "OBJECT.JOINT=VALUE (rad or m) or FLUENT=VALUE"
 )
+_FLUENT: Final = "fluent:"  # before a fluent's name that looks like an object's part
 
 
 class BadChange(ReplayError):
@@ -121,12 +122,17 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
         NoSuchName: there is no such world, object or joint then.
     """
     changes = []
+    if world is not None:
+        state_at(log, step).world(world)  # raises, also where nothing of it is set
     for text in texts:
         setting = parse_setting(text, fluent=_is_of_fluent(log, text))
         name = ""
         if setting.quantity:
             there = state_at(log, step).world(world)
-            body = there.body(there.robot if setting.name == "robot" and "robot" not in there.bodies else setting.name)
+            is_robot = setting.name == "robot" and "robot" not in there.bodies
+            if is_robot and not there.robot:
+                raise BadChange(text, f"{there.name} has no robot at step {step}")
+            body = there.body(there.robot if is_robot else setting.name)
             if setting.quantity not in _COUNTS and setting.quantity not in body.joints:
                 raise NoSuchName(f"position, orientation, color or joint of {body.name}", setting.quantity, body.joints)
             name = there.name
@@ -137,17 +143,23 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
 def _is_of_fluent(log: RecordReader, text: str) -> bool:
     """Return whether a setting is for a fluent, whose name may look like that of something of an object."""
     name = text.partition("=")[0].strip()
-    return "." not in name or any(record.name == name for record in log.records(records.Fluent))
+    return (
+        "." not in name
+        or name.startswith(_FLUENT)
+        or any(record.name == name for record in log.records(records.Fluent))
+    )
 
 
 def parse_setting(text: str, *, fluent: bool) -> Setting:
     """Parse ``milk.position=1,2,0.9``, ``pr2.torso_lift_joint=0.2`` or, of a fluent, ``battery=20``.
 
+    A fluent whose name has a dot, and isn't on record yet, is ``fluent:left.battery=20``.
+
     Raises:
         BadChange: it is none.
     """
     left, _, right = (part.strip() for part in text.partition("="))
-    name, _, quantity = (left, "", "") if fluent else left.rpartition(".")
+    name, _, quantity = (left.removeprefix(_FLUENT), "", "") if fluent else left.rpartition(".")
     if not name or not right or (not fluent and not quantity):
         raise BadChange(text, f"expected {_EXPECTED}")
     if fluent:

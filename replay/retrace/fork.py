@@ -17,11 +17,12 @@ from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
 from replay.retrace.answers import parse_answer
 from replay.retrace.changes import BadChange, seed_change, settings as settings_of, text_of
+from replay.retrace.outside import reads_before
 from replay.retrace.plan_process import PlanProcess
 from replay.retrace.retrace import compared
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from replay.retrace.guide import Difference
@@ -37,7 +38,8 @@ class NotForked(ReplayError):
     """
 
     def __init__(self, step: int, difference: Difference) -> None:
-        super().__init__(f"it is another run before step {step}: at step {difference.step} {difference.text}")
+        reads = "".join(f"; {each}" for each in reads_before(difference))
+        super().__init__(f"it is another run before step {step}: at step {difference.step} {difference.text}{reads}")
         self.step = step
         self.difference = difference
 
@@ -76,6 +78,7 @@ def fork(
     seed: int | None = None,
     control: bool = False,
     recorded_source: bool = False,
+    begun: Callable[[], None] = lambda: None,
 ) -> Fork:
     """Run a plan again to a step of its recording, and on from there into a new recording.
 
@@ -95,6 +98,7 @@ def fork(
         control: whether the plan is run again without the change as well, to its end: what differs in the fork is due
             to the change if that comes out as recorded.
         recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
+        begun: called when all is checked, and the plan is about to run.
 
     Raises:
         CantRetrace: the plan isn't there, the recording doesn't tell how it was run, or a window, real time or the
@@ -114,6 +118,7 @@ def fork(
     changes = _changes(log, step, settings, world, answers, seed)
     unchanged = _unchanged(log, arguments, recorded_source=recorded_source) if control else None
     notes = tuple(process.notes())
+    begun()
     with ThreadPoolExecutor() as beside:
         controlling = None if unchanged is None else beside.submit(compared, unchanged, len(log))
         try:
@@ -170,6 +175,7 @@ def resume(
     plan: str | Path | None = None,
     arguments: Sequence[str] | None = None,
     recorded_source: bool = False,
+    begun: Callable[[], None] = lambda: None,
 ) -> Fork:
     """Have a plan whose process was killed go on where it was: a fork at the last step of its recording.
 
@@ -181,4 +187,4 @@ def resume(
         raise ReplayError(f"{log.path}: this run has come to its end; fork runs it again from a step")
     if log.live:
         raise ReplayError(f"{log.path}: this run still goes on")
-    return fork(log, len(log) - 1, file, plan=plan, arguments=arguments, recorded_source=recorded_source)
+    return fork(log, len(log) - 1, file, plan=plan, arguments=arguments, recorded_source=recorded_source, begun=begun)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from recorder.records import Run, Task, format_failure
 from recorder.records.text import text_of, values
+from recorder.tracing.journal import NullSink
 from replay.explain.compare_runs import differing
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from recorder.records import Plain, Record
-    from recorder.records.asset import AssetFile
     from replay.file.record_reader import RecordReader
 
 _Stack: TypeAlias = "tuple[str, ...]"  # the plan's lines that called one another, outermost first
@@ -46,7 +46,7 @@ class Difference:
     fields: dict[str, tuple[Plain, Plain]] = field(default_factory=dict)
 
 
-class Guide:
+class Guide(NullSink):
     """Compares the records of a run with a recording's, up to the first that differs.
 
     Args:
@@ -109,12 +109,6 @@ class Guide:
         with self._reading:
             record, self._ahead = self._ahead, None
             return record or next(self._recorded, None)
-
-    def attach(self, asset: AssetFile) -> None:
-        """Ignore a file: loaded models are compared by their hashes."""
-
-    def flush(self) -> None:
-        """Do nothing: each record is compared at once."""
 
     def close(self) -> None:
         """Report that the plan has ended, where the recording goes on."""

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from replay.retrace.guide import Difference
 
-_MAX_LINES: Final = 3  # that are told
+_MAX_LINES: Final = 3  # that are named
 _CLOCK, _FILE, _NETWORK = "the clock", "a file", "the network"
-_PROGRAM, _RANDOM, _PERSON = "another program", "random numbers without a seed", "the keyboard"
+_PROGRAM, _RANDOM, _INPUT = "another program", "random numbers without a seed", "its input"
 
 #: What a call reads, by its name or the beginning of it.
 _READS: Final[Mapping[str, str]] = {
@@ -32,40 +32,46 @@ _READS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("subprocess", "os.system", "os.popen"), _PROGRAM),
     **dict.fromkeys(("random.SystemRandom", "os.urandom", "secrets", "uuid.uuid1", "uuid.uuid4"), _RANDOM),
     "numpy.random.default_rng": _RANDOM,
-    "input": _PERSON,
+    "input": _INPUT,
+    "fileinput": _INPUT,
 }
+_STDIN: Final = "sys.stdin"  # whatever reads it: a call, a loop
 _METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # of whatever object
 
 
 def reads_before(difference: Difference) -> Iterator[str]:
     """Yield in words the lines that may be why a record came out differently, nearest first: those that led to it."""
-    told = set()
+    files = set()
     for place in (difference.line, *difference.callers):
         file, _, number = place.rpartition(":")
-        if not file or file in told:
+        if not file or file in files:
             continue
-        told.add(file)
+        files.add(file)
         reads = [read for read in _reads(Path(file)) if read[0] <= int(number)]
         for line, call, what in sorted(reads, reverse=True)[:_MAX_LINES]:
-            yield f"{Path(file).name}:{line} reads {what}: {call}()"
+            yield f"{Path(file).name}:{line} reads {what}: {call}"
 
 
 def _reads(file: Path) -> Iterator[tuple[int, str, str]]:
-    """Yield line, name and kind of a file's calls that read the world outside."""
+    """Yield line, text and kind of what reads the world outside in a file."""
     try:
         nodes = syntax_nodes(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return
     names = dict(_imported(nodes))
     for node in nodes:
-        if isinstance(node, ast.Call):
+        if isinstance(node, ast.Attribute | ast.Name):
+            first, dot, rest = ast.unparse(node).partition(".")
+            if names.get(first, first) + dot + rest == _STDIN:
+                yield node.lineno, _STDIN, _INPUT
+        elif isinstance(node, ast.Call):
             called = ast.unparse(node.func)
             first, dot, rest = called.partition(".")
             what = _kind(names.get(first, first) + dot + rest) or _METHODS.get(called.rpartition(".")[2])
             if what == _RANDOM and "default_rng" in called and (node.args or node.keywords):
                 continue
             if what is not None:
-                yield node.lineno, called, what
+                yield node.lineno, f"{called}()", what
 
 
 def _imported(nodes: tuple[ast.AST, ...]) -> Iterator[tuple[str, str]]:

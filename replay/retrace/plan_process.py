@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 
 from recorder.packages import other_versions
 from recorder.provenance import pycram_revision
-from recorder.records import Mutation, Run
+from recorder.records import Mutation, Output, Run, Task
 from recorder.secrets import LEFT_OUT
 from replay.errors import ReplayError
 from replay.retrace.guide import Difference
@@ -23,7 +23,7 @@ from replay.retrace.recorded_source import NoSource, RecordedSource
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from recorder.records import Change
+    from recorder.records import Change, Record
     from replay.file.record_reader import RecordReader
 
 _SHOWN: Final = 2000  # characters of stderr that a process which gave no result has last written
@@ -123,6 +123,9 @@ class PlanProcess:
             yield "no seed is recorded: random numbers may differ"
         if not began.hash_seed.isdecimal():
             yield "no PYTHONHASHSEED is recorded: the order of sets may differ"
+        own = last_own_step(self._log)
+        if own < len(self._log) - 1:
+            yield f"the run was interrupted after step {own}: up to there it can be the same again"
         if str(self._folder) != began.directory:
             yield f"the working directory {began.directory} isn't there: {self._folder} is taken"
 
@@ -141,24 +144,24 @@ class PlanProcess:
             CantRetrace: the process has ended before it came to a result.
             ReplayError: a change can't be made.
         """
+        own, until = last_own_step(self._log), self._until
+        if until is None and (own < len(self._log) - 1 or not self._log.closed):
+            until = own  # from there on the plan may hang
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
         request: dict[str, object] = {
-            "until": self._until,
+            "until": until,
             "file": None if file is None else str(file.absolute()),
             "take_answers": take_answers,
             "changes": [*self.recorded_changes(changed=bool(changes)), *map(_fields, changes)],
-            "moved": None,
         }
         with (
             tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
             tempfile.TemporaryFile() as errors,
             os.fdopen(reading, "rb") as results,
         ):
-            request |= {"result": writing, "output": output, "folder": folder}
-            if self._source is not None:
-                program = self._source.write(Path(folder).resolve())
-                request |= {"plan": str(program), "moved": (str(program.parent), str(self.program.parent))}
+            request |= {"result": writing, "output": output, "folder": folder, "parent": os.getpid()}
+            request |= self.placed(folder)
             try:
                 process = self.start("replay.retrace", request, errors, (writing, output))
             finally:
@@ -183,6 +186,18 @@ class PlanProcess:
             raise ReplayError(answer["error"])
         found = answer["difference"]
         return Outcome(answer["equal"], None if found is None else Difference(**found), answer["taken"])
+
+    def placed(self, folder: str) -> dict[str, object]:
+        """Write the recorded source into a folder, if it is to run; return what is to be requested because of it."""
+        if self._source is None:
+            return {"moved": None}
+        program = self._source.write(Path(folder).resolve())
+        return {"plan": str(program), "moved": (str(program.parent), str(self.program.parent))}
+
+    @property
+    def recorded_files(self) -> Mapping[Path, bytes]:
+        """The recorded source by its files' paths, if it is to run."""
+        return {} if self._source is None else self._source.texts
 
     def start(
         self, module: str, request: Mapping[str, object], errors: IO[bytes], descriptors: Collection[int] = ()
@@ -223,6 +238,21 @@ class PlanProcess:
         for change in self._began.origin.changes:
             if not (changed or self._edited) or self._until is None or change.step <= self._until:
                 yield _fields(change)
+
+
+def last_own_step(log: RecordReader) -> int:
+    """Return the last step that a plan comes to by itself: Ctrl-C, and what that ended, came from outside."""
+    step = len(log) - 1
+    end = log[step]
+    if isinstance(end, Run) and end.interrupted_by:
+        while step and _is_end(log[step]):
+            step -= 1
+    return step
+
+
+def _is_end(record: Record) -> bool:
+    failed = isinstance(record, Task) and record.phase == Task.FINISHED and record.status != Task.SUCCEEDED
+    return failed or isinstance(record, Run | Output)
 
 
 def _fields(change: Change) -> dict[str, object]:

@@ -9,14 +9,15 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import runpy
 import sys
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from pycram import cli
+from pycram.projection.child import die_with
 from pycram.reasoning.queries.query import answered_by
 from pycram.scheduling.cancellation import uninterruptible
 from pycram.scheduling.schedule import seed_order
@@ -26,6 +27,7 @@ from recorder.mcap.sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
 from recorder.records import Change, Run, escaped, format_error
+from recorder.tracing.journal import NullSink
 from recorder.tracing.process_identity import process
 from replay.file.record_reader import RecordReader
 from replay.retrace.answers import Answers
@@ -44,22 +46,6 @@ if TYPE_CHECKING:
     from replay.retrace.guide import Difference
 
 _STDOUT, _STDERR = 1, 2
-
-
-class _Nowhere:
-    """A sink for what a program records beside the recording in question."""
-
-    def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Drop a record."""
-
-    def attach(self, asset: AssetFile) -> None:
-        """Drop a file."""
-
-    def flush(self) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class _Guided:
@@ -92,7 +78,7 @@ class _Guided:
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         self._steering.complete(record)
         if self._moved is not None:
-            _rename(record, *self._moved)
+            rename(record, *self._moved)
         if self._file is not None:
             self._file.write(topic, record, record.SerializeToString())
         self._guide.write(topic, record, payload)
@@ -112,12 +98,12 @@ class _Guided:
             self._file.close()
 
 
-def _rename(message: Message, old: str, new: str) -> None:
+def rename(message: Message, old: str, new: str) -> None:
     """Put another folder's name in place of one in all texts of a message."""
     for field, value in message.ListFields():
         if field.cpp_type == field.CPPTYPE_MESSAGE:
             for part in value if _is_repeated(value) else [value]:
-                _rename(part, old, new)
+                rename(part, old, new)
         elif field.type == field.TYPE_STRING and _is_repeated(value):
             value[:] = [text.replace(old, new) for text in value]
         elif field.type == field.TYPE_STRING and old in value:
@@ -157,6 +143,7 @@ class Request:
         take_answers: whether queries have the recorded answers, and aren't asked.
         changes: the fields of what is to be changed after its steps.
         moved: the folder that the plan's recorded source was written to, and the one that it came from.
+        parent: the process that asks, with which this one ends.
     """
 
     log: str
@@ -172,11 +159,14 @@ class Request:
     take_answers: bool
     changes: Sequence[Mapping[str, Any]]
     moved: tuple[str, str] | None
+    parent: int
 
 
 def main(text: str) -> None:
     """Run a plan again as a request says, given as JSON."""
-    _GuidedRun(Request(**json.loads(text))).run()
+    request = Request(**json.loads(text))
+    die_with(request.parent)
+    _GuidedRun(request).run()
 
 
 class _GuidedRun:
@@ -276,18 +266,27 @@ def run_plan(
         if run.by_program != by_program or process() != owner:  # a projection makes a recording of its own
             return None
         if guided or not _is_meant(run, began, plan):
-            return _Nowhere()
+            return NullSink()  # what a program records beside the recording in question
         guided = True
         return sink_of(run)
 
     with redirected(redirect):
         if by_program:
-            sys.argv = [plan, *arguments]
+            sys.argv = [getattr(began, "called_as", "") or plan, *arguments]
             sys.path.insert(0, str(Path(plan).parent.resolve()))
             with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
-                runpy.run_path(plan, run_name="__main__")
+                _run_program(plan)
         else:
-            cli.run(Path(plan), file, arguments, seed=seed, order=getattr(began, "order", ""))
+            order, motion = getattr(began, "order", ""), getattr(began, "environment", "")
+            cli.run(Path(plan), file, arguments, seed=seed, order=order, motion=motion)
+
+
+def _run_program(plan: str) -> None:
+    """Run a file as Python does it, under whatever name it was called: runpy would name it by its path."""
+    module = ModuleType("__main__")
+    module.__file__ = plan
+    sys.modules["__main__"] = module
+    exec(compile(Path(plan).read_bytes(), plan, "exec"), module.__dict__)  # noqa: S102  the plan
 
 
 def _is_meant(run: Run, began: Record, plan: str) -> bool:

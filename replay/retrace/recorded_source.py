@@ -61,6 +61,11 @@ class RecordedSource:
             else:
                 self.left_out.append(name_of(key))
 
+    @property
+    def texts(self) -> dict[Path, bytes]:
+        """The attached files by the paths that they had."""
+        return {self.program.parent / place: text for place, text in self.files.items()}
+
     def write(self, folder: Path) -> Path:
         """Write it into a folder, links to everything else beside it, and return the plan's file there."""
         name = self.program.parent.name

@@ -8,7 +8,6 @@ branches, by the setters that plans call, and its record says that it isn't the 
 
 from __future__ import annotations
 
-import os
 import threading
 from contextvars import Context
 from typing import TYPE_CHECKING
@@ -17,6 +16,7 @@ from pycram.scheduling.locks import is_held
 from pycram.world.current import open_worlds
 from recorder.records import Fluent, Mutation, Query
 from recorder.tracing import interrupts, journal
+from recorder.tracing.process_identity import process
 from replay.retrace.answers import parse_answer
 
 if TYPE_CHECKING:
@@ -51,14 +51,10 @@ class Steering:
         self._answers = answers
         self._make = make
         self._refuse = refuse
-        self._process = os.getpid()
+        self._process = process()
         self._making = False
         self._done: Callable[[], None] | None = None
         self.due: list[Change] = []
-
-    def after_fork(self) -> None:
-        """Go on in a copy of the process."""
-        self._process = os.getpid()
 
     def passed(self, step: int, done: Callable[[], None]) -> None:
         """Take note that a step's record is made; ``done`` is called when nothing is due any more."""
@@ -83,7 +79,7 @@ class Steering:
 
     def _try(self) -> bool:
         """Make what is due, if that can be done now; return whether it needn't be tried again."""
-        if os.getpid() != self._process:  # a projection: it ends before that
+        if process() != self._process:  # a projection: it ends before that
             return True
         if is_held():
             world = next((each for each in open_worlds() if each.lock.is_mine), None)

@@ -185,6 +185,32 @@ def test_many_tasks_are_explained_in_the_memory_of_few(tmp_path: Path) -> None:
     goal("their memory, in times", used[many]["memory"] / used[SMALL]["memory"], 1.5, 1.5)
 
 
+VERB = """
+import json, os, pathlib, sys, time
+from replay.cli.main import main
+
+sys.stdout = open(os.devnull, "w")
+assert main(sys.argv[1:]) == 0
+used = int(pathlib.Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1e3
+print(json.dumps({"seconds": time.process_time(), "memory": used}), file=sys.stderr)
+"""
+
+
+@pytest.mark.long
+def test_verbs_that_go_through_all_tasks_take_a_bounded_memory(tmp_path: Path) -> None:
+    few, many = 3 * SMALL, 30 * SMALL
+    for count in (few, many):
+        write_tasks(tmp_path / f"{count}.mcap", count)
+    for verb in (["info"], ["log"], ["tree"], ["tree", "--all"], ["tree", "--json"], ["why"]):
+        used = {}
+        for count in (few, many):
+            command = [sys.executable, "-c", VERB, verb[0], str(tmp_path / f"{count}.mcap"), *verb[1:]]
+            used[count] = json.loads(subprocess.run(command, stderr=subprocess.PIPE, check=True).stderr)
+        print(f"\n{' '.join(verb)} of {many} tasks: {used[many]['seconds']:.1f} s, {used[many]['memory']:.0f} MB")
+        goal("ten times as many, in times", used[many]["seconds"] / used[few]["seconds"], 12, 1.5)
+        assert used[many]["memory"] < 500
+
+
 @pytest.mark.long
 def test_info_from_the_shell(files: dict[int, Path]) -> None:
     for count, file in files.items():

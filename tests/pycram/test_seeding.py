@@ -27,6 +27,12 @@ print(random.random(), np.random.rand(), list({"cup", "bowl", "milk", "spoon", "
 """
 
 
+def test_a_command_that_starts_itself_again_has_loaded_little_before() -> None:
+    program = "import sys, pycram.cli; print({'numpy', 'google.protobuf', 'mcap', 'pybullet'} & sys.modules.keys())"
+    ended = subprocess.run([sys.executable, "-c", program], cwd=REPO, capture_output=True, text=True, check=True)
+    assert ended.stdout == "set()\n"
+
+
 def run(folder: Path, *arguments: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     inherited = {name: value for name, value in os.environ.items() if name not in ("PYTHONHASHSEED", "PYCRAM_SEEDED")}
     return subprocess.run(

@@ -131,7 +131,7 @@ def test_damaged_copies_give_their_readable_part(
         check(tmp_path / "x.mcap", original, kind, damager, capsys)
 
 
-@seeded("damaged copies", range(500), 25)
+@seeded("damaged copies", range(500), 10)
 def test_500_damaged_copies(small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], seeds: range) -> None:
     original = originals(small_log)
     damager = Damager(small_log, seeds[0])

@@ -19,6 +19,7 @@ from replay.cli.main import main
 from replay.restore.verify import verify
 from tests.measures import seeded
 from tests.replay.copies import ATTACHMENT, CHUNK, container_records, flipped, zeroed
+from tests.replay.doctor import diagnosis
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -186,6 +187,7 @@ def check_killed(file: Path, rng: random.Random) -> None:
     copy = file.with_suffix(".sound.mcap")
     assert main(["repair", str(file), "-o", str(copy)]) == 3
     assert sums_and_indexes(copy)
+    assert diagnosis(copy) == []
     with replay.open(file) as log, replay.open(copy) as repaired:
         assert list(log) == list(repaired)
         assert repaired.complete

@@ -17,6 +17,7 @@ from pycram.models.files import parse_toml, read_text
 from pycram.models.robots import tables
 from pycram.models.robots.arm import Arm, read_arm
 from pycram.models.robots.gripper import Gripper
+from pycram.models.robots.limits import MotionLimits, read_limits
 from pycram.models.robots.sensors import CameraDescription, Head, read_camera, read_head
 from recorder.geometry.joints import UrdfError
 
@@ -25,7 +26,16 @@ if TYPE_CHECKING:
 
     from recorder.geometry.urdf import Urdf
 
-__all__ = ["Arm", "CameraDescription", "Gripper", "Head", "RobotDescription", "Torso", "find_description"]
+__all__ = [
+    "Arm",
+    "CameraDescription",
+    "Gripper",
+    "Head",
+    "MotionLimits",
+    "RobotDescription",
+    "Torso",
+    "find_description",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +63,7 @@ class RobotDescription:
         camera: its camera, if it has one.
         torso: its torso, if it lifts.
         drives: whether its base does; else it stays where it was loaded.
+        limits: how fast it may move.
         may_touch: pairs of its own links that may overlap, as their shapes do where the robot itself doesn't.
         text: the TOML that it was read from.
         source: the TOML's file, for errors.
@@ -65,6 +76,7 @@ class RobotDescription:
     camera: CameraDescription | None
     torso: Torso | None
     drives: bool
+    limits: MotionLimits
     may_touch: frozenset[frozenset[str]]
     text: str
     source: str
@@ -87,7 +99,7 @@ class RobotDescription:
         """
         table = parse_toml(text, source)
         try:
-            tables.only(table, "robot", "base_link", "drives", "may_touch", "arms", "head", "camera", "torso")
+            tables.only(table, "robot", "base_link", "drives", "may_touch", "arms", "head", "camera", "torso", "limits")
             arms = tables.table(table, "arms") if "arms" in table else {}
             return cls(
                 robot=checks.text("robot", table["robot"]),
@@ -97,6 +109,7 @@ class RobotDescription:
                 camera=read_camera(tables.table(table, "camera")) if "camera" in table else None,
                 torso=tables.record(Torso, tables.table(table, "torso")) if "torso" in table else None,
                 drives=checks.switch("drives", table.get("drives", True)),
+                limits=read_limits(tables.table(table, "limits")) if "limits" in table else MotionLimits(),
                 may_touch=_pairs(table.get("may_touch", [])),
                 text=text,
                 source=source,

@@ -1,9 +1,13 @@
-"""The ten process modules of the thesis (table 4.15), for any robot that has a description, in simulation."""
+"""The ten process modules of the thesis (table 4.15), for any robot that has a description, in simulation.
+
+They serve two execution environments, which differ in how what they decide is done (:mod:`pycram.motions.execution`).
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pycram.motions.execution import INSTANT
 from pycram.motions.modules.arm import MoveJoints, MoveTCP
 from pycram.motions.modules.container import Accessing
 from pycram.motions.modules.gripper import MoveGripper
@@ -16,6 +20,7 @@ from pycram.motions.modules.place import Place
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pycram.motions.execution import Execution
     from pycram.motions.process_module import ProcessModule
 
 __all__ = [
@@ -33,17 +38,17 @@ __all__ = [
 ]
 
 
-def default_modules() -> Mapping[str, ProcessModule]:
+def default_modules(execution: Execution = INSTANT) -> Mapping[str, ProcessModule]:
     """New process modules, by the ``cmd`` that they take; one set serves one robot."""
     return {
-        "navigate": Navigation(),
-        "pick": PickUp(),
-        "place": Place(),
-        "access": Accessing(),
-        "looking": MoveHead(),
-        "move-gripper": MoveGripper(),
+        "navigate": Navigation(execution),
+        "pick": PickUp(execution),
+        "place": Place(execution),
+        "access": Accessing(execution),
+        "looking": MoveHead(execution),
+        "move-gripper": MoveGripper(execution),
         "detecting": Detecting(),
-        "move-tcp": MoveTCP(),
-        "move-joints": MoveJoints(),
+        "move-tcp": MoveTCP(execution),
+        "move-joints": MoveJoints(execution),
         "world-state-detecting": WorldStateDetecting(),
     }

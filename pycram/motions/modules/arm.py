@@ -41,15 +41,26 @@ class MoveJoints(SimulatedModule):
                 raise BadArgument(f"{name}-arm", wanted, f"{len(arm.joints)} joint values")
             else:
                 positions |= dict(zip(arm.joints, wanted, strict=True))
-        with robot.world.lock:
-            with choosing("posture", robot.world, **moved) as choice:
+        with self.execution.whole(robot.world):
+            with robot.world.lock, choosing("posture", robot.world, **moved) as choice:
                 touched = checker.newly_touched(robot, positions)
                 if touched:
                     choice.reject(AS_ASKED, Touching(touched))
                     arms = [name.removesuffix("-arm") for name in moved]
-                    raise PostureInCollision(arms, list(dict.fromkeys(pair.body for pair in touched)), touched)
+                    bodies = list(dict.fromkeys(pair.body for pair in touched))
+                    raise PostureInCollision(arms, bodies, touched, torso=_with_torso(robot, positions))
                 choice.take(AS_ASKED)
-            robot.set_joint_positions(positions)
+                move = self.execution.move(robot, positions)
+            move()
+
+
+def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, float] | None:
+    """Return the torso's joint, and the height that it is loaded with, if the arms could take a posture there."""
+    torso = robot.description.torso if robot.description else None
+    if torso is None:  # what it is for may have left it lower: a drawer near the floor
+        return None
+    touched = checker.newly_touched(robot, {**positions, torso.joint: torso.default})
+    return None if touched else (torso.joint, torso.default)
 
 
 class MoveTCP(SimulatedModule):
@@ -61,10 +72,13 @@ class MoveTCP(SimulatedModule):
         arm = self.description(robot).arm(solution["arm"])
         target = solution["target"]
         turn = solution.get("orientation")
-        with robot.world.lock:
-            with choosing("posture", robot.world, arm=arm.name, target=target, orientation=turn) as choice:
-                positions = _posture(robot, arm, target, turn, choice)
-            robot.set_joint_positions(positions)
+        with self.execution.whole(robot.world):
+            with (
+                robot.world.lock,
+                choosing("posture", robot.world, arm=arm.name, target=target, orientation=turn) as choice,
+            ):
+                move = self.execution.move(robot, _posture(robot, arm, target, turn, choice))
+            move()
 
 
 def _posture(

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 _STEP: Final = 0.1  # m or rad of the opened joint from one posture to the next
+_STILL: Final = 0.01  # m or rad by which it may move while the hand comes
 
 
 class Accessing(SimulatedModule):
@@ -42,33 +43,52 @@ class Accessing(SimulatedModule):
         robot = self.robot()
         arm = self.description(robot).arm(solution["arm"])
         container, joint, link = solution["part-of"], solution["drawer-joint"], solution["drawer-handle"]
-        with robot.world.lock:
-            start = container.get_joint_position(joint)
-            container.check_link(link)
-            if link not in carried.moved_links(container.urdf, [joint]):
-                raise BadArgument("drawer-handle", link, f"a link that {joint} moves")
-            held = self.held(robot, arm)
-            if held is not None:
-                raise AccessFailed(joint, f"the {arm.name} gripper holds {held.name}", handle=link, arm=arm.name)
-            handle = Handle(container, joint, link)
-            upper = container.joint_limits(joint)[1]
-            end = handle.closed + solution["distance"]
-            if end > upper + 1e-9:
-                reason = f"it opens up to {upper:g}, not {end:g}"
-                raise AccessFailed(joint, reason, handle=link, arm=arm.name, asked=end)
-            steps = max(1, math.ceil(abs(end - start) / _STEP))
-            values = [start + (end - start) * i / steps for i in range(steps + 1)]
-            with choosing(
-                "handle_path", robot.world, object=container, joint=joint, handle=link, arm=arm.name, to=end
-            ) as choice:
-                path = self._path(robot, arm, handle, values, choice)
-            robot.set_joint_positions(arm.gripper.positions("open"))
-            robot.set_joint_positions(path.postures[0])
-            robot.set_joint_positions(arm.gripper.positions("close"))
-            for value, posture in zip(path.values[1:], path.postures[1:], strict=True):
-                container.set_joint_position(joint, value)
-                robot.set_joint_positions(posture)
-            robot.set_joint_positions(arm.gripper.positions("open"))
+        with self.execution.whole(robot.world):
+            with robot.world.lock:
+                start = container.get_joint_position(joint)
+                container.check_link(link)
+                if link not in carried.moved_links(container.urdf, [joint]):
+                    raise BadArgument("drawer-handle", link, f"a link that {joint} moves")
+                held = self.held(robot, arm)
+                if held is not None:
+                    raise AccessFailed(joint, f"the {arm.name} gripper holds {held.name}", handle=link, arm=arm.name)
+                handle = Handle(container, joint, link)
+                upper = container.joint_limits(joint)[1]
+                end = handle.closed + solution["distance"]
+                if end > upper + 1e-9:
+                    reason = f"it opens up to {upper:g}, not {end:g}"
+                    raise AccessFailed(joint, reason, handle=link, arm=arm.name, asked=end)
+                steps = max(1, math.ceil(abs(end - start) / _STEP))
+                values = [start + (end - start) * i / steps for i in range(steps + 1)]
+                with choosing(
+                    "handle_path", robot.world, object=container, joint=joint, handle=link, arm=arm.name, to=end
+                ) as choice:
+                    path = self._path(robot, arm, handle, values, choice)
+                    reach = self.execution.approach(
+                        robot,
+                        arm,
+                        path.postures[0],
+                        (-1.0, 0.0, 0.0),
+                        opened=arm.gripper.positions("open"),
+                        ignored_links=[(container, link)],
+                    )
+                    pull = self.execution.pull(robot, container, joint, path.values, path.postures)
+            reach()
+            with robot.world.lock:
+                now = container.get_joint_position(joint)
+                if abs(now - start) > _STILL:
+                    reason = f"it was moved from {start:.3f} to {now:.3f} while the hand came; try it again"
+                    raise AccessFailed(joint, reason, handle=link, arm=arm.name, asked=end)
+                close = self.execution.close(robot, arm)
+            close()
+            pull()
+            with robot.world.lock:
+                release = self.execution.open(robot, arm)
+            release()
+            with robot.world.lock:
+                retreat = self.execution.retreat(robot, arm, [(container, link)])
+            if retreat is not None:
+                retreat()
 
     @staticmethod
     def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> HandlePath:
@@ -129,11 +149,10 @@ def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, Col
     """
     container = handle.container
     moved = carried.moved_links(container.urdf, [handle.joint])
-    supported = carried.supported_bodies(container, moved)
     clone = clone_of(container.world, "reach")
     clone.sync()
     solid = shapes_of(container.model.path, "collision").links
-    along = {container, *supported}
+    along = {container, *handle.contents}
     others = [body for body in container.world.objects if not body.fixed and carried.root_of(body) not in along]
     known: set[str] = set()
     try:

@@ -10,6 +10,7 @@ from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.grasping import fingers
 from pycram.reasoning.rejections import Touching, short
+from pycram.world import settling
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,11 +55,12 @@ class MoveGripper(SimulatedModule):
         robot = self.robot()
         arm = self.description(robot).arm(solution["gripper"])
         opening = solution["motion"] == "open"
-        with robot.world.lock:
+        with self.execution.whole(robot.world):
             held = self.held(robot, arm) if opening else None
-            with choosing(
-                "finger_motion", robot.world, arm=arm.name, motion=solution["motion"], release=held
-            ) as choice:
+            with (
+                robot.world.lock,
+                choosing("finger_motion", robot.world, arm=arm.name, motion=solution["motion"], release=held) as choice,
+            ):
                 motion = fingers.moved(robot, arm, 1.0 if opening else 0.0, release=held)
                 if motion.stopped_by:
                     choice.reject("all the way", Touching(motion.stopped_by))
@@ -66,9 +68,12 @@ class MoveGripper(SimulatedModule):
                     raise GripperBlocked(arm.name, held.name, motion.stopped_by)
                 as_far = "as far as they get" if motion.stopped_by else "all the way"
                 choice.take(as_far, share_open=short(motion.share))
-            robot.set_joint_positions(motion.positions)
+                grip = self.execution.grip(robot, motion.positions)
+            grip()
             settled = True
             if held is not None:
-                robot.detach(held)
-                settled = robot.world.settle()
+                with robot.world.lock:
+                    robot.detach(held)
+                    settling.separate(robot.world)
+                settled = not self.execution.settle(robot.world)
         return GripperMoved(arm.name, motion.share, motion.stopped_by, held, settled)

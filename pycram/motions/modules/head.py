@@ -41,11 +41,12 @@ class MoveHead(SimulatedModule):
             raise MissingPart(robot.name, "camera")
         joints = description.head.joints if description.head else ()
         looked_at = {key: solution[key] for key in ("target", "object") if key in solution}
-        with robot.world.lock:
-            with choosing("gaze", robot.world, **looked_at) as choice:
+        with self.execution.whole(robot.world):
+            with robot.world.lock, choosing("gaze", robot.world, **looked_at) as choice:
                 positions = _aimed(robot, joints, camera, looked_at, choice)
-            if positions:
-                robot.set_joint_positions(positions)
+                move = self.execution.move(robot, positions) if positions else None
+            if move is not None:
+                move()
 
 
 def _aimed(

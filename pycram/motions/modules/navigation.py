@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import InCollision, NotDrivable
 from pycram.motions.modules.simulated import AS_ASKED, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
+from pycram.reasoning.driving import check_drives, check_ground
 from pycram.reasoning.rejections import Touching, Unfit
-from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from pycram.motions.designator import Designator
-    from pycram.world.object import Object
-    from recorder.geometry import Quaternion
-
-_UNEVEN: Final = 0.05  # m between the ground here and there
-_TILT: Final = math.radians(2)
 
 
 class Navigation(SimulatedModule):
@@ -30,12 +22,11 @@ class Navigation(SimulatedModule):
         solution = designator.reference()
         robot = self.robot()
         target, orientation = solution["target"], solution["orientation"]
-        if robot.description is not None and not robot.description.drives:
-            raise NotDrivable(target, orientation, "its base is fixed")
-        with robot.world.lock:
-            with choosing("base_pose", robot.world, target=target, orientation=orientation) as choice:
+        check_drives(robot, target, orientation)
+        with self.execution.whole(robot.world):
+            with robot.world.lock, choosing("base_pose", robot.world, target=target, orientation=orientation) as choice:
                 try:
-                    _check_ground(robot, target, orientation)
+                    check_ground(robot, target, orientation)
                 except NotDrivable as refusal:
                     choice.reject(AS_ASKED, Unfit(refusal.reason))
                     raise
@@ -45,14 +36,5 @@ class Navigation(SimulatedModule):
                     choice.reject(AS_ASKED, Touching(pairs))
                     raise InCollision(target, orientation, [pair.body for pair in pairs], pairs)
                 choice.take(AS_ASKED)
-            robot.set_position_and_orientation(target, orientation)
-
-
-def _check_ground(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
-    position, heading = robot.get_position_and_orientation()
-    if abs(target[2] - position[2]) > _UNEVEN:
-        reason = f"its wheels would leave the ground, which is {target[2] - position[2]:+.2f} m away there"
-        raise NotDrivable(target, orientation, reason)
-    lean = geometry.lean(orientation, heading)
-    if lean > _TILT:
-        raise NotDrivable(target, orientation, f"it would lean over by {math.degrees(lean):.0f} degrees")
+                drive = self.execution.drive(robot, target, orientation)
+            drive()

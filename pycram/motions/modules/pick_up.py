@@ -5,35 +5,40 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, PlanFailure, Unreachable
+from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, NoPath, PlanFailure, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import choice as grasp_choice, fingers
 from pycram.reasoning.grasping.grasps import FREE, candidates, leaning
-from pycram.reasoning.rejections import Misfit, Slips, Touching, short
+from pycram.reasoning.rejections import Misfit, Slips, Touching, Unreached, short
 from pycram.world import overlaps
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
+    from pycram.motions.execution import Step
     from pycram.reasoning.grasping.choice import GraspPlan
     from pycram.reasoning.grasping.fingers import Closing
     from pycram.reasoning.grasping.grasps import Grasp
     from pycram.world.object import Object
+    from recorder.geometry import PoseLike
 
 _MAX_GRASPS: Final = 6  # that are tried, one after the other
+_MAX_SEARCHED: Final = 3  # to which a path is searched in vain
 _MOVING: Final = (0.3, 3.0)  # m/s, rad/s from which on it falls or rolls; what rocks after it was set down can be taken
 _LEANING: Final = math.radians(5)  # that the message tells
+_STILL: Final = (0.005, math.radians(5))  # m and rad by which it may move while the hand comes
+_BEHIND: Final = (-1.0, 0.0, 0.0)  # where the gripper comes from, in the tool frame
 
 
 class PickUp(SimulatedModule):
     """Reaches for an object, closes the gripper around it and takes it: with a finger on both sides, touching no more.
 
-    No time passes, the object stays where it is. Everything is planned before anything moves.
+    Everything is planned before anything moves, and looked at again when the hand is there and when it has closed.
     """
 
     def _execute(self, designator: Designator) -> Object:
@@ -41,16 +46,30 @@ class PickUp(SimulatedModule):
         robot = self.robot()
         arm = self.description(robot).arm(solution["arm"])
         body: Object = solution["object"]
-        gripper = arm.gripper
-        with robot.world.lock:
-            with choosing("grasp", robot.world, object=body, arm=arm.name, side=solution.get("grasp")) as choice:
+        world, side = robot.world, solution.get("grasp")
+        with self.execution.whole(world):
+            with world.lock, choosing("grasp", world, object=body, arm=arm.name, side=side) as choice:
                 self._check_free(robot, arm, body)
-                names = (solution["grasp"],) if "grasp" in solution else None
-                posture, closed = _plan(robot, arm, body, names, choice)
-            robot.set_joint_positions(gripper.positions("open"))
-            robot.set_joint_positions(posture)
-            robot.set_joint_positions(closed)
-            robot.attach(body, arm.tool_frame)
+                stood, opened = body.get_position_and_orientation(), arm.gripper.positions("open")
+
+                def approach(posture: Mapping[str, float]) -> Step:
+                    return self.execution.approach(robot, arm, posture, _BEHIND, opened=opened, ignored=[body])
+
+                reach, closed = _plan(robot, arm, body, None if side is None else (side,), approach, choice)
+            reach()
+            with world.lock:
+                self._check_still(robot, arm, body, stood)
+                close = self.execution.grip(robot, closed)
+            close()
+            with world.lock:
+                sides = fingers.sides_held(robot, arm, body)
+                if sides < 2:
+                    where = "on one side only" if sides else "nowhere"
+                    raise GraspFailed(arm.name, body.name, f"its fingers have closed, and touch it {where}")
+                robot.attach(body, arm.tool_frame)
+                lift = self.execution.lift(robot, arm)
+            if lift is not None:
+                lift()
         return body
 
     def _check_free(self, robot: Object, arm: Arm, body: Object) -> None:
@@ -73,6 +92,16 @@ class PickUp(SimulatedModule):
                     inside = f"it is {depth * 1e3:.0f} mm inside of {other.name}"
                     raise GraspFailed(arm.name, body.name, inside)
 
+    def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike) -> None:
+        """Check that an object is where it was when the hand set out for it, and free."""
+        if body.carrier is not None:
+            raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
+        position, turn = body.get_position_and_orientation()
+        moved, turned = math.dist(position, stood[0]), geometry.angle(turn, stood[1])
+        if moved > _STILL[0] or turned > _STILL[1]:
+            by = f"{moved:.3f} m and {math.degrees(turned):.0f} degrees"
+            raise GraspFailed(arm.name, body.name, f"it was moved by {by} while the hand came; pick it up again")
+
     def _holder(self, robot: Object, arm: Arm, body: Object) -> str:
         """Return what holds an object already, and how to hand it over."""
         holder = body.carrier
@@ -93,17 +122,24 @@ class PickUp(SimulatedModule):
 
 
 def _plan(
-    robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, choice: Choice
-) -> tuple[Mapping[str, float], Mapping[str, float]]:
-    """Return postures of the arm and of its closed gripper that hold an object, for the grasp that touches least.
+    robot: Object,
+    arm: Arm,
+    body: Object,
+    names: Sequence[str] | None,
+    approach: Callable[[Mapping[str, float]], Step],
+    choice: Choice,
+) -> tuple[Step, Mapping[str, float]]:
+    """Return what brings the arm to an object, and the posture of its closed gripper, for the grasp that touches least.
 
     Raises:
         GraspFailed: No side fits, or the fingers wouldn't hold it from any.
         Unreachable: No posture brings the gripper there; Blocked if something is in the way.
+        NoPath: No path was found to where it would be taken.
     """
     refused: list[Grasp] = []
     failures: list[PlanFailure] = []
-    while len(failures) < _MAX_GRASPS:
+    searched = 0
+    while len(failures) < _MAX_GRASPS and searched < _MAX_SEARCHED:
         plan = grasp_choice.best(body, robot, arm.tool_frame, names, refused, choice)
         if plan.grasp is None or plan.posture is None:
             failures.append(_nothing(robot, arm, body, names, plan))
@@ -111,9 +147,16 @@ def _plan(
         closing = fingers.closed_around(robot, arm, plan.posture.positions, body)
         failure = _problem(arm, body, plan, closing)
         if closing is not None and failure is None:
-            position, orientation = short(plan.grasp.position), short(plan.grasp.orientation)
-            choice.take(str(plan.grasp), position=position, orientation=orientation)
-            return plan.posture.positions, closing.positions
+            try:
+                reach = approach(plan.posture.positions)
+            except NoPath as no_path:
+                failures.append(no_path)
+                searched += 1
+                choice.reject(str(plan.grasp), Unreached(no_path.checks, no_path.distance, no_path.pairs))
+            else:
+                position, orientation = short(plan.grasp.position), short(plan.grasp.orientation)
+                choice.take(str(plan.grasp), position=position, orientation=orientation)
+                return reach, closing.positions
         if failure is not None:
             failures.append(failure)
             slips = Slips(closing.sides if closing else 0)

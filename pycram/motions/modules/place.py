@@ -4,37 +4,39 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.collision_pair import CollisionPair
-from pycram.foundation.failures import PlaceFailed, Unreachable
+from pycram.foundation.failures import NoPath, PlaceFailed, PlanFailure, Unreachable
+from pycram.motions.execution import TIMEOUT
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import fingers, placing, sides
 from pycram.reasoning.kinematics import solver
-from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, short
-from pycram.world import settling
+from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unreached, short
 from recorder import geometry
-from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
+    from pycram.motions.execution import Step
     from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
     from recorder.geometry import Pose, PoseLike, Quaternion
 
-_TIMEOUT: Final = 5  # s of simulated time within which all has to be at rest
 _AWAY: Final = 0.02  # m from where it was let go
 _TURNED: Final = math.radians(10)  # from the orientation that was asked for, or from upright
 _TOUCHING: Final = 1e-3  # m of air that count as touching
 _LOAD: Final = 0.01  # of its weight that a finger bears which holds it up
 _LIFTS: Final = (0.005, 0.01, 0.015)  # m from which something may fall
 _MAX_LIFTED: Final = 4  # poses that are tried so
+_MAX_SEARCHED: Final = 3  # postures to which a path is searched in vain
 _FROM_BELOW: Final = 0.5  # of a unit vector pointing up, in which the hand would come
+_ABOVE: Final = (0.0, 0.0, 1.0)  # where it is lowered from
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
 _YAWS: Final = 12  # orientations about the vertical in which putting down is tried
 
@@ -44,12 +46,12 @@ class _Plan:
     """How an object is put down.
 
     Attributes:
-        posture: joint values of the arm by name.
+        lower: brings the arm there.
         pose: of the object when it is let go of.
         opened: joint values of the open gripper by name.
     """
 
-    posture: Mapping[str, float]
+    lower: Step
     pose: Pose
     opened: Mapping[str, float]
 
@@ -68,31 +70,52 @@ class Place(SimulatedModule):
         arm = self.description(robot).arm(solution["arm"])
         body: Object = solution["object"]
         target, orientation = solution["target"], solution.get("orientation")
-        with robot.world.lock:
-            held = robot.attachments.get(body)
-            if held is None or held.carrier_link != arm.tool_frame:
-                raise PlaceFailed(body.name, target, f"the {arm.name} gripper doesn't hold it")
-            with choosing(
-                "placement", robot.world, object=body, arm=arm.name, target=target, orientation=orientation
-            ) as choice:
-                plan = _plan(robot, arm, body, target, orientation, choice)
-            robot.set_joint_positions(plan.posture)
-            robot.set_joint_positions(plan.opened)
-            robot.detach(body)
-            beside = [robot.world.get_object(pair.body) for pair in _touching(body)]
-            free = [other for other in beside if not (other.fixed or other.is_robot)]
-            neighbours = {other: other.get_position_and_orientation() for other in free}
-            reasons = _settled(robot, body, target, plan.pose, orientation, neighbours)
-            if not reasons and _load(robot, body) > _LOAD:
-                with choosing("retreat", robot.world, object=body, arm=arm.name) as choice:
-                    posture = placing.retreat(robot, arm, choice)
-                if posture is None:
+        with self.execution.whole(robot.world):
+            with robot.world.lock:
+                self._check_holds(robot, arm, body, target)
+                with choosing(
+                    "placement", robot.world, object=body, arm=arm.name, target=target, orientation=orientation
+                ) as choice:
+
+                    def lower(posture: Mapping[str, float], tool: Pose) -> Step:
+                        above = geometry.rotate(geometry.invert(tool)[1], _ABOVE)
+                        return self.execution.approach(robot, arm, posture, above)
+
+                    plan = _plan(robot, arm, body, target, orientation, lower, choice)
+            plan.lower()
+            with robot.world.lock:
+                self._check_holds(robot, arm, body, target)
+                release = self.execution.grip(robot, plan.opened)
+            release()
+            with robot.world.lock:
+                robot.detach(body)
+                beside = [robot.world.get_object(pair.body) for pair in _touching(body)]
+                free = [other for other in beside if not (other.fixed or other.is_robot)]
+                neighbours = {other: other.get_position_and_orientation() for other in free}
+            restless = self.execution.settle(robot.world)
+            reasons = _reasons(body, target, plan.pose, orientation, neighbours, restless)
+            if not reasons:
+                with robot.world.lock:
+                    leans = _load(robot, body) > _LOAD
+                    retreat = self._retreat(robot, arm, body) if leans else self.execution.retreat(robot, arm)
+                if retreat is not None:
+                    retreat()
+                    restless = self.execution.settle(robot.world)
+                    reasons = _reasons(body, target, plan.pose, orientation, neighbours, restless)
+                elif leans:
                     reasons = ["it leans on the gripper, which can't be drawn back"]
-                else:
-                    robot.set_joint_positions(posture)
-                    reasons = _settled(robot, body, target, plan.pose, orientation, neighbours)
             if reasons:
                 raise _failure(body, target, plan.pose, orientation, reasons)
+
+    def _check_holds(self, robot: Object, arm: Arm, body: Object, target: Sequence[float]) -> None:
+        if self.held(robot, arm) is not body:
+            raise PlaceFailed(body.name, target, f"the {arm.name} gripper doesn't hold it")
+
+    def _retreat(self, robot: Object, arm: Arm, body: Object) -> Step | None:
+        """Return what draws the hand back out of an object that leans on it; None if it can't be."""
+        with choosing("retreat", robot.world, object=body, arm=arm.name) as choice:
+            posture = placing.retreat(robot, arm, choice)
+        return None if posture is None else self.execution.move(robot, posture)
 
 
 @dataclass(slots=True)
@@ -104,12 +127,14 @@ class _Refusals:
         misses: m that the nearest posture stays away.
         pairs: links that would meet, by the name of what is in the way.
         low: poses in which the hand would meet what the object is put on.
+        no_path: searches for a path to a posture that would do.
     """
 
     no_room: list[PlaceFailed] = field(default_factory=list)
     misses: list[float] = field(default_factory=list)
     pairs: dict[str, CollisionPair] = field(default_factory=dict)
     low: list[Pose] = field(default_factory=list)
+    no_path: list[NoPath] = field(default_factory=list)
 
 
 def _plan(
@@ -118,12 +143,23 @@ def _plan(
     body: Object,
     target: Sequence[float],
     orientation: Sequence[float] | None,
+    lower: Callable[[Mapping[str, float], Pose], Step],
     choice: Choice,
 ) -> _Plan:
     """Return the first posture in which nothing is in the way, not even when the fingers open.
 
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm.
+        body: the object.
+        target: xyz in m.
+        orientation: xyzw; None for upright.
+        lower: plans how the arm gets to a posture, with the tool at a pose there.
+        choice: gets what won't do, and why.
+
     Raises:
         PlaceFailed: There is none, or no room.
+        NoPath: No path was found to the first few.
         Unreachable: No posture brings the object there.
     """
     body_T_tool = geometry.multiply(
@@ -145,8 +181,11 @@ def _plan(
             if not pairs:
                 opening = fingers.moved(robot, arm, 1.0, posture=posture.positions, release=body, pose=pose)
                 if opening.gap >= fingers.CLEAR or not opening.stopped_by:
+                    step = _way(partial(lower, posture.positions, (position, turn)), name, refusals, choice)
+                    if step is None:
+                        continue
                     choice.take(name, position=short(pose[0]), orientation=short(pose[1]))
-                    return _Plan(posture.positions, pose, opening.positions)
+                    return _Plan(step, pose, opening.positions)
                 pairs = list(opening.stopped_by)
             elif (
                 quick
@@ -157,14 +196,39 @@ def _plan(
             choice.reject(name, Touching(pairs))
             for pair in pairs:
                 refusals.pairs.setdefault(pair.body, pair)
+    raise _refused(arm, body, target, orientation, refusals)
+
+
+def _way(lower: Callable[[], Step], name: str, refusals: _Refusals, choice: Choice) -> Step | None:
+    """Return what brings the arm to a posture; None if no path was found.
+
+    Raises:
+        NoPath: Nor was one found to others: the search is given up.
+    """
+    try:
+        return lower()
+    except NoPath as no_path:
+        choice.reject(name, Unreached(no_path.checks, no_path.distance, no_path.pairs))
+        refusals.no_path.append(no_path)
+        if len(refusals.no_path) == _MAX_SEARCHED:
+            raise refusals.no_path[0] from None
+        return None
+
+
+def _refused(
+    arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None, refusals: _Refusals
+) -> PlanFailure:
+    """Return the failure that says why an object can't be put down."""
+    if refusals.no_path:
+        return refusals.no_path[0]
     if refusals.pairs:
         pairs = [refusals.pairs[name] for name in sorted(refusals.pairs)]
-        raise PlaceFailed(body.name, target, "", orientation=orientation, pairs=pairs)
+        return PlaceFailed(body.name, target, "", orientation=orientation, pairs=pairs)
     if refusals.misses:
-        raise Unreachable(arm.name, target, min(refusals.misses))
+        return Unreachable(arm.name, target, min(refusals.misses))
     taken = refusals.no_room[0]
     pairs = [replace(pair, gripper=arm.name) for pair in taken.pairs]
-    raise PlaceFailed(body.name, target, taken.reason, orientation=orientation, pairs=pairs)
+    return PlaceFailed(body.name, target, taken.reason, orientation=orientation, pairs=pairs)
 
 
 def _poses(
@@ -201,25 +265,24 @@ def _name(turn: Quaternion) -> str:
     return f"yaw {math.degrees(math.atan2(y, x)):.0f}{' upside down' if upside_down else ''}"
 
 
-def _settled(
-    robot: Object,
+def _reasons(
     body: Object,
     target: Sequence[float],
     wanted: Pose,
     orientation: Sequence[float] | None,
     neighbours: Mapping[Object, PoseLike],
+    restless: Sequence[Object],
 ) -> list[str]:
-    """Simulate until all is at rest, and say why an object doesn't stand where it was let go; nothing if it does.
+    """Say why an object doesn't stand where it was let go; nothing if it does.
 
     Args:
-        robot: the robot that let it go.
         body: the object.
         target: where it was to be put.
         wanted: its pose when it was let go.
         orientation: that was asked for; None for upright.
         neighbours: what it touched when it was let go, with the poses then.
+        restless: what still moves.
     """
-    restless, _ = settling.settle(robot.world, _TIMEOUT * STEPS_PER_SECOND)
     position, turn = body.get_position_and_orientation()
     away = min(math.dist(position, wanted[0]), math.dist(position, target))  # it may slide to where it was wanted
     turned = geometry.angle(turn, wanted[1])
@@ -228,7 +291,7 @@ def _settled(
     moving = [other.name for other in restless if other.name in near]
     reasons = []
     if moving:
-        reasons.append(f"{', '.join(moving)} still move{'s' if len(moving) == 1 else ''} after {_TIMEOUT} s")
+        reasons.append(f"{', '.join(moving)} still move{'s' if len(moving) == 1 else ''} after {TIMEOUT} s")
     if away > _AWAY:
         reasons.append(f"it {'is' if moving else 'came to rest'} {away:.3f} m from there")
     if lean > _TURNED:

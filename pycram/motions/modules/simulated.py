@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import UsageError
+from pycram.motions.execution import INSTANT
 from pycram.motions.process_module import ProcessModule
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
     from pycram.models.robots.description import Arm, RobotDescription
+    from pycram.motions.execution import Execution
     from pycram.world.object import Object
 
 AS_ASKED: Final = "as asked"
@@ -29,7 +31,17 @@ class NoDescription(UsageError):
 
 
 class SimulatedModule(ProcessModule):
-    """A process module that works on the current world's robot."""
+    """A process module that works on the current world's robot.
+
+    Args:
+        execution: how what it decides is done; at once by default.
+    """
+
+    execution: Execution = INSTANT
+
+    def __init__(self, execution: Execution = INSTANT) -> None:
+        self.execution = execution
+        self.one_at_a_time = not execution.takes_time
 
     @staticmethod
     def robot() -> Object:

@@ -73,6 +73,16 @@ class Boxes:
         links = tuple(link for link, wanted in zip(self.links, which, strict=True) if wanted)
         return Boxes(links, self.centers[which], self.axes[which], self.half_extents[which])
 
+    def widened(self, margin: float) -> Boxes:
+        """Return them wider by a margin in m to each side."""
+        return Boxes(self.links, self.centers, self.axes, self.half_extents + margin)
+
+    def within(self, point: Sequence[float], distance: float) -> list[str]:
+        """Return the links of boxes whose bounds along the world's axes come within a distance in m of a point."""
+        apart = np.abs(self.centers - point) - _world_extents(self.axes, self.half_extents)
+        near: NDArray[np.bool_] = np.all(apart <= distance, axis=1)
+        return list(dict.fromkeys(itertools.compress(self.links, near)))
+
     def moved(self, transforms: Array) -> tuple[Array, Array]:
         """Return centers (n, k, 3), m, and axes (n, k, 3, 3) of the boxes moved by transforms (n, k, 4, 4)."""
         turns = transforms[..., :3, :3]
@@ -143,26 +153,35 @@ def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) ->
     return posture[found], box[found], other[found]
 
 
-def overlapping_pairs(centers: Array, axes: Array, half_extents: Array, a: Indices, b: Indices) -> Indices:
-    """Return which of some pairs of boxes overlap.
+def overlapping_pairs(
+    centers: Array, axes: Array, half_extents: Array, a: Indices, b: Indices
+) -> tuple[Indices, Indices]:
+    """Return which of some pairs of boxes overlap, in many postures at once.
 
     Args:
-        centers: (k, 3) in the world, m.
-        axes: (k, 3, 3) of the boxes.
+        centers: (n, k, 3) in each posture, in the world, m.
+        axes: (n, k, 3, 3) of the boxes.
         half_extents: (k, 3) of the boxes, m.
-        a: (n,) indices of the first boxes.
-        b: (n,) indices of the second boxes.
+        a: (m,) indices of the first boxes.
+        b: (m,) indices of the second boxes.
 
     Returns:
-        Indices of the pairs that overlap, in order.
+        Indices of postures and of the pairs that overlap in them, in order.
     """
     sizes = _world_extents(axes, half_extents)
-    close = np.abs(centers[a] - centers[b]) <= sizes[a] + sizes[b]
-    near = np.flatnonzero(close.all(axis=1))
-    if not len(near):
-        return near
-    a, b = a[near], b[near]
-    return near[_overlap((centers[a], axes[a], half_extents[a]), (centers[b], axes[b], half_extents[b]))]
+    close = np.ones((len(centers), len(a)), dtype=bool)
+    for axis in range(3):
+        center, size = centers[:, :, axis], sizes[:, :, axis]
+        close &= np.abs(center.take(a, axis=1) - center.take(b, axis=1)) <= size.take(a, axis=1) + size.take(b, axis=1)
+    posture, pair = np.nonzero(close)
+    if not len(pair):
+        return posture, pair
+    one, other = a[pair], b[pair]
+    found = _overlap(
+        (centers[posture, one], axes[posture, one], half_extents[one]),
+        (centers[posture, other], axes[posture, other], half_extents[other]),
+    )
+    return posture[found], pair[found]
 
 
 def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> NDArray[np.bool_]:

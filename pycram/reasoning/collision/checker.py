@@ -85,6 +85,7 @@ class CollisionChecker:
         ignored: objects that don't count.
         all_links: check all links of the robot, not just those that the joints move.
         ignored_links: objects with links of theirs that don't count, as those that move along.
+        margin: m by which other objects are looked at before they are touched.
 
     Attributes:
         robot: the robot.
@@ -99,8 +100,10 @@ class CollisionChecker:
         *,
         all_links: bool = False,
         ignored_links: Collection[tuple[Object, str]] = (),
+        margin: float = 0.0,
     ) -> None:
         self.robot = robot
+        self._margin = margin
         self._clone = clone = clone_of(robot.world, "reach")
         clone.sync()
         names = tuple(joints)
@@ -128,7 +131,8 @@ class CollisionChecker:
         every = concatenate([boxes for _, boxes in others])
         owners = [(body, link) for body, boxes in others for link in boxes.links]
         counted = [owner not in ignored_links for owner in owners]
-        self._other_boxes = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
+        every = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
+        self._other_boxes = every.widened(margin) if margin else every
         self._other_owners = list(itertools.compress(owners, counted))
         self._copies: dict[tuple[Object, str], Body] = {}  # of what was checked, by object and link
         self._base = links.base_pose  # of the clone's robot, as the candidate below
@@ -151,19 +155,40 @@ class CollisionChecker:
             base: pose of the robot's base in them; it stays by default.
         """
         transforms = self._links.articulation.transforms(postures)
-        moved = transforms
-        if base is not None:
-            moved = geometry.pose_matrix(geometry.multiply(base, geometry.invert(self._links.base_pose))) @ transforms
+        moved = transforms if base is None else self._carried([base]) @ transforms
+        return self._overlapping(postures, [base] * len(postures), transforms, moved)
+
+    def predict_at(self, bases: Sequence[Pose]) -> list[Candidate]:
+        """Return what could touch in the present posture with the robot's base at poses, all at once."""
+        transforms = self._links.articulation.transforms([{}] * len(bases))
+        return self._overlapping([{}] * len(bases), bases, transforms, self._carried(bases)[:, None] @ transforms)
+
+    def _carried(self, bases: Sequence[Pose]) -> NDArray[np.float64]:
+        """Return (n, 4, 4) how the robot moves from where it stands to poses of its base."""
+        placed = np.zeros((len(bases), 4, 4))
+        placed[:, :3, :3] = geometry.to_matrices(np.array([orientation for _, orientation in bases]))
+        placed[:, :3, 3] = [position for position, _ in bases]
+        placed[:, 3, 3] = 1.0
+        return placed @ geometry.pose_matrix(geometry.invert(self._links.base_pose))
+
+    def _overlapping(
+        self,
+        postures: Sequence[Mapping[str, float]],
+        bases: Sequence[Pose | None],
+        transforms: NDArray[np.float64],
+        moved: NDArray[np.float64],
+    ) -> list[Candidate]:
+        """Return candidates with transforms of their joints, and those (n, joints + 1, 4, 4) with the base's."""
         centers, axes = self._links.boxes.moved(moved[:, self._links.drivers])
         posture, box, other = overlaps(centers, axes, self._links.boxes.half_extents, self._other_boxes)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
         return [
             Candidate(positions, base, (box[start:end], other[start:end]), each)
-            for positions, (start, end), each in zip(postures, ends, transforms, strict=True)
+            for positions, base, (start, end), each in zip(postures, bases, ends, transforms, strict=True)
         ]
 
-    def _pairs(self, candidate: Candidate) -> Sequence[Pair]:
-        """Return the links in overlapping boxes, each pair once.
+    def pairs(self, candidate: Candidate) -> Sequence[Pair]:
+        """Return the links in overlapping boxes, each pair once; not those of the robot itself.
 
         First comes the first pair of each object, then the second, and so on: who is hit counts before how. Furniture
         comes after other things, as its boxes are wide and mostly overlap for nothing.
@@ -199,7 +224,7 @@ class CollisionChecker:
             Two links that touch, and where. The floor that a robot stands on doesn't collide with its wheels; what it
             holds moves along and may collide with others too.
         """
-        for pair in self._pairs(candidate):
+        for pair in self.pairs(candidate):
             mover, link, body, _ = pair
             if links is not None and self._link_of.get(mover, link) not in links:
                 continue
@@ -221,7 +246,7 @@ class CollisionChecker:
                 links=sorted({link for (_, link, *_), _ in pairs}),
                 by=sorted({link for (*_, link), _ in pairs}),
                 depth=depth,
-                pair=self._named(deepest, depth),
+                pair=self.named(deepest, depth),
             )
         return dict(sorted(collisions.items(), key=lambda item: (-item[1]["depth"], item[0].name)))
 
@@ -231,20 +256,30 @@ class CollisionChecker:
             pair: max((-touch.distance for touch in touches), default=0.0)
             for pair, touches in candidate.touches.items()
         }
-        found = [self._named(pair, depth) for pair, depth in depths.items() if depth >= self._least(pair)]
+        found = [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
         return sorted(found, key=lambda pair: -pair.depth)
 
     def self_collisions(self, candidate: Candidate) -> list[CollisionPair]:
         """Return pairs of the robot's own links, or of what they hold, more than a shoulder apart, that overlap."""
-        found = []
-        for (name, link), (met, other) in self._links.self_overlaps(candidate.transforms):
-            pair = self._own[name], link, self._own[met], other
-            depth = max((-touch.distance for touch in self._touches(candidate, pair)), default=0.0)
-            if depth >= self._least(pair):
-                found.append(self._named(pair, depth))
-        return found
+        depths = {pair: self.depth(candidate, pair) for pair in self.self_pairs([candidate])[0]}
+        return [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
 
-    def _least(self, pair: Pair) -> float:
+    def self_pairs(self, candidates: Sequence[Candidate]) -> list[list[Pair]]:
+        """Return for each its own links, and what they hold, more than a shoulder apart, whose boxes overlap."""
+        found = self._links.self_overlaps(np.array([candidate.transforms for candidate in candidates]))
+        return [[(self._own[a], link, self._own[b], other) for (a, link), (b, other) in each] for each in found]
+
+    def depth(self, candidate: Candidate, pair: Pair) -> float:
+        """Return how deep two links overlap in a candidate, m; wheels don't overlap the floor that they stand on.
+
+        It is negative where they are apart, down to the margin.
+        """
+        touches = self._touches(candidate, pair)
+        if touches and pair[0].is_robot and pair[2].is_environment:
+            touches = [touch for touch in touches if not _carries_wheels(touch)]
+        return max((-touch.distance for touch in touches), default=-self._margin)
+
+    def least(self, pair: Pair) -> float:
         """Return the overlap in m from which on two links collide: more for the robot's own, and for what one carries.
 
         A hand brings what it holds to the trunk and the shoulder that it hangs on, whose hulls are wide.
@@ -255,8 +290,8 @@ class CollisionChecker:
         carries = mover is not self.robot and self._links.hangs_on(self._link_of[mover], other)
         return _SELF_DEPTH if mover is body or carries else DEPTH
 
-    def _named(self, pair: Pair, depth: float) -> CollisionPair:
-        """Return a pair of links by their names."""
+    def named(self, pair: Pair, depth: float) -> CollisionPair:
+        """Return a pair of links, and how deep they overlap in m, by their names."""
         mover, link, body, other = pair
         gripper = ""
         if mover is not self.robot:
@@ -271,7 +306,8 @@ class CollisionChecker:
             self._place(candidate)
             mover, link, body, other = pair
             a, b = self._copy(mover, link), self._copy(body, other)
-            touches = candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, link_b=other)
+            apart = 0.0 if body.name in self._own else self._margin
+            touches = candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, apart, link_b=other)
         return touches
 
     def _copy(self, body: Object, link: str) -> Body:

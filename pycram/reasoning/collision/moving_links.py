@@ -15,7 +15,7 @@ from pycram.reasoning.kinematics.articulation import Articulation
 from pycram.world import carried
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -94,20 +94,32 @@ class MovingLinks:
             pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
             apart &= ~(pair | pair.T)
         self._pairs = np.nonzero(apart & ~(moving & (names[:, None] >= names)))  # each pair once
+        self._swung = self._all_drivers >= 0
+        self._swung_boxes = self._all_boxes.subset(self._swung)
 
-    def self_overlaps(self, transforms: NDArray[np.float64]) -> Iterable[tuple[Owner, Owner]]:
-        """Return pairs of links, the first of which moves, more than a shoulder apart, whose boxes overlap.
+    def self_overlaps(self, transforms: NDArray[np.float64]) -> list[dict[tuple[Owner, Owner], None]]:
+        """Return for each posture links, more than a shoulder apart, whose boxes overlap; the first of a pair moves.
 
         What a link holds is as far from others as the link is. Where one of the two is held, it comes first.
 
         Args:
-            transforms: (joints + 1, 4, 4) of the joints, as the articulation has them.
+            transforms: (n, joints + 1, 4, 4) of the joints in each posture, as the articulation has them.
         """
         a, b = self._pairs
-        centers, axes = self._all_boxes.moved(transforms[None, self._all_drivers])
-        found = overlapping_pairs(centers[0], axes[0], self._all_boxes.half_extents, a, b)
-        pairs = [(self._all_owners[a[pair]], self._all_owners[b[pair]]) for pair in found]
-        return dict.fromkeys((a, b) if b[0] == self._robot else (b, a) for a, b in pairs)
+        found: list[dict[tuple[Owner, Owner], None]] = [{} for _ in transforms]
+        if not len(a):
+            return found
+        centers, axes = (
+            np.repeat(each[None], len(transforms), axis=0) for each in (self._all_boxes.centers, self._all_boxes.axes)
+        )
+        centers[:, self._swung], axes[:, self._swung] = self._swung_boxes.moved(
+            transforms[:, self._all_drivers[self._swung]]
+        )
+        posture, pair = overlapping_pairs(centers, axes, self._all_boxes.half_extents, a, b)
+        for number, i, j in zip(posture.tolist(), a[pair].tolist(), b[pair].tolist(), strict=True):
+            one, other = self._all_owners[i], self._all_owners[j]
+            found[number][(one, other) if other[0] == self._robot else (other, one)] = None
+        return found
 
     def hangs_on(self, link: str, other: str) -> bool:
         """Return whether one link hangs on all joints of another, as on a trunk; each is solid or holds something."""

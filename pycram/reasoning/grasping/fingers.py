@@ -13,16 +13,19 @@ from pycram.world.joints import coupled
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pycram.models.robots.description import Arm, Gripper
     from pycram.physics.body import Body
     from pycram.physics.engine import Engine
+    from pycram.reasoning.collision.simulation_clone import PosingClone
     from pycram.world.object import Object
-    from recorder.geometry import Pose
+    from recorder.geometry import Pose, Vector
 
     #: Depths in m of what fingers overlap: finger, object, the object's link.
     Depths: TypeAlias = Mapping[tuple[str, Object, str], float]
+    #: An object, and its link; "" for all of it.
+    Part: TypeAlias = tuple[Object, str]
 
 CLEAR: Final = 0.002  # m of air around what is let go of: the engine pads shapes by less
 _SLACK: Final = 5e-4  # m of overlap that is a touch
@@ -87,20 +90,21 @@ def moved(
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
     clone.sync()
+    there = {**robot.get_joint_positions(), **(posture or {})}
+    frame = robot.urdf.forward_kinematics(there, arm.tool_frame)
+    tool = arm.tool_pose(geometry.multiply(robot.get_position_and_orientation(), frame))[0]
+    others = _near(clone, tool, [body for body in robot.world.objects if body not in (robot, release)])
+    if not others and release is None:  # in free air, without a copy of the hand
+        free, stops = _sweep(lambda _: {}, share_open(robot, gripper), goal)
+        return FingerMotion(gripper.at(free), free, _pairs(robot, stops))
     engine, hand = clone.engine, clone.body(robot.name)
-    engine.pose_joints(hand, {**robot.get_joint_positions(), **(posture or {})})
-    tool = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))[0]
-    others = {
-        body: clone.body(body.name)
-        for body in robot.world.objects
-        if body not in (robot, release) and _is_near(body, tool)
-    }
 
     def depths(share: float) -> Depths:
         engine.pose_joints(hand, coupled(robot, gripper.at(share)))
         return _depths(engine, hand, gripper, others)
 
     try:
+        engine.pose_joints(hand, there)
         free, stops = _sweep(depths, share_open(robot, gripper), goal)
         gap = 2 * CLEAR
         if release is not None:
@@ -179,20 +183,35 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
             end = gripper.at(next((share for share in shares if touches(share, own, joints)), 0.0))
             positions |= {joint: end[joint] for joint in joints}
         engine.pose_joints(hand, coupled(robot, positions))
-        position, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
-        across = geometry.rotate(turn, (0.0, 1.0, 0.0))
-        least = _AROUND if len(parts) >= _MANY else _ACROSS
-        sides = set()
-        for finger in gripper.fingers:
-            for touch in engine.link_closest_points(hand, finger, target, _REACH):
-                along = sum(a * b for a, b in zip(touch.normal, across, strict=True))
-                sides |= {math.copysign(1.0, along)} if abs(along) > least else set()
-        others = [other for other in robot.world.objects if other not in (robot, body) and _is_near(other, position)]
-        depths = _depths(engine, hand, gripper, {other: clone.body(other.name) for other in others})
+        sides = _sides(engine, hand, target, arm, len(parts))
+        position = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))[0]
+        others = _near(clone, position, [other for other in robot.world.objects if other not in (robot, body)])
+        depths = _depths(engine, hand, gripper, others)
     finally:
         clone.invalidate(robot.name)
     deep = {key: depth for key, depth in depths.items() if depth >= DEPTH}
-    return Closing(positions, len(sides), _pairs(robot, deep))
+    return Closing(positions, sides, _pairs(robot, deep))
+
+
+def sides_held(robot: Object, arm: Arm, body: Object) -> int:
+    """Return on how many sides of an object the fingers of an arm are now: 0, 1 or 2; see :class:`Closing`."""
+    engine, gripper = robot.world.engine, arm.gripper
+    if gripper.suction:
+        return 2 if engine.link_closest_points(robot.handle, gripper.palm, body.handle, _AT_CUP) else 0
+    return _sides(engine, robot.handle, body.handle, arm, len(_parts(robot, gripper)))
+
+
+def _sides(engine: Engine, hand: Body, target: Body, arm: Arm, parts: int) -> int:
+    """Return on how many sides of a body fingers are, of which so many could move alone."""
+    _, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
+    across = geometry.rotate(turn, (0.0, 1.0, 0.0))
+    least = _AROUND if parts >= _MANY else _ACROSS
+    sides = set()
+    for finger in arm.gripper.fingers:
+        for touch in engine.link_closest_points(hand, finger, target, _REACH):
+            along = sum(a * b for a, b in zip(touch.normal, across, strict=True))
+            sides |= {math.copysign(1.0, along)} if abs(along) > least else set()
+    return len(sides)
 
 
 def _parts(robot: Object, gripper: Gripper) -> list[tuple[list[str], list[str]]]:
@@ -210,13 +229,13 @@ def _parts(robot: Object, gripper: Gripper) -> list[tuple[list[str], list[str]]]
     return list(parts.values())
 
 
-def _depths(engine: Engine, hand: Body, gripper: Gripper, others: Mapping[Object, Body]) -> Depths:
+def _depths(engine: Engine, hand: Body, gripper: Gripper, others: Mapping[Part, Body]) -> Depths:
     """Return how deep fingers are in other objects."""
     found: dict[tuple[str, Object, str], float] = {}
     for finger in gripper.fingers:
-        for body, copy in others.items():
+        for (body, link), copy in others.items():
             for touch in engine.link_closest_points(hand, finger, copy):
-                key = finger, body, touch.link_b
+                key = finger, body, link or touch.link_b
                 found[key] = max(found.get(key, 0.0), -touch.distance)
     return found
 
@@ -228,9 +247,16 @@ def _pairs(robot: Object, depths: Depths) -> list[CollisionPair]:
     ]
 
 
-def _is_near(body: Object, tool: Sequence[float]) -> bool:
-    low, high = body.get_AABB()
-    return all(a - _NEAR <= x <= b + _NEAR for a, x, b in zip(low, tool, high, strict=True))
+def _near(clone: PosingClone, tool: Vector, bodies: Iterable[Object]) -> Mapping[Part, Body]:
+    """Return copies of what fingers could meet: of furniture the links that are near the tool, of others all."""
+    found: dict[Part, Body] = {}
+    for body in bodies:
+        for link in clone.boxes(body).within(tool, _NEAR):
+            if body.is_environment:
+                found[body, link] = clone.link(body, link)
+            else:
+                found[body, ""] = clone.body(body.name)
+    return found
 
 
 def _sweep(depths: Callable[[float], Depths], start: float, goal: float) -> tuple[float, Depths]:

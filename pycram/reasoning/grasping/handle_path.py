@@ -27,11 +27,12 @@ from pycram.world import carried
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from pycram.models.robots.description import Arm
+    from pycram.physics.body import Body
     from pycram.reasoning.choosing import Choice
     from pycram.reasoning.collision.checker import Candidate
     from pycram.reasoning.grasping.handles import Grip, Handle
@@ -132,7 +133,7 @@ def plan(
     grips = handle.grips(robot, arm.gripper)
     ends: list[DeadEnd] = []
     try:
-        with CollisionChecker(robot, joints, ignored_links=ignored) as checker:
+        with CollisionChecker(robot, joints, handle.contents, ignored_links=ignored) as checker:
             search = _Search(robot, arm, handle, values, base, kept, checker)
             holds = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
             for grip, angles in holds:
@@ -144,7 +145,7 @@ def plan(
                 choice.reject(name, found.rejection())
                 ends.append(found)
     finally:
-        clone_of(robot.world, "reach").invalidate(handle.container.name)
+        clone_of(robot.world, "reach").invalidate(handle.container.name, *(body.name for body in handle.contents))
     return max(ends, key=lambda end: -1.0 if end.reached is None else abs(end.reached - values[0]))
 
 
@@ -329,20 +330,28 @@ class _Search:
         return np.where(self._endless, wrapped, change)
 
     def _touching(self, candidate: Candidate, value: float) -> list[CollisionPair]:
-        """Return what would touch what while the joint is at a value: also the door or drawer itself."""
-        robot, container = self._robot.name, self._handle.container
+        """Return what would touch what while the joint is at a value: also the door or drawer, and what is in it."""
+        robot = self._robot.name
         pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
-        for link in self._moved if not pairs else ():
-            part = self._clone.link(container, link)
-            self._clone.engine.set_pose(part, self._handle.pose(value, link))
+        for body, link, part, pose in self._moving_along(value) if not pairs else ():
+            self._clone.engine.set_pose(part, pose)
             depths: dict[str, float] = {}  # two links may touch with several shapes each
             for touch in self._checker.closest_points(candidate, part):
                 gripped = link == self._handle.link and touch.link_a in self._hand
                 if touch.distance <= -DEPTH and not gripped:
                     depths[touch.link_a] = max(depths.get(touch.link_a, 0.0), -touch.distance)
-            pairs += [CollisionPair(robot, own, container.name, link, depth) for own, depth in depths.items()]
+            pairs += [CollisionPair(robot, own, body, link, depth) for own, depth in depths.items()]
         pairs.sort(key=lambda pair: -pair.depth)
         return pairs or self._checker.self_collisions(candidate)
+
+    def _moving_along(self, value: float) -> Iterator[tuple[str, str, Body, Pose]]:
+        """Yield name, link, copy and pose of what the joint moves when it is at a value: links and what they carry."""
+        container = self._handle.container
+        for link in self._moved:
+            yield container.name, link, self._clone.link(container, link), self._handle.pose(value, link)
+        for body, (link, pose) in self._handle.contents.items():
+            at = geometry.multiply(self._handle.pose(value, link), pose)
+            yield body.name, "", self._clone.body(body.name), at
 
     def _end(
         self, grip: Grip, layers: Sequence[_Layer], step: int, obstacles: Mapping[int, list[CollisionPair]]

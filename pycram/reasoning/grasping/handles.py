@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,10 +18,11 @@ import numpy as np
 from pycram.models.visual import shapes_of
 from pycram.reasoning.collision.ray_cast import half_extent
 from pycram.reasoning.grasping.sides import grasp_orientation
+from pycram.world import carried
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from pycram.models.robots.description import Gripper
     from pycram.world.object import Object
@@ -79,6 +81,16 @@ class Handle:
         """Return the pose of the handle, or of another link, in the world when its joint is at a value."""
         at = self.container.urdf.forward_kinematics({**self._now, self.joint: value}, link or self.link)
         return geometry.multiply(self._root, at)
+
+    @cached_property
+    def contents(self) -> Mapping[Object, tuple[str, Pose]]:
+        """What lies in or on what the joint moves, and moves along: the link that carries each, and its pose there."""
+        carrying = carried.supported_bodies(self.container, carried.moved_links(self.container.urdf, [self.joint]))
+        found = {}
+        for body, link in carrying.items():
+            link_T_world = geometry.invert(self.pose(self._now[self.joint], link))
+            found[body] = link, geometry.multiply(link_T_world, body.get_position_and_orientation())
+        return found
 
     def grips(self, robot: Object, gripper: Gripper) -> Sequence[Grip]:
         """Return how a gripper may hold it, the most natural first."""

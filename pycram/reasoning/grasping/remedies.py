@@ -133,9 +133,10 @@ def remedies(
                 found.append(remedy)
             else:
                 choice.reject(str(remedy), path.rejection())
+    drives = description is not None and description.drives
     places = (
         _from_elsewhere(robot, other, handle, values, choice)
-        for other in sorted(free, key=lambda other: other is not arm)
+        for other in sorted(free if drives else (), key=lambda other: other is not arm)
     )
     elsewhere = next((place for place in places if place is not None), None)
     found += [elsewhere] if elsewhere is not None else []

@@ -5,12 +5,14 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 import trimesh
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError
 from pycram.models.load import resources
+from pycram.models.parts import read_parts
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,6 +51,23 @@ def test_broken_files_are_refused_with_their_cause(tmp_path: Path, world: Bullet
         assert file.name in str(raised.value)
     assert not world.objects
     assert not [record for record in sink.records if type(record).__name__ in ("Mutation", "Query")]
+
+
+def test_an_obj_file_has_the_same_triangles_whoever_reads_it(tmp_path: Path) -> None:
+    """Without materials it is read here, with one by trimesh."""
+    bowl = (resources() / "bowl.collision.obj").read_bytes()
+    odd = b"v 0 0 0\nv 1 0 0\nvt 0 0\nv  0 1e0 0\no a\nf 1 2 3\n# f 9 9 9\nv 0 0 -1.5\nf -1/1 -4//  2/1/\n"
+    for content, count in ((bowl, bowl.count(b"\nf ")), (odd, 2)):
+        (plain,) = read_parts(tmp_path / "plain.obj", content)
+        (painted,) = read_parts(tmp_path / "painted.obj", b"usemtl paint\n" + content)
+        assert len(plain.triangles) == count
+        assert np.array_equal(plain.triangles, painted.triangles)
+
+
+def test_an_obj_file_with_broken_numbers_is_refused(tmp_path: Path) -> None:
+    for line, cause in (("v 1 2", "less than three"), ("v 1 2 x", "could not convert"), ("v 1 2 nan", "not finite")):
+        with pytest.raises(AssetError, match=cause):
+            read_parts(tmp_path / "x.obj", f"v 0 0 0\nv 1 0 0\n{line}\nf 1 2 3\n".encode())
 
 
 @pytest.mark.parametrize("kind", ["stl_ascii", "obj", "dae", "stl"])

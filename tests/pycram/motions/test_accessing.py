@@ -6,6 +6,8 @@ import itertools
 import math
 import re
 from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,21 +25,30 @@ from pycram.failures import (
     Unreachable,
 )
 from pycram.models.load import resources
+from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
 from pycram.world.snapshot import restore_snapshot, take_snapshot
 from recorder import geometry
 from recorder.geometry.urdf import Urdf
 from tests import measures
+from tests.pycram.motions.placing_scenes import box
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+ROBOTS = Path(__file__).parents[3] / "pycram" / "models" / "robots"
 KITCHEN = Urdf.parse((resources() / "kitchen.urdf").read_text())
 HANDLES = sorted((link for link in KITCHEN.links if link.endswith("_handle")), key=lambda link: "door" not in link)
 CASES = list(itertools.product(HANDLES, ("left", "right")))  # doors first
 PLACES = 3  # from which each is opened and closed
 TRIED = 10  # places that are tried for it
 FRIDGE = "iai_fridge_door_joint", "iai_fridge_door_handle"
+DRAWER = """<robot name="chest"><link name="chest"/>
+<link name="front"><collision><geometry><box size="0.02 0.3 0.1"/></geometry></collision></link>
+<link name="bar"><collision><geometry><box size="0.015 0.1 0.015"/></geometry></collision></link>
+<joint name="slide" type="prismatic"><parent link="chest"/><child link="front"/><axis xyz="-1 0 0"/>
+<limit lower="0" upper="0.3" effort="10" velocity="1"/></joint>
+<joint name="hold" type="fixed"><parent link="front"/><child link="bar"/><origin xyz="-0.05 0 0"/></joint></robot>"""
 
 
 @pytest.fixture
@@ -144,6 +155,26 @@ def test_a_handle_out_of_reach_is_named_with_joint_value_and_orientation_and_wha
 
 
 @pytest.mark.slow
+def test_a_robot_that_is_bolted_down_is_not_told_to_stand_elsewhere(world: BulletWorld, tmp_path: Path) -> None:
+    drawer = tmp_path / "drawer.urdf"
+    drawer.write_text(DRAWER)
+    drives = RobotDescription.load(ROBOTS / "pr2.toml")
+    chest = Object("chest", "environment", drawer, [1.4, 0.0, 0.9])
+    told = {}
+    for description in (drives, replace(drives, drives=False)):
+        world.robot = robot = Object("pr2", "robot", "pr2.urdf", description=description)
+        perform(type="move-arm-joints", left_arm="park", right_arm="park")
+        with pytest.raises(HandleUnreachable) as raised:
+            perform(
+                type="accessing", drawer_joint="slide", drawer_handle="bar", part_of=chest, arm="left", distance=0.2
+            )
+        told[description.drives] = raised.value.remedies
+        robot.remove()
+    assert any("with the robot at" in remedy for remedy in told[True])
+    assert told[False] == ["no arm or place nearby that was tried would do"]
+
+
+@pytest.mark.slow
 def test_an_arm_that_gets_no_further_says_how_far_it_gets(scene: BulletWorld) -> None:
     joint, handle = FRIDGE
     before = take_snapshot(scene.robot)
@@ -204,6 +235,24 @@ def test_a_drawer_near_the_floor_is_opened_and_closed_with_the_torso_down(scene:
     assert math.hypot(x - bar_x, z - bar_z) < 0.02, "the hand is at the bar"
     access(scene, joint, handle, arm, 0.0)
     assert kitchen.get_joint_position(joint) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_what_lies_in_a_drawer_goes_in_with_it(scene: BulletWorld, tmp_path: Path) -> None:
+    """The hand that closes it ends where the tray is as long as it is open."""
+    drawer = "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle", "left"
+    go(0.65, 0.7, 0.0)
+    tray = Object("tray", "tray", box(tmp_path, "tray", (0.16, 0.6, 0.07)), [1.36, 0.93, 0.75], world=scene)
+    try:
+        scene.simulate(0.5)
+        lay = tray.get_position()
+        access(scene, *drawer, 0.35)
+        assert tray.get_position() == pytest.approx([lay[0] - 0.35, *lay[1:]], abs=1e-3)
+        perform(type="move-arm-joints", left_arm="park")
+        access(scene, *drawer, 0.0)
+        assert tray.get_position() == pytest.approx(lay, abs=1e-3)
+    finally:
+        tray.remove()
 
 
 @pytest.mark.slow

@@ -153,3 +153,25 @@ def test_what_a_hand_holds_meets_the_robots_own_trunk(scene: BulletWorld, sink: 
     robot.detach(milk)
     milk.set_position([1.3, 1, 3])
     perform(type="move-arm-joints", left_arm=inside)  # the empty hand may
+
+
+@pytest.mark.slow
+def test_a_posture_that_a_low_torso_is_in_the_way_of_says_at_which_height_it_would_do(world: BulletWorld) -> None:
+    """TIAGo Pro's elbows would be in its base; drawers near the floor leave its torso down there."""
+    robot = world.robot = Object("tiago_pro", "robot", "tiago_pro.urdf")
+    torso = robot.description.torso
+    perform(type="move-tcp", target=[0.9, 0.3, 1.0], arm="left")
+    robot.set_joint_position(torso.joint, 0.0)
+    with pytest.raises(
+        PostureInCollision, match=r"would touch base_link.*; with torso_lift_joint at 0\.3 m it could$"
+    ) as low:
+        perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    assert low.value.torso == (torso.joint, torso.default)
+    robot.set_joint_position(*low.value.torso)
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    shelf = Object("shelf", "shelf", "milk.stl", robot.get_link_position(robot.description.arm("left").tool_frame))
+    perform(type="move-tcp", target=[0.9, 0.3, 1.0], arm="left")
+    with pytest.raises(PostureInCollision, match=r"stays where it is$") as raised:
+        perform(type="move-arm-joints", left_arm="park")
+    assert raised.value.torso is None, "it is at that height"
+    assert shelf.name in raised.value.bodies

@@ -32,13 +32,41 @@ from tests.conftest import MemorySink
 from tests.pycram.language.gates import Gate, Meeting, fails, succeeds
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import FrameType
 
 
 def greenlets() -> list[greenlet]:
     """Return those that run, without those of threads."""
     return [g for g in gc.get_objects() if type(g) is greenlet and g and g.parent is not None]
+
+
+@pytest.mark.parametrize(
+    "move",
+    [
+        lambda cup, x: cup.set_position([x, 0, 1]),
+        lambda cup, x: cup.set_orientation([0, 0, x, 1]),
+        lambda cup, x: cup.set_position_and_orientation([x, 0, 1], [0, 0, 0, 1]),
+    ],
+)
+def test_others_run_before_an_object_is_moved(world: BulletWorld, move: Callable[[Object, float], None]) -> None:
+    order: list[str] = []
+    cups = [Object(f"cup {number}", "cup", "cup.stl", [0, number, 1]) for number in range(2)]
+
+    def branch(cup: Object) -> None:
+        for x in (1.0, 2.0):
+            move(cup, x)
+            order.append(cup.name)
+
+    par(lambda: branch(cups[0]), lambda: branch(cups[1]))
+    assert order == ["cup 0", "cup 1"] * 2
+
+
+def test_what_is_not_given_of_a_pose_is_that_of_the_moment_of_the_change(world: BulletWorld) -> None:
+    cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
+    par(lambda: cup.set_orientation([0, 0, 1, 0]), lambda: cup.set_position([1, 0, 1]))
+    assert cup.get_position() == pytest.approx([1, 0, 1])
+    assert cup.get_orientation() == pytest.approx([0, 0, 1, 0])
 
 
 def test_one_branch_runs_at_a_time_from_checkpoint_to_checkpoint() -> None:
@@ -87,7 +115,7 @@ def busy_plan() -> None:
                 with seq as t:
                     t(move, box, 3)
                     t((raised >= 0).wait_for)
-                ProcessModule.perform(MotionDesignator([("type", "moving"), ("target", [2, 0, 0])]))
+                ProcessModule.perform(MotionDesignator([("type", "moving"), ("target", [2, 3, 0])]))
                 with try_in_order as t:
                     t(fails)
                     t(lambda: try_all(fails, succeeds, succeeds))

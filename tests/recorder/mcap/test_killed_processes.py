@@ -82,7 +82,7 @@ def kill_at_random(file: Path, seed: int, rng: random.Random) -> tuple[list[tupl
     return [(word[:1].decode(), int(word[1:]), int(when), int(waits)) for word, when, waits in complete], killed, late
 
 
-@seeded("killed processes", range(50), 10)
+@seeded("killed processes", range(50), 5)
 def test_a_killed_process_loses_at_most_50_records_and_no_failure(
     tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]
 ) -> None:

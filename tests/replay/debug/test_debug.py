@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import recorder
 import replay
-from recorder.records import Mutation, Task
+from pycram.bullet_world import BulletWorld, Object
+from recorder.records import Mutation, Run, Task
 from replay.cli.main import main
 from replay.debug.guided_plan import GuidedPlan
+from replay.debug.quantities import NoQuantity, changes
 from replay.debug.session import Session
 from tests.replay.debug.plans import TEXT, line
 from tests.replay.retrace.test_retrace import record
@@ -105,7 +108,7 @@ def test_back_is_the_same_picture_as_on_the_way_there(plan_log: Path, *, checkpo
 
     with replay.open(plan_log) as log, GuidedPlan(log, checkpoints=checkpoints) as plan:
         session = Session(log, plan)
-        steps = range(len(log)) if checkpoints else range(2, len(log), len(log) // 4)
+        steps = range(len(log)) if checkpoints else range(2, len(log), len(log) // 2)
         forwards = [picture(session, step) for step in steps]
         back = [picture(session, step) for step in reversed(steps)]
         assert back[::-1] == forwards
@@ -205,6 +208,21 @@ def test_watches_find_where_a_state_or_a_variable_changed(plan_log: Path, debug:
     assert last > up[2]
 
 
+def test_a_watch_is_about_the_world_opened_last_that_has_the_object(tmp_path: Path) -> None:
+    file = tmp_path / "worlds.mcap"
+    with recorder.record(file), BulletWorld(name="big lab") as lab, BulletWorld(name="kitchen") as kitchen:
+        cup = Object("cup", "cup", "cup.stl", [0, 0, 1], world=lab)  # step 3
+        milks = [Object("milk", "milk", "milk.stl", [0, 0, 1], world=world) for world in (lab, kitchen)]  # 4 and 5
+        for body in (cup, *milks):
+            body.set_position([0, 0, 2])
+    with replay.open(file) as log:
+        steps = {text: [each.step for each in changes(log, text)] for text in ("cup.z", "milk.z", "big_lab.milk.z")}
+        with pytest.raises(NoQuantity, match="kitchen"):
+            changes(log, "kitchen")
+    assert [each[:2] for each in (steps["cup.z"], steps["big_lab.milk.z"])] == [[3, 6], [4, 7]]
+    assert steps["milk.z"][:2] == [4, 8], "from step 5 on the kitchen's, which is where the lab's is"
+
+
 def test_a_watch_misses_nothing_where_copies_wait(plan_log: Path) -> None:
     with replay.open(plan_log) as log, GuidedPlan(log) as plan:
         session = Session(log, plan)
@@ -264,17 +282,23 @@ def test_the_recording_answers_at_the_step_and_a_fork_goes_on(plan_log: Path, tm
         assert fork[0].origin.step == step
 
 
-@pytest.mark.parametrize("checkpoints", [True, False])
-def test_a_fork_is_debugged_with_its_changes(
-    plan_log: Path, tmp_path: Path, debug: Debug, *, checkpoints: bool
-) -> None:
+@pytest.fixture(scope="module")
+def forked(plan_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A fork after the milk has moved twice."""
     with replay.open(plan_log) as log:
         step = moves(log, "milk")[1]
-    forked = tmp_path / "forked.mcap"
+    file = tmp_path_factory.mktemp("forked") / "forked.mcap"
     given = ["--set", "milk.position=2,2,2", "--set", "level=9", "--answer", "contact(...)=true", "--seed", "7"]
-    assert main(["fork", str(plan_log), "--at", str(step), *given, "-o", str(forked)]) == 1  # as the plan
+    assert main(["fork", str(plan_log), "--at", str(step), *given, "-o", str(file)]) == 1  # as the plan
+    return file
+
+
+@pytest.mark.parametrize("checkpoints", [True, False])
+def test_a_fork_is_debugged_with_its_changes(forked: Path, debug: Debug, *, checkpoints: bool) -> None:
     with replay.open(forked) as log:
-        last = len(log) - 1
+        start, last = log[0], len(log) - 1
+        assert isinstance(start, Run)
+        step = start.origin.step
         assert log[step + 1].by_fork
     _, end, back, on, again = debug(
         forked, f"g {last}", f"g {step}", "s", f"g {last}", options=() if checkpoints else ("--no-checkpoints",)

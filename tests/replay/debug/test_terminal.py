@@ -8,13 +8,13 @@ import re
 import select
 import signal
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 _TIMEOUT, _AGAIN = 120.0, 5.0  # s
 _COLOURS = re.compile(r"\x1b\[[\d;?]*[a-zA-Z]")
@@ -75,6 +75,10 @@ class Terminal:
 
 @pytest.fixture
 def terminal(failed_log: Path, tmp_path: Path) -> Iterator[Terminal]:
+    """A history of its own, but the meshes that other processes of the run have converted."""
+    (tmp_path / "cache").mkdir()
+    for converted in Path(os.environ["PYCRAM_CACHE"]).glob("*.mesh"):
+        (tmp_path / "cache" / converted.name).symlink_to(converted)
     opened = Terminal(failed_log, tmp_path / "cache")
     yield opened
     opened.close()

@@ -43,11 +43,12 @@ cup = Object("cup", "cup", "cup.stl", [1, 0, 0.1])
 world.settle()
 battery = Fluent(50, name="battery")
 battery.set_value(40)
+busy = Fluent(0, name="left.busy")
 world.get_manipulation_event().__iadd__(lambda *_: print("somebody moved the furniture"))
 with world.lock:
     print("here")
     cup.set_color([1, 0, 0, 1])
-print(milk.get_position()[:2], cabinet.get_joint_position("drawer_joint"), battery.get_value())
+print(milk.get_position()[:2], cabinet.get_joint_position("drawer_joint"), battery.get_value(), busy.get_value())
 print([bool(btr.contact(milk, each)) for each in (cup, floor, cup)])
 print(btr.blocking.__name__, btr.stable(milk), btr.supporting(floor, milk).evidence["touches"] > 0)
 print(btr.reachable_poses.__name__, btr.occluding(milk, [-1, 0, 0.1]))
@@ -90,7 +91,10 @@ def assert_runs_again(file: Path) -> None:
 @pytest.mark.slow
 def test_what_is_set_the_plan_finds(log: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "set.mcap"
-    settings = ("milk.position=0,1,0.9", "cabinet.drawer_joint=0.2", "battery=20", "milk.orientation=0,0,1,0")
+    settings = (
+        *("milk.position=0,1,0.9", "cabinet.drawer_joint=0.2", "battery=20", "milk.orientation=0,0,1,0"),
+        "fluent:left.busy=1",  # no record has it before
+    )
     given = [word for text in settings for word in ("--set", text)]
     assert main(["fork", str(log.path), "--at", str(here(log)), "-o", str(file), *given, "--control"]) == 0
     said = capsys.readouterr().out
@@ -105,10 +109,10 @@ def test_what_is_set_the_plan_finds(log: Recording, tmp_path: Path, capsys: pyte
             "move_body",
         ]
         assert made[0].seq == here(log) + 2
-        assert [each.after_json for each in made if isinstance(each, Fluent)] == ["20"]
+        assert [each.after_json for each in made if isinstance(each, Fluent)] == ["20", "1"]
         assert not any(each.source_file for each in made)
         assert [change.set for change in other[0].origin.changes] == [*settings]
-        assert "[0.0, 1.0] 0.2 20" in printed(other)
+        assert "[0.0, 1.0] 0.2 20 1" in printed(other)
         assert printed(other).count("somebody moved the furniture") == 1
     assert_runs_again(file)
     assert main(["blame", str(file), "milk", "--at", str(here(log) + 3)]) == 0
@@ -199,6 +203,8 @@ def test_what_only_the_setter_knows_ends_the_fork(log: Recording, tmp_path: Path
         ({"settings": ["milk.position=0,1,nan"]}, BadChange, "expected OBJECT.position=X,Y,Z"),
         ({"settings": ["battery"]}, BadChange, "FLUENT=VALUE"),
         ({"settings": ["milk.position=0,0,1"], "world": "garden"}, NoSuchName, "garden"),
+        ({"settings": ["battery=1"], "world": "garden"}, NoSuchName, "garden"),
+        ({"settings": ["robot.position=0,0,1"]}, BadChange, "has no robot at step"),
         ({"answers": ["stabel(milk)=false"]}, NoSuchName, "did you mean stable"),
         ({"answers": ["stable(milk)=[cup]"]}, BadChange, "its answer is true or false"),
         ({"answers": ["occluding(milk)=true"]}, BadChange, r"a list of objects, as \[milk, bowl\]"),
@@ -215,9 +221,12 @@ def test_what_cant_be_changed_is_said_before_it_runs(
     assert not list(tmp_path.iterdir())
 
 
-def test_nothing_comes_after_the_last_step(log: Recording, tmp_path: Path) -> None:
-    with pytest.raises(BadChange, match="is the last one"):
-        fork(log, len(log) - 1, tmp_path / "on.mcap", settings=["battery=1"])
+def test_nothing_comes_after_the_last_step(log: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["fork", str(log.path), "--at", "last", "--set", "battery=1", "-o", str(tmp_path / "on.mcap")]
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert "is the last one" in said
+    assert "runs again" not in said
 
 
 def test_arguments_of_a_query_count_as_far_as_they_are_given() -> None:

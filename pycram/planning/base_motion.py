@@ -1,0 +1,107 @@
+"""Motions of a base: where a robot drives with its arms as they are, and with what they hold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.foundation import checks
+from pycram.foundation.failures import InCollision
+from pycram.planning import path
+from pycram.planning.clearance import MARGIN, Clearance
+from pycram.planning.planned import Planned, trajectory_of
+from pycram.planning.rates import base_rates
+from pycram.planning.space import Space, nearest_turns
+from pycram.reasoning.choosing import choosing
+from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.driving import check_drives, check_ground
+from pycram.reasoning.rejections import Touching
+from recorder import geometry, records
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.reasoning.collision.checker import Candidate
+    from pycram.world.object import Object
+    from recorder.geometry import Pose
+
+    Array = NDArray[np.float64]
+
+_COORDINATES: Final = ("x", "y", "yaw")
+_ROOM: Final = 3.0  # m around start and goal that a path may go
+_TURN: Final = 0.5  # m for a radian of turn, as the outline of a robot moves
+_STEP: Final = 0.06  # m between poses that are checked while a path is searched
+
+
+def base_motion(
+    robot: Object,
+    position: Sequence[float],
+    orientation: Sequence[float],
+    *,
+    start: tuple[Sequence[float], Sequence[float]] | None = None,
+    seed: int | None = None,
+) -> Planned:
+    """Return a motion of a robot's base to a pose on which it touches nothing that it doesn't touch at the start.
+
+    All links of the robot in its present posture count, and what it holds. Height and lean stay: only x, y and yaw
+    move, all at once. The choice between the straight line and a search is on record.
+
+    Args:
+        robot: the robot.
+        position: xyz of the goal in m.
+        orientation: xyzw of the goal.
+        start: position and orientation from which it begins; the present ones by default.
+        seed: of the search; the run's by default.
+
+    Raises:
+        BadArgument: The pose is none.
+        NotDrivable: Its base is fixed, or the goal isn't on its ground.
+        InCollision: Something would be touched at the goal.
+        NoPath: No path was found within :data:`pycram.planning.path.MAX_CHECKS` checks.
+    """
+    target, turn = checks.vector("position", position), checks.quaternion("orientation", orientation)
+    check_drives(robot, target, turn)
+    with robot.world.lock, choosing("path", robot.world, position=target, orientation=turn, seed=seed) as choice:
+        check_ground(robot, target, turn)
+        position, orientation = start or robot.get_position_and_orientation()
+        here = (checks.vector("start", position), checks.quaternion("start", orientation))
+        begin, end = np.array(_row(here)), np.array(_row((target, turn)))
+        end = nearest_turns(begin, end, np.array([False, False, True]))
+        with CollisionChecker(robot, (), all_links=True, margin=MARGIN) as checker:
+
+            def predict(rows: Array) -> list[Candidate]:
+                return checker.predict_at([pose_at(here, row) for row in rows.tolist()])
+
+            clearance = Clearance(checker, predict, begin, end)
+            if touched := clearance.touched:
+                choice.reject(path.STRAIGHT, Touching(touched))
+                raise InCollision(target, turn, list(dict.fromkeys(pair.body for pair in touched)), touched)
+            room = np.array([_ROOM, _ROOM, np.pi])
+            low, high = np.minimum(begin, end) - room, np.maximum(begin, end) + room
+            space = Space(low, high, np.array([1.0, 1.0, _TURN]), _STEP)
+            query = path.Query("base", _COORDINATES, space, begin, end, base_rates(robot), seed)
+            found = path.find(query, clearance, choice)
+    search = records.PathSearch(
+        planner=found.planner,
+        seed=found.seed,
+        attempts=found.attempts,
+        checks=clearance.checks,
+        max_checks=path.MAX_CHECKS,
+        way_points=found.way_points.ravel().tolist(),
+    )
+    return Planned(trajectory_of((), found.knots), search)
+
+
+def _row(pose: Pose) -> tuple[float, float, float]:
+    """Return x, y and yaw of a pose."""
+    return pose[0][0], pose[0][1], geometry.to_rpy(pose[1])[2]
+
+
+def pose_at(start: Pose, row: Sequence[float]) -> Pose:
+    """Return the pose of a base that was at a start and is at x, y and yaw now: its height and lean have stayed."""
+    x, y, yaw = row
+    turn = geometry.from_rpy(0.0, 0.0, yaw - geometry.to_rpy(start[1])[2])
+    return (x, y, start[0][2]), geometry.product(turn, start[1])

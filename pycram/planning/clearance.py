@@ -1,0 +1,123 @@
+"""Which configurations of a robot are free of collisions: many at once, and each counted against a budget.
+
+The robot keeps some millimetres away from things, which a brush would push; but where it is nearer at the start or at
+the goal, as to what it touches already or to what it is to take, it may be as near to that all the way.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pycram.foundation.collision_pair import CollisionPair
+    from pycram.reasoning.collision.checker import Candidate, CollisionChecker, Pair
+
+    Array = NDArray[np.float64]
+
+MARGIN: Final = 5e-3  # m that the robot keeps away from things
+
+_DEEPER: Final = 1e-3  # m that a touch may get deeper than it is at the start or the goal
+_BATCH: Final = 64  # configurations whose boxes are compared at once
+_FIRST_BATCH: Final = 16  # of those that are spread over an edge: most edges that aren't free show it there
+
+
+class Clearance:
+    """What would be touched in configurations: rows of numbers, as joint values or poses of a base.
+
+    Args:
+        checker: of the robot.
+        predict: gives the checker's candidates for configurations (n, d).
+        start: (d,) configuration in which the robot is.
+        goal: (d,) configuration in which it is to be.
+
+    Attributes:
+        touched: what would be touched at the goal that isn't touched as deep at the start, deepest first.
+        strict: whether it keeps away; else it may be near to anything, but touch nothing.
+        checks: how many configurations were checked.
+        blocking: how often which two links were in the way, and how deep they overlapped at most, m.
+    """
+
+    def __init__(
+        self, checker: CollisionChecker, predict: Callable[[Array], list[Candidate]], start: Array, goal: Array
+    ) -> None:
+        self._checker = checker
+        self._predict = predict
+        self._allowed: dict[Pair, float] = {}  # m of overlap
+        self._last: Pair | None = None
+        self._deepest: dict[Pair, float] = {}
+        self.strict = True
+        self.checks = 0
+        self.blocking: Counter[Pair] = Counter()
+        self._allow(start)
+        self.touched = self._allow(goal)
+
+    def _allow(self, row: Array) -> list[CollisionPair]:
+        """Allow what is near in a configuration (d,) to be as near in all; return what is touched there but may not be."""
+        touched = []
+        ((candidate, pairs),) = self._candidates(row[None])
+        for pair in pairs:
+            depth = self._checker.depth(candidate, pair)
+            if depth >= max(self._checker.least(pair), self._allowed.get(pair, 0.0)):
+                touched.append(self._checker.named(pair, depth))
+            if depth > self._most(pair):
+                self._allowed[pair] = depth + _DEEPER
+        return sorted(touched, key=lambda pair: -pair.depth)
+
+    def free(self, rows: Array) -> bool:
+        """Return whether nothing is touched in configurations (n, d); those in the middle are looked at first."""
+        if not len(rows):
+            return True
+        spread = rows[_spread(len(rows))]
+        starts = (0, *range(_FIRST_BATCH, len(rows), _BATCH), len(rows))
+        return not any(True for part in pairwise(starts) for _ in self._touched(spread[slice(*part)]))
+
+    def first_touch(self, rows: Array) -> tuple[int, CollisionPair] | None:
+        """Return the number of the first configuration (n, d) in which something is touched, and what; None if none."""
+        for begin in range(0, len(rows), _BATCH):
+            for number, pair, depth in self._touched(rows[begin : begin + _BATCH]):
+                return begin + number, self._checker.named(pair, depth)
+        return None
+
+    def worst(self, count: int) -> list[CollisionPair]:
+        """Return what was in the way most often, and how deep at most."""
+        return [self._checker.named(pair, self._deepest[pair]) for pair, _ in self.blocking.most_common(count)]
+
+    def _touched(self, rows: Array) -> Iterable[tuple[int, Pair, float]]:
+        """Yield configurations (n, d) in which something is touched, the first pair that was found, and how deep."""
+        for number, (candidate, pairs) in enumerate(self._candidates(rows)):
+            if self._last in pairs:  # what was in the way mostly is so again
+                pairs.insert(0, self._last)
+            for pair in pairs:
+                depth = self._checker.depth(candidate, pair)
+                if depth > self._most(pair):
+                    self._last = pair
+                    self.blocking[pair] += 1
+                    self._deepest[pair] = max(depth, self._deepest.get(pair, 0.0))
+                    yield number, pair, depth
+                    break
+
+    def _candidates(self, rows: Array) -> list[tuple[Candidate, list[Pair]]]:
+        """Return candidates for configurations (n, d), and what could touch in each."""
+        self.checks += len(rows)
+        candidates = self._predict(rows)
+        owns = self._checker.self_pairs(candidates)
+        return [(each, [*self._checker.pairs(each), *own]) for each, own in zip(candidates, owns, strict=True)]
+
+    def _most(self, pair: Pair) -> float:
+        """Return the overlap in m up to which two links aren't in the way."""
+        keeps = self.strict and pair[2] is not self._checker.robot
+        usual = -MARGIN if keeps else self._checker.least(pair)
+        return max(usual, self._allowed.get(pair, usual))
+
+
+def _spread(count: int) -> Sequence[int]:
+    """Return 0 to count - 1 in an order that is spread over all of them from the first on: by reversed bits."""
+    bits = max(1, (count - 1).bit_length())
+    return sorted(range(count), key=lambda number: int(f"{number:0{bits}b}"[::-1], 2))

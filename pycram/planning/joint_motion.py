@@ -1,0 +1,215 @@
+"""Motions of joints: from where they are to a goal, or along way points."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.foundation.failures import BadArgument, PostureInCollision
+from pycram.planning import path, timing
+from pycram.planning.clearance import MARGIN, Clearance
+from pycram.planning.planned import Planned, given, trajectory_of
+from pycram.planning.rates import joint_rates, stacked
+from pycram.planning.space import Space, nearest_turns
+from pycram.reasoning.choosing import choosing
+from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.rejections import Touching
+from pycram.world.joints import checked_positions, coupled
+from recorder import records
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.planning.path import Path
+    from pycram.planning.timing import Rates
+    from pycram.reasoning.collision.checker import Candidate
+    from pycram.world.object import Object
+
+    Array = NDArray[np.float64]
+
+_STEP: Final = 0.05  # rad or m of a joint between configurations that are checked while a path is searched
+_THERE: Final = 1e-6  # rad or m that a joint may be from its goal and not be moved
+
+
+def joint_motion(
+    robot: Object,
+    goal: Mapping[str, float],
+    *,
+    start: Mapping[str, float] | None = None,
+    ignored: Iterable[Object] = (),
+    ignored_links: Collection[tuple[Object, str]] = (),
+    seed: int | None = None,
+) -> Planned:
+    """Return a motion of joints to a goal on which the robot touches nothing that it doesn't touch at the start.
+
+    What the robot holds moves along. Joints without limits go to the nearest equivalent turn. The choice between the
+    straight line and a search is on record.
+
+    Args:
+        robot: the robot.
+        goal: joint values in rad or m by name; others stay, also those of an arm that is there already.
+        start: joint values that the robot will have when it begins, where they aren't the present ones.
+        ignored: objects that don't count as obstacles.
+        ignored_links: objects with links of theirs that don't.
+        seed: of the search; the run's by default.
+
+    Raises:
+        UnknownName: It has no such joint.
+        BadArgument: A value is no number, or joints that mimic each other contradict each other.
+        JointLimitError: The goal is outside a joint's limits.
+        PostureInCollision: Something would be touched at the goal.
+        NoPath: No path was found within :data:`pycram.planning.path.MAX_CHECKS` checks.
+    """
+    wanted = coupled(robot, checked_positions(robot, goal))
+    changed = coupled(robot, checked_positions(robot, start or {}))
+    with robot.world.lock, choosing("path", robot.world, joints=dict(goal), seed=seed) as choice:
+        now = robot.get_joint_positions() | changed
+        moved = _Moved(robot, now, wanted)
+        others = {name: value for name, value in changed.items() if name not in wanted}
+        names = dict.fromkeys((*wanted, *others))
+        with CollisionChecker(robot, names, ignored, ignored_links=ignored_links, margin=MARGIN) as checker:
+
+            def predict(rows: Array) -> list[Candidate]:
+                return checker.predict([moved.posture(row) for row in rows])
+
+            moved.kept |= others
+            clearance = Clearance(checker, predict, moved.start, moved.goal)
+            if touched := clearance.touched:
+                choice.reject(path.STRAIGHT, Touching(touched))
+                raise PostureInCollision(moved.arms, list(dict.fromkeys(pair.body for pair in touched)), touched)
+            rates = joint_rates(robot, moved.searched)
+            query = path.Query(moved.name, moved.searched, moved.space(), moved.start, moved.goal, rates, seed)
+            found = path.find(query, clearance, choice)
+            return _planned(robot, moved, found, clearance.checks)
+
+
+def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> Planned:
+    """Return a path that was found as a motion of all joints that move, also of those that mimic others."""
+    way_points = moved.with_followers(found.way_points)
+    knots = found.knots
+    if len(moved.joints) > len(moved.searched):
+        rates = joint_rates(robot, moved.joints)
+        positions = moved.with_followers(knots.positions)
+        velocities = np.hstack([knots.velocities, knots.velocities @ moved.slopes])
+        knots = timing.slowed(timing.Knots(knots.times, positions, velocities), rates)
+    search = records.PathSearch(
+        planner=found.planner,
+        seed=found.seed,
+        attempts=found.attempts,
+        checks=checks,
+        max_checks=path.MAX_CHECKS,
+        way_points=way_points.ravel().tolist(),
+    )
+    return Planned(trajectory_of(moved.joints, knots), search)
+
+
+class _Moved:
+    """The joints that a motion moves, between two postures.
+
+    Args:
+        robot: the robot.
+        now: values of all joints at the start.
+        wanted: values of those that are to move.
+
+    Attributes:
+        searched: those whose values are searched; the others that move mimic them.
+        joints: all that move.
+        kept: values of joints that stay but count, by name.
+        start: (d,) values of those that are searched.
+        goal: (d,) likewise, by the nearest turns.
+        slopes: (d, n) how far joints that mimic go for each that is searched.
+    """
+
+    def __init__(self, robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> None:
+        mimics = robot.urdf.mimics if robot.model.loading.mimic else {}
+        arms = robot.description.arms.values() if robot.description else ()
+        groups = [group for arm in arms if (group := [name for name in arm.joints if name in wanted])]
+        groups += [[name] for name in wanted if not any(name in group for group in groups)]
+        moving = [group for group in groups if any(abs(wanted[name] - now[name]) > _THERE for name in group)]
+        names = {name for group in moving or groups for name in group}
+        followers = [name for name in wanted if name in mimics and mimics[name].leader in wanted]
+        self.searched = tuple(name for name in wanted if name in names and name not in followers)
+        self._followers = [name for name in followers if mimics[name].leader in self.searched]
+        self.joints = (*self.searched, *self._followers)
+        self._robot = robot
+        self.kept = {name: wanted[name] for name in wanted if name not in self.joints}
+        self.slopes = np.zeros((len(self.searched), len(self._followers)))
+        for column, name in enumerate(self._followers):
+            self.slopes[self.searched.index(mimics[name].leader), column] = mimics[name].multiplier
+        self._joints = [robot.urdf.joint(name) for name in self.searched]
+        self._endless = np.array([not math.isfinite(joint.lower) for joint in self._joints], dtype=bool)
+        self.start = np.array([now[name] for name in self.searched])
+        self.goal = nearest_turns(self.start, np.array([wanted[name] for name in self.searched]), self._endless)
+        if not moving:
+            self.goal = self.start
+        self.arms = [arm.name for arm in arms if any(name in self.joints for name in arm.joints)]
+
+    @property
+    def name(self) -> str:
+        """What moves, in words."""
+        return f"{' and '.join(self.arms)} arm" if self.arms else ", ".join(self.searched)
+
+    def space(self) -> Space:
+        """Return the space: within limits, and half a turn around start and goal."""
+        low, high = np.minimum(self.start, self.goal), np.maximum(self.start, self.goal)
+        slides = np.array([joint.type == "prismatic" for joint in self._joints])
+        turn = np.where(slides, np.inf, np.pi)
+        lower = np.maximum(low - turn, [joint.lower for joint in self._joints])
+        upper = np.minimum(high + turn, [joint.upper for joint in self._joints])
+        return Space(np.minimum(lower, low), np.maximum(upper, high), np.ones(len(low)), _STEP)
+
+    def posture(self, row: Array) -> dict[str, float]:
+        """Return the values of all joints that count, by name, for values (d,) of those that are searched."""
+        searched = dict(zip(self.searched, row.tolist(), strict=True))
+        followers = self._robot.urdf.followers(searched) if self._followers else {}
+        return self.kept | searched | {name: followers[name] for name in self._followers}
+
+    def with_followers(self, rows: Array) -> Array:
+        """Return values (n, joints) of all that move for values (n, d) of those that are searched."""
+        if not self._followers:
+            return rows
+        postures = [self.posture(row) for row in rows]
+        return np.array([[posture[name] for name in self.joints] for posture in postures])
+
+
+def through(body: Object, way_points: Sequence[Mapping[str, float]]) -> Planned:
+    """Return the fastest motion of a body's joints along a path that is given; see :func:`together`."""
+    return together([(body, way_points)])[0]
+
+
+def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> list[Planned]:
+    """Return the fastest motions of several bodies, as an arm and a drawer, that are at their way points together.
+
+    Nothing is checked for collisions. Corners between way points that are far apart are rounded by up to 0.04 rad.
+
+    Args:
+        paths: bodies, and for each as many way points, from where it is to where it goes: joint values in rad or m of
+            the same joints by name.
+
+    Raises:
+        UnknownName: A body has no such joint.
+        BadArgument: There are no way points, not as many for each body, or not of the same joints.
+        JointLimitError: One is outside a joint's limits.
+    """
+    tables: list[Array] = []
+    names: list[tuple[str, ...]] = []
+    rates: list[Rates] = []
+    for body, way_points in paths:
+        postures = [coupled(body, checked_positions(body, way_point)) for way_point in way_points]
+        if not postures or not postures[0] or any(posture.keys() != postures[0].keys() for posture in postures):
+            raise BadArgument(
+                "way_points", way_points, f"at least one way point of {body.name}, all of the same joints"
+            )
+        if tables and len(postures) != len(tables[0]):
+            raise BadArgument("way_points", way_points, f"{len(tables[0])} way points, as the other bodies have")
+        joints = tuple(postures[0])
+        tables.append(np.array([[posture[name] for name in joints] for posture in postures]))
+        names.append(joints)
+        rates.append(joint_rates(body, joints))
+    knots = timing.timed(np.hstack(tables), stacked(rates), timing.SPACINGS[0])
+    parts = timing.split(knots, [len(joints) for joints in names])
+    return [given(joints, part, table) for joints, part, table in zip(names, parts, tables, strict=True)]

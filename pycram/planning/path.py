@@ -1,0 +1,155 @@
+"""The way from one configuration to another: a straight line, else one that is searched; timed, and looked at again."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.foundation.failures import NoPath
+from pycram.planning import timing
+from pycram.reasoning.rejections import Touching, Unreached
+from pycram.scheduling.schedule import run_seed
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pycram.planning.clearance import Clearance
+    from pycram.planning.space import Space
+    from pycram.planning.timing import Knots, Rates
+    from pycram.reasoning.choosing import Choice
+
+    Array = NDArray[np.float64]
+
+STRAIGHT: Final = "straight line"
+RRT_CONNECT: Final = "RRT-Connect"
+MAX_CHECKS: Final = 20_000  # configurations, in all searches for a path
+
+_STEPS: Final = (1.0, 0.5, 0.25)  # of the space's step: what a search overlooks, the next one sees
+_FINE: Final = 0.25  # of the space's step between configurations that are checked in the end
+_RATE: Final = 240.0  # times a second at which a timed path is looked at
+_MAX_PAIRS: Final = 3  # in the way most often, that a failure names
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """What is asked for.
+
+    Attributes:
+        mover: what moves, in words.
+        names: of the coordinates.
+        space: where the path is searched.
+        start: (d,) where it begins.
+        goal: (d,) where it is to end.
+        rates: how fast it may be.
+        seed: of the search; the run's by default.
+    """
+
+    mover: str
+    names: tuple[str, ...]
+    space: Space
+    start: Array
+    goal: Array
+    rates: Rates
+    seed: int | None
+
+    def drawn_seed(self, attempt: int) -> int:
+        """Return the seed of an attempt, 1 to 2**31: it depends on the run's seed and the query, not on others."""
+        run = run_seed() if self.seed is None else self.seed
+        text = f"path {run} {attempt} {self.names} {self.start.tolist()} {self.goal.tolist()}"
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") % 2**31 + 1
+
+    def named(self, row: Array) -> dict[str, float]:
+        """Return a configuration by the names of its coordinates."""
+        return dict(zip(self.names, row.tolist(), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A path that touches nothing new, and its times.
+
+    Attributes:
+        planner: how it was found.
+        seed: of the search that found it; 0 where none was needed.
+        attempts: searches that were begun.
+        way_points: (n, d) of the path before it was timed.
+        knots: of the timed path.
+    """
+
+    planner: str
+    seed: int
+    attempts: int
+    way_points: Array
+    knots: Knots
+
+
+def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
+    """Return a path on which nothing is touched that isn't touched at its ends.
+
+    It keeps away from things where it can; half of the budget is for that.
+
+    Raises:
+        NoPath: None was found within the budget.
+    """
+    fine = _FINE * query.space.step
+    line = np.array([query.start, query.goal])
+    reached = [query.start]
+    attempts = 0
+    for clearance.strict, budget in ((True, MAX_CHECKS // 2), (False, MAX_CHECKS)):
+        touch = clearance.first_touch(query.space.along(line, fine))
+        if touch is None:
+            choice.take(STRAIGHT, checks=clearance.checks)
+            return Path(STRAIGHT, 0, attempts, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
+        choice.reject(STRAIGHT, Touching([touch[1]]))
+        for share in _STEPS:
+            attempts += 1
+            seed = query.drawn_seed(attempts)
+            found, nearest = _searched(query, clearance, share, seed, budget)
+            reached.append(nearest)
+            if found is None:
+                break
+            if clearance.free(query.space.along(found, fine)):
+                knots = _timed(query, clearance, found, fine)
+                choice.take(RRT_CONNECT, checks=clearance.checks, attempts=attempts)
+                return Path(RRT_CONNECT, seed, attempts, found, knots)
+    distances = query.space.distance(np.array(reached), query.goal)
+    nearest = reached[int(np.argmin(distances))]
+    pairs = clearance.worst(_MAX_PAIRS)
+    distance = float(distances.min())
+    choice.reject(RRT_CONNECT, Unreached(clearance.checks, distance, pairs))
+    raise NoPath(query.mover, query.named(query.goal), clearance.checks, query.named(nearest), distance, pairs)
+
+
+def _searched(query: Query, clearance: Clearance, share: float, seed: int, budget: int) -> tuple[Array | None, Array]:
+    from pycram.planning import rrt_connect  # noqa: PLC0415  OMPL takes as long to load as a plan without motion runs
+
+    return rrt_connect.search(
+        query.space,
+        query.start,
+        query.goal,
+        clearance,
+        step=query.space.step * share,
+        fine=query.space.step * _FINE,
+        seed=seed,
+        max_checks=budget,
+    )
+
+
+def _timed(query: Query, clearance: Clearance, path: Array, fine: float) -> Knots:
+    """Return the fastest knots of a path whose rounded corners touch nothing."""
+    for spacing in timing.SPACINGS:
+        knots = timing.timed(path, query.rates, spacing)
+        if clearance.free(_looked_at(query, knots, fine)):
+            return knots
+    return timing.stopping(path, query.rates)
+
+
+def _looked_at(query: Query, knots: Knots, fine: float) -> Array:
+    """Return the configurations (n, d) of a timed path that are about a step apart."""
+    rows = timing.at(knots, np.arange(0.0, knots.times[-1], 1 / _RATE))
+    moved = np.cumsum(np.abs(np.diff(rows, axis=0) * query.space.weights).max(axis=1, initial=0.0))
+    wanted = np.diff(np.floor(moved / fine), prepend=0.0) > 0
+    picked: Array = rows[1:][wanted]
+    return picked

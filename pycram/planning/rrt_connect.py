@@ -1,0 +1,171 @@
+"""RRT-Connect (Kuffner, LaValle, ICRA 2000) and shortening of paths, by OMPL (Sucan, Moll, Kavraki, 2012).
+
+OMPL gives each of its objects that draws a seed from one sequence for the process: it is begun anew for each query, and
+all objects are made anew, so that a query's answer doesn't depend on those before.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from pycram.planning.space import between
+from recorder.packages import needed
+
+with needed("executor"):
+    from ompl import base, geometric, util
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from pycram.planning.clearance import Clearance
+    from pycram.planning.space import Space
+
+    Array = NDArray[np.float64]
+
+_RANGE: Final = 1.0  # of distance that a tree grows by at most
+_SHORTCUTS: Final = 60  # that are tried
+_EMPTY_SHORTCUTS: Final = 25  # that are tried in a row without any of use
+_START_TREE: Final = 1  # tag of its vertices
+
+_one_query = threading.Lock()  # the sequence of seeds is the process's
+
+
+class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
+    """Checks edges as a whole.
+
+    An error, as Ctrl-C, isn't raised through OMPL: it is kept, and ends the search.
+    """
+
+    def __init__(self, information: Any, check: Callable[[Array, Array], bool], dimensions: int) -> None:
+        super().__init__(information)
+        self._check = check
+        self._range = range(dimensions)
+        self.error: BaseException | None = None
+
+    def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802  OMPL's name
+        if self.error is not None:
+            return False
+        try:
+            return self._check(_row(a, self._range), _row(b, self._range))
+        except BaseException as error:  # noqa: BLE001  raised again when OMPL has returned
+            self.error = error
+            return False
+
+
+class _States(base.StateValidityChecker):  # type: ignore[misc]  # OMPL is untyped
+    """Lets single configurations pass: OMPL asks for an edge from each as well, which is checked with both ends."""
+
+    def isValid(self, _state: Any) -> bool:  # noqa: N802  OMPL's name
+        return True
+
+
+def _row(state: Any, dimensions: range) -> Array:
+    return np.array([state[i] for i in dimensions])
+
+
+def search(
+    space: Space,
+    start: Array,
+    goal: Array,
+    clearance: Clearance,
+    *,
+    step: float,
+    fine: float,
+    seed: int,
+    max_checks: int,
+) -> tuple[Array | None, Array]:
+    """Return a path that touches nothing, and the configuration nearest to the goal that was reached.
+
+    Args:
+        space: where it is searched.
+        start: (d,) where it begins.
+        goal: (d,) where it is to end.
+        clearance: says what is touched.
+        step: weighted distance of any coordinate between configurations that are checked in the search.
+        fine: likewise, when the path is shortened.
+        seed: of random numbers, 1 to 2**31.
+        max_checks: of the clearance, after which the search ends.
+
+    Returns:
+        (n, d) from start to goal, None if none was found; and (d,).
+    """
+    with _one_query:
+        level = util.getLogLevel()
+        util.setLogLevel(util.LogLevel.LOG_NONE)  # it would print, also that seeds were set before
+        try:
+            util.RNG.setSeed(seed)
+            return _search(space, start, goal, clearance, step, fine, max_checks)
+        finally:
+            util.setLogLevel(level)
+
+
+def _search(
+    space: Space, start: Array, goal: Array, clearance: Clearance, step: float, fine: float, max_checks: int
+) -> tuple[Array | None, Array]:
+    dimensions, weights = len(start), space.weights
+    real = base.RealVectorStateSpace(dimensions)
+    bounds = base.RealVectorBounds(dimensions)
+    for number, (low, high) in enumerate(zip(space.lower * weights, space.upper * weights, strict=True)):
+        bounds.setLow(number, float(low))
+        bounds.setHigh(number, float(high))
+    real.setBounds(bounds)
+    information = base.SpaceInformation(real)
+    budget = max_checks
+
+    def free(a: Array, b: Array) -> bool:
+        rows = between(a / weights, b / weights, step / weights)
+        return clearance.checks < budget and clearance.free(np.vstack([rows, a / weights]))
+
+    edges = _Edges(information, free, dimensions)
+    information.setMotionValidator(edges)
+    information.setStateValidityChecker(_States(information))
+    information.setup()
+    ends = []
+    for row in (start, goal):
+        state = real.allocState()
+        for number, value in enumerate(row * weights):
+            state[number] = float(value)
+        ends.append(state)
+    problem = base.ProblemDefinition(information)
+    problem.setStartAndGoalStates(*ends)
+    planner = geometric.RRTConnect(information)
+    planner.setRange(_RANGE)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    planner.solve(base.PlannerTerminationCondition(lambda: edges.error is not None or clearance.checks >= max_checks))
+    found = None
+    if edges.error is None and problem.hasExactSolution():
+        path = problem.getSolutionPath()
+        budget = clearance.checks + max_checks // 8
+        step = fine  # what shortcuts pass closely, the search's step would overlook
+        simplifier = geometric.PathSimplifier(information)
+        simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
+        simplifier.partialShortcutPath(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
+        simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)  # those that shortcuts begin and end at
+        found = np.array([_row(state, range(dimensions)) for state in path.getStates()]) / weights
+        found[0], found[-1] = start, goal
+    if edges.error is not None:
+        raise edges.error
+    reached = goal if found is not None else _nearest(information, planner, space, goal)
+    return found, reached
+
+
+def _nearest(information: Any, planner: Any, space: Space, goal: Array) -> Array:
+    """Return the configuration nearest to the goal to which the search found a path from the start."""
+    data = base.PlannerData(information)
+    planner.getPlannerData(data)
+    rows = np.array(list(_from_start(data, len(goal)))) / space.weights
+    nearest: Array = rows[int(np.argmin(space.distance(rows, goal)))]
+    return nearest
+
+
+def _from_start(data: Any, dimensions: int) -> Iterator[Array]:
+    for number in range(data.numVertices()):
+        vertex = data.getVertex(number)
+        if vertex.getTag() == _START_TREE:
+            yield _row(vertex.getState(), range(dimensions))

@@ -1,0 +1,157 @@
+"""When a body is where on a path: as fast as its velocity and acceleration limits allow, by TOPP-RA.
+
+The method is that of Pham, Pham: A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis,
+IEEE T-RO 2018, as the package toppra has it. A path is rounded at its way points by a spline; the more way points are
+put between its own, the nearer the spline stays to it, and the slower it goes round corners.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.models.lazy_module import LazyModule
+from pycram.planning.space import between
+from recorder.packages import needed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+with needed("executor"):
+    toppra = LazyModule("toppra")
+
+SPACINGS: Final = (0.3, 0.1, 0.03)  # of way points, rad or m; nearer ones round corners less
+_RATE: Final = 30.0  # times a second at which a trajectory has positions and velocities; cubic in between
+_STILL: Final = 1e-4  # rad or m: shorter paths are a single step
+_GRID: Final = 25  # points of toppra's grid between way points, when its own choice of them doesn't do
+_FINE: Final = np.linspace(0.0, 1.0, 9)  # of the time between two knots, at which velocities are looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """Largest velocities and accelerations, of the coordinates or of sums of them.
+
+    Attributes:
+        lower: (d,) lower limits of the coordinates.
+        upper: (d,) upper limits of the coordinates.
+        directions: (k, d) what is limited: each row times the coordinates.
+        velocities: (k,) rad/s or m/s.
+        accelerations: (k,) rad/s^2 or m/s^2.
+    """
+
+    lower: Array
+    upper: Array
+    directions: Array
+    velocities: Array
+    accelerations: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Knots:
+    """Times in s from 0 on, positions and velocities (n, d) there; cubic in between."""
+
+    times: Array
+    positions: Array
+    velocities: Array
+
+
+def timed(path: Array, rates: Rates, spacing: float) -> Knots:
+    """Return a path with times, from rest to rest.
+
+    Args:
+        path: (n, d) from its start to its end.
+        rates: how fast it may be.
+        spacing: of way points of the spline that rounds the path's corners, rad or m.
+    """
+    kept = [path[0]]
+    for row in path[1:]:
+        if np.abs(row - kept[-1]).max() > _STILL:
+            kept.append(row)
+    if len(kept) == 1:
+        if np.array_equal(path[0], path[-1]):
+            return Knots(np.zeros(1), path[:1], np.zeros_like(path[:1]))
+        return slowed(Knots(np.array([0.0, 1 / _RATE]), path[[0, -1]], np.zeros((2, path.shape[1]))), rates)
+    kept[-1] = path[-1]
+    return slowed(_fastest(np.array(kept), rates, spacing), rates)
+
+
+def stopping(path: Array, rates: Rates) -> Knots:
+    """Return a path with times that rests at each of its way points, and so leaves it nowhere."""
+    parts = [timed(np.array(ends), rates, math.inf) for ends in pairwise(path)]
+    ends = np.cumsum([0.0, *(part.times[-1] for part in parts)])
+    return Knots(
+        np.concatenate([[0.0], *(part.times[1:] + begin for part, begin in zip(parts, ends, strict=False))]),
+        np.concatenate([path[:1], *(part.positions[1:] for part in parts)]),
+        np.concatenate([np.zeros_like(path[:1]), *(part.velocities[1:] for part in parts)]),
+    )
+
+
+def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
+    dense = np.concatenate([path[:1], *(between(a, b, spacing) for a, b in pairwise(path))])
+    logging.getLogger("toppra").setLevel(logging.ERROR)
+    lengths = np.linalg.norm(np.diff(dense, axis=0), axis=1)
+    at = np.concatenate([[0.0], np.cumsum(lengths)])
+    spline = toppra.SplineInterpolator(at, dense @ rates.directions.T, "natural")  # sums of splines are splines of sums
+    constraints = [
+        toppra.constraint.JointVelocityConstraint(rates.velocities),
+        toppra.constraint.JointAccelerationConstraint(rates.accelerations),
+    ]
+    for grid in (None, np.linspace(0.0, at[-1], _GRID * len(at))):
+        found = toppra.algorithm.TOPPRA(
+            constraints, spline, gridpoints=grid, parametrizer="ParametrizeConstAccel"
+        ).compute_trajectory(0.0, 0.0)
+        if found is not None:
+            break
+    else:
+        return stopping(path, rates)
+    times = np.linspace(0.0, found.duration, max(2, math.ceil(found.duration * _RATE) + 1))
+    back = np.linalg.pinv(rates.directions).T
+    positions, velocities = (values @ back for values in (found(times), found(times, 1)))
+    positions[[0, -1]], velocities[[0, -1]] = path[[0, -1]], 0.0
+    return Knots(times, positions, velocities)
+
+
+def slowed(knots: Knots, rates: Rates) -> Knots:
+    """Return knots that keep to the limits, also in between: where toppra or the cubic exceeds them, all is slower."""
+    inside = np.clip(knots.positions, rates.lower, rates.upper)  # the spline may go beyond, where it turns at a limit
+    knots = Knots(knots.times, inside, np.where(inside == knots.positions, knots.velocities, 0.0))
+    spans = np.diff(knots.times)[:, None]
+    rows, speeds = (values @ rates.directions.T for values in (knots.positions, knots.velocities))
+    a, b, v, w = rows[:-1], rows[1:], speeds[:-1], speeds[1:]
+    mean = (b - a) / spans
+    s = _FINE[:, None, None]
+    velocities = 6 * s * (1 - s) * mean + (1 - s) * (1 - 3 * s) * v + s * (3 * s - 2) * w
+    accelerations = np.stack([6 * mean - 4 * v - 2 * w, 2 * v + 4 * w - 6 * mean]) / spans
+    fast = float((np.abs(velocities) / rates.velocities).max())
+    strong = math.sqrt(float((np.abs(accelerations) / rates.accelerations).max()))
+    slower = max(1.0, fast, strong)
+    return Knots(knots.times * slower, knots.positions, knots.velocities / slower)
+
+
+def at(knots: Knots, times: Array) -> Array:
+    """Return positions (n, d) at times (n,) between the first and the last knot's."""
+    after = np.clip(np.searchsorted(knots.times, times, side="right"), 1, max(1, len(knots.times) - 1))
+    if len(knots.times) == 1:
+        return np.repeat(knots.positions, len(times), axis=0)
+    spans = (knots.times[after] - knots.times[after - 1])[:, None]
+    s = (times[:, None] - knots.times[after - 1][:, None]) / spans
+    a, b = knots.positions[after - 1], knots.positions[after]
+    v, w = knots.velocities[after - 1] * spans, knots.velocities[after] * spans
+    rows: Array = a + s * (v + s * (3 * (b - a) - 2 * v - w + s * (2 * (a - b) + v + w)))
+    return rows
+
+
+def split(knots: Knots, widths: Sequence[int]) -> list[Knots]:
+    """Return the knots of each of several bodies, whose columns follow each other."""
+    ends = np.cumsum(widths)[:-1]
+    parts = zip(np.split(knots.positions, ends, axis=1), np.split(knots.velocities, ends, axis=1), strict=True)
+    return [Knots(knots.times, positions, velocities) for positions, velocities in parts]

@@ -1,0 +1,43 @@
+"""Where a base can drive: on its ground, and upright."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from pycram.foundation.failures import NotDrivable
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.world.object import Object
+    from recorder.geometry import Quaternion
+
+_UNEVEN: Final = 0.05  # m between the ground here and there
+_TILT: Final = math.radians(2)
+
+
+def check_drives(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
+    """Check that a robot's base drives at all.
+
+    Raises:
+        NotDrivable: It is fixed.
+    """
+    if robot.description is not None and not robot.description.drives:
+        raise NotDrivable(target, orientation, "its base is fixed")
+
+
+def check_ground(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
+    """Check that a pose is on the ground that a robot stands on.
+
+    Raises:
+        NotDrivable: Its wheels would leave the ground, or it would lean over.
+    """
+    position, heading = robot.get_position_and_orientation()
+    if abs(target[2] - position[2]) > _UNEVEN:
+        reason = f"its wheels would leave the ground, which is {target[2] - position[2]:+.2f} m away there"
+        raise NotDrivable(target, orientation, reason)
+    lean = geometry.lean(orientation, heading)
+    if lean > _TILT:
+        raise NotDrivable(target, orientation, f"it would lean over by {math.degrees(lean):.0f} degrees")

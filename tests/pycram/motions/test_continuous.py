@@ -1,0 +1,315 @@
+"""Motions that take simulated time: the same designators, the same promises; what moves can be stopped."""
+
+from __future__ import annotations
+
+import math
+import re
+import signal
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from operator import itemgetter
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.failures import AccessFailed, GraspFailed, InCollision, Unreachable
+from pycram.fluent import network
+from pycram.fluents.world import joint, pose, position
+from pycram.language import State, par, pursue, timeout
+from pycram.language.timeouts import TimedOut
+from pycram.motions.environments import current_environment, set_default
+from pycram.process_module import ProcessModule, execution_environment
+from recorder import geometry
+from recorder.records import STEPS_PER_SECOND, Driven, Mutation, Query, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from tests.conftest import MemorySink
+
+DRAWER = "sink_area_left_upper_drawer_main_joint"
+HANDLE = "sink_area_left_upper_drawer_handle"
+
+
+@pytest.fixture(autouse=True)
+def continuous() -> Iterator[None]:
+    with execution_environment("continuous"):
+        yield
+
+
+def perform(**slots: object) -> object:
+    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
+
+
+def seconds(world: BulletWorld, before: int) -> float:
+    return (world.sim_step - before) / STEPS_PER_SECOND
+
+
+def tool(robot: Object, arm: str) -> tuple[list[float], list[float]]:
+    return robot.get_link_position_and_orientation(robot.description.arm(arm).tool_frame)
+
+
+def test_the_base_drives_around_what_stands_there(shared_scene: BulletWorld, sink: MemorySink) -> None:
+    robot, begun = shared_scene.robot, shared_scene.sim_step
+    robot.set_position_and_orientation([0.3, 0.7, 0], [0, 0, 0, 1])
+    perform(type="moving", target=[-0.1, 1.3, 0], orientation=[0, 0, 1, 0])
+    assert robot.get_position() == pytest.approx([-0.1, 1.3, 0], abs=1e-6)
+    assert seconds(shared_scene, begun) > math.pi / 2  # to turn by half a turn, at 1 rad/s at most
+    (simulated,) = [record for record in sink.of(Mutation) if record.HasField("simulate")]  # alone: one record
+    assert simulated.effect.samples
+    with pytest.raises(InCollision):
+        perform(type="moving", target=[1.2, 0.7, 0])
+
+
+@pytest.mark.slow
+def test_what_is_picked_up_is_carried_in_the_hand_and_placed(shared_scene: BulletWorld, sink: MemorySink) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    perform(type="pick-up", object=milk, arm="left")
+    held = geometry.multiply(geometry.invert(tool(robot, "left")), milk.get_position_and_orientation())
+    assert robot.attachments[milk].carrier is robot
+    perform(type="move-arm-joints", left_arm="park")
+    now = geometry.multiply(geometry.invert(tool(robot, "left")), milk.get_position_and_orientation())
+    assert math.dist(now[0], held[0]) < 1e-3
+    perform(type="place", object=milk, target=[1.3, 1.05, 0.95], arm="left")
+    assert not robot.carried
+    assert milk.get_position()[:2] == pytest.approx([1.3, 1.05], abs=0.02)
+    hand, body = tool(robot, "left")[0], milk.get_position()
+    assert math.dist(hand, body) > 0.05  # it was drawn back
+    assert not [
+        record for record in sink.of(Mutation) if record.HasField("move_joints") or record.HasField("move_body")
+    ]
+
+
+@pytest.mark.slow
+def test_a_drawer_opens_with_the_hand_and_takes_along_what_lies_in_it(shared_scene: BulletWorld) -> None:
+    kitchen, spoon = shared_scene.get_object("kitchen"), shared_scene.get_object("spoon")
+    lay = spoon.get_position()
+    perform(type="accessing", drawer_joint=DRAWER, drawer_handle=HANDLE, part_of=kitchen, arm="left", distance=0.2)
+    assert kitchen.get_joint_position(DRAWER) == pytest.approx(0.2, abs=2e-3)
+    assert lay[0] - spoon.get_position()[0] == pytest.approx(0.2, abs=0.01)
+    with pytest.raises(AccessFailed, match="opens up to"):
+        perform(type="accessing", drawer_joint=DRAWER, drawer_handle=HANDLE, part_of=kitchen, arm="left", distance=2)
+
+
+@pytest.mark.slow
+def test_branches_move_at_the_same_time(shared_scene: BulletWorld) -> None:
+    robot = shared_scene.robot
+    raised = {arm: park_raised(arm) for arm in ("left", "right")}
+    begun = shared_scene.sim_step
+    perform(type="move-arm-joints", left_arm=raised["left"])
+    alone = seconds(shared_scene, begun)
+    perform(type="move-arm-joints", left_arm="park")
+    begun = shared_scene.sim_step
+    with par:
+        perform(type="move-arm-joints", left_arm=raised["left"])
+        perform(type="move-arm-joints", right_arm=raised["right"])
+    assert seconds(shared_scene, begun) == pytest.approx(alone, abs=0.1)
+    for arm, posture in raised.items():
+        joints = robot.description.arm(arm).joints
+        assert [robot.get_joint_position(name) for name in joints] == pytest.approx(posture, abs=0.01)
+
+
+def test_time_stands_still_while_nobody_moves(shared_scene: BulletWorld) -> None:
+    begun = shared_scene.sim_step
+    assert perform(type="world-state-detecting", object_type="milk").name == "milk"
+    assert shared_scene.sim_step == begun
+    perform(type="looking", object=shared_scene.get_object("milk"))
+    assert shared_scene.sim_step > begun
+
+
+@pytest.mark.slow
+def test_fingers_close_as_far_as_they_get_and_what_is_let_go_falls(shared_scene: BulletWorld) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    assert perform(type="closing-gripper", gripper="left").share == pytest.approx(0, abs=0.01)
+    opened = perform(type="opening-gripper", gripper="left")
+    assert opened.share == pytest.approx(1, abs=0.01)
+    finger = robot.description.arm("left").gripper.at(1.0)
+    assert {name: robot.get_joint_position(name) for name in finger} == pytest.approx(finger, abs=5e-3)
+    perform(type="pick-up", object=milk, arm="left")
+    perform(type="move-arm-joints", left_arm="park")
+    high = milk.get_position()[2]
+    let_go = perform(type="opening-gripper", gripper="left")
+    assert let_go.released is milk
+    assert milk.get_position()[2] < high - 0.2
+
+
+@pytest.mark.slow
+def test_what_is_moved_while_the_hand_comes_is_not_grasped_blindly(shared_scene: BulletWorld) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    begun, stood = shared_scene.sim_step, milk.get_position()
+
+    def push() -> None:
+        hand = position(robot, robot.description.arm("left").tool_frame)
+        (network(lambda at: math.dist(at, stood), hand) < 0.3).wait_for()
+        milk.set_position([1.3, 1.2, milk.get_position()[2]])
+
+    def plan() -> None:
+        with par as both:
+            both(push)
+            both(perform, type="pick-up", object=milk, arm="left")
+
+    with pytest.raises(GraspFailed, match=r"it was moved by 0\.200 m .* pick it up again"):
+        plan()
+    assert not robot.carried
+    assert shared_scene.sim_step > begun
+
+
+def driven(sink: MemorySink) -> list[Driven]:
+    """How far each trajectory got, in the end."""
+    records = [each for record in sink.of(Mutation) for each in record.simulate.driven]
+    return list({each.number: each for each in records}.values())
+
+
+@pytest.mark.slow
+def test_a_plan_stops_the_arm_when_it_knocks_something_over(shared_scene: BulletWorld, sink: MemorySink) -> None:
+    robot = shared_scene.robot
+    for number, name in enumerate(("milk", "bowl", "cereal")):
+        shared_scene.get_object(name).set_position([1.35, 0.1 + 0.2 * number, 1.0])
+    bottle = Object("bottle", "bottle", "bottle.stl", [1.35, -0.2, 1.0])
+    shared_scene.settle()
+    perform(type="move-tcp", arm="left", target=[1.3, 1.05, 1.0], orientation=[0, 0, 0, 1])
+    stands, begun = bottle.get_position_and_orientation(), shared_scene.sim_step
+    tipped: list[int] = []
+
+    def stand_in_the_way() -> None:
+        (network(itemgetter(1), position(robot, robot.description.arm("left").tool_frame)) < 1.03).wait_for()
+        bottle.set_position([1.32, 0.85, stands[0][2]])
+
+    def watch() -> None:
+        (network(lambda now: geometry.lean(now[1], stands[1]), pose(bottle)) > math.radians(15)).wait_for()
+        tipped.append(shared_scene.sim_step)
+
+    with par as everything:
+        everything(stand_in_the_way)
+        with pursue as first:
+            first(watch)
+            first(perform, type="move-tcp", arm="left", target=[1.3, 0.7, 1.0], orientation=[0, 0, 0, 1])
+    assert [branch.state for branch in first.branches] == [State.SUCCEEDED, State.CANCELLED]
+    assert begun < tipped[0]
+    assert tool(robot, "left")[0][1] > 0.75
+    (stopped,) = [record for record in sink.of(Mutation) if record.HasField("stop_trajectory")]
+    assert stopped.sim_step == tipped[0]  # where it is seen, it is stopped
+    assert shared_scene.sim_step - tipped[0] <= 0.2 * STEPS_PER_SECOND
+    *_, last = driven(sink)
+    assert last.ended
+    before = robot.get_joint_positions()
+    shared_scene.simulate(0.5)
+    assert robot.get_joint_positions() == pytest.approx(before, abs=5e-3)  # it stands
+
+
+def park_raised(arm: str) -> list[float]:
+    """A posture that takes a second to get to."""
+    posture = [*BulletWorld.current_robot().description.arm(arm).poses["park"]]
+    posture[5] -= 0.8
+    return posture
+
+
+def test_a_limit_of_simulated_time_stops_a_motion(shared_scene: BulletWorld, sink: MemorySink) -> None:
+    begun = shared_scene.sim_step
+    with pytest.raises(TimedOut, match="of simulated time"), timeout(0.5, simulated=True):
+        perform(type="move-arm-joints", left_arm=park_raised("left"))
+    assert 0.5 <= seconds(shared_scene, begun) <= 0.7
+    (stopped,) = driven(sink)
+    assert stopped.ended
+    assert 0.5 <= stopped.time < 0.7
+    (task,) = [each for each in sink.of(Task) if each.kind == "motion" and each.status == Task.CANCELLED]
+    assert task.name == "move-arm-joints"
+    perform(type="move-arm-joints", left_arm="park")  # it goes on from where it stands
+
+
+def test_ctrl_c_stops_a_motion_and_leaves_the_world_consistent(shared_scene: BulletWorld) -> None:
+    robot, wrist = shared_scene.robot, "l_wrist_flex_joint"
+    (moving,) = [joint(robot, wrist) < robot.get_joint_position(wrist) - 0.2]
+
+    def press() -> None:
+        moving.wait_for()
+        signal.raise_signal(signal.SIGINT)
+
+    def plan() -> None:
+        with par as both:
+            both(perform, type="move-arm-joints", left_arm=park_raised("left"))
+            both(press)
+
+    with pytest.raises(KeyboardInterrupt):
+        plan()
+    assert not shared_scene.trajectories.active
+    stands = robot.get_joint_position(wrist)
+    shared_scene.simulate(0.25)
+    assert robot.get_joint_position(wrist) == pytest.approx(stands, abs=2e-3)
+
+
+def test_a_goal_out_of_reach_is_refused_before_anything_is_searched(
+    shared_scene: BulletWorld, sink: MemorySink
+) -> None:
+    with pytest.raises(Unreachable, match="the nearest posture stays"):
+        perform(type="move-tcp", arm="left", target=[3, 3, 1])
+    assert not [query for query in sink.of(Query) if query.name == "path"]
+    assert not sink.of(Mutation)
+
+
+def test_what_the_other_hand_holds_is_refused_with_what_to_do(shared_scene: BulletWorld) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    robot.attach(milk, robot.description.arm("right").tool_frame)
+    begun = shared_scene.sim_step
+    with pytest.raises(GraspFailed, match=r"with the right arm; to hand it over, place it .* the left one"):
+        perform(type="pick-up", object=milk, arm="left")
+    assert shared_scene.sim_step == begun
+
+
+def test_an_open_drawer_in_the_way_is_named(shared_scene: BulletWorld) -> None:
+    kitchen = shared_scene.get_object("kitchen")
+    shared_scene.robot.set_position_and_orientation([0.2, 0.9, 0], [0, 0, 0, 1])
+    kitchen.set_joint_position(DRAWER, 0.4)
+    with pytest.raises(InCollision, match="sink_area_left_upper_drawer"):
+        perform(type="moving", target=[0.75, 0.9, 0])
+    assert shared_scene.robot.get_position() == pytest.approx([0.2, 0.9, 0])
+
+
+def test_the_environment_of_a_run_holds_in_all_threads_and_where_the_plan_names_none() -> None:
+    set_default("continuous")
+    try:
+        found: list[str] = []
+        thread = threading.Thread(target=lambda: found.append(current_environment()))
+        thread.start()
+        thread.join()
+        assert found == ["continuous"]
+        with execution_environment("simulated"):
+            assert current_environment() == "simulated"
+    finally:
+        set_default("")
+    with ThreadPoolExecutor(1) as fresh:
+        assert fresh.submit(current_environment).result() == "simulated"
+
+
+PLAN = """
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.process_module import ProcessModule
+
+with BulletWorld() as world:
+    world.robot = Object("pr2", "robot", "pr2.urdf")
+    ProcessModule.perform(MotionDesignator([("type", "looking"), ("target", [2, 1, 1])]))
+    print(world.sim_step > 0)
+"""
+
+
+@pytest.mark.slow
+def test_a_run_with_motion_is_recorded_and_retraced_as_such(tmp_path: Path) -> None:
+    plan, log = tmp_path / "look.py", tmp_path / "look.mcap"
+    plan.write_text(PLAN, encoding="utf-8")
+
+    def run(*command: str) -> str:
+        ended = subprocess.run([sys.executable, "-m", *command], capture_output=True, text=True, check=False)
+        assert ended.returncode == 0, ended.stderr
+        return ended.stdout
+
+    assert run("pycram", "run", str(plan), "--motion", "continuous", "--log", str(log)).split() == ["True"]
+    assert re.search(r"^motion +continuous$", run("replay", "info", str(log)), re.MULTILINE)
+    assert run("replay", "retrace", str(log)).startswith("identical")
+    assert run("pycram", "run", str(plan), "--log", str(log), "--overwrite").split() == ["False"]
+    assert "\nmotion " not in run("replay", "info", str(log))
