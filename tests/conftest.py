@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from recorder.records.asset import AssetFile
 
-DEMOS = Path(__file__).parent.parent / "demos"
+REPO = Path(__file__).parent.parent
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -58,19 +59,48 @@ def converted_meshes(shared_folder: Path) -> None:
     os.environ["PYCRAM_CACHE"] = str(shared_folder / "converted meshes")
 
 
+class DemoRun(NamedTuple):
+    """What has come of a demo that was run in a folder of its own."""
+
+    folder: Path
+    returncode: int
+    stdout: str
+    stderr: str
+
+
 @pytest.fixture(scope="session")
-def recorded_demo(shared_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+def demo_run(shared_folder: Path) -> Callable[[str], DemoRun]:
+    """Runs a demo by its command, once in a run of the tests."""
+
+    def run(name: str) -> DemoRun:
+        folder, ended = shared_folder / name, shared_folder / f"{name}.json"
+        with (shared_folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not ended.exists():
+                folder.mkdir()
+                process = subprocess.run(
+                    [sys.executable, "-m", "pycram", "demo", *([] if name == "set_the_table" else [name])],
+                    cwd=folder,
+                    capture_output=True,
+                    text=True,
+                    check=False,
+                    timeout=300,
+                    env={"PYTHONPATH": str(REPO), "PATH": "/usr/bin:/bin", "PYCRAM_CACHE": os.environ["PYCRAM_CACHE"]},
+                )
+                ended.write_text(json.dumps([process.returncode, process.stdout, process.stderr]))
+        return DemoRun(folder, *json.loads(ended.read_text()))
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def recorded_demo(
+    demo_run: Callable[[str], DemoRun], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], Path]:
     """Gives a copy of a demo's recording, which is made once in a run."""
 
     def recorded(name: str) -> Path:
-        made = shared_folder / f"{name}.mcap"
-        with (shared_folder / f"{name}.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            if not made.exists():
-                new = tmp_path_factory.mktemp(name) / made.name
-                command = [sys.executable, "-m", "pycram", "run", str(DEMOS / f"{name}.py"), "--log", str(new)]
-                subprocess.run(command, capture_output=True, check=False, timeout=300)
-                shutil.copy(new, made)
+        made = demo_run(name).folder / f"{name}.mcap"
         return shutil.copy(made, tmp_path_factory.mktemp(name) / made.name)
 
     return recorded

@@ -11,17 +11,24 @@ import subprocess
 import sys
 from contextlib import chdir
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 import replay
 from pycram.bullet_world import BulletWorld, Object
+from pycram.cli import main as pycram_command
 from pycram.failures import ReasoningError
 from pycram.world.overlaps import Overlapping
 from recorder import geometry
 from recorder.records import Mutation, Query, Run, Task
 from recorder.tasks import State
 from replay.cli.main import main as replay_command
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.conftest import DemoRun
 
 REPO = Path(__file__).parent.parent
 GOALS = {"milk": [-0.8, 1, 0.93], "bowl": [-0.8, 1.2, 0.9], "cereal": [-1, 1, 0.94], "spoon": [-0.8, 1.2, 0.94]}
@@ -40,17 +47,17 @@ def pycram(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_the_demo_sets_the_table_and_records_it(tmp_path: Path) -> None:
-    ended = pycram("demo", cwd=tmp_path)
+def test_the_demo_sets_the_table_and_records_it(demo_run: Callable[[str], DemoRun]) -> None:
+    ended = demo_run("set_the_table")
     assert ended.returncode == 0, ended.stderr
     assert "the table is set" in ended.stdout
-    assert [file.name for file in tmp_path.iterdir()] == ["set_the_table.mcap"]
+    assert [file.name for file in ended.folder.iterdir()] == ["set_the_table.mcap"]
     assert "set_the_table.mcap" in ended.stderr.splitlines()[-1]
     shown = (REPO / "README.md").read_text().partition("$ pycram demo\n")[2].partition("```")[0].splitlines()
     printed = [*ended.stdout.splitlines(), *ended.stderr.splitlines()]
     size = re.compile(r"\d+\.\d MB")
     assert [size.sub("", line) for line in shown] == [size.sub("", line) for line in printed], "README shows it"
-    with replay.open(tmp_path / "set_the_table.mcap") as log:
+    with replay.open(ended.folder / "set_the_table.mcap") as log:
         assert log.complete
         closing = next(r.seq for r in log.records(Mutation) if r.WhichOneof("command") == "close_world")
         world = log.state_at(closing - 1).world()
@@ -130,11 +137,11 @@ def test_a_demo_that_has_one_robot_takes_no_other(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_failing_demo_records_its_failure(tmp_path: Path) -> None:
-    ended = pycram("demo", "fails_to_reach", "--log", "fails.mcap", cwd=tmp_path)
+def test_the_failing_demo_records_its_failure(demo_run: Callable[[str], DemoRun]) -> None:
+    ended = demo_run("fails_to_reach")
     assert ended.returncode == 1
     assert all(f"{arm} arm can't reach" in ended.stderr for arm in ("left", "right"))
-    with replay.open(tmp_path / "fails.mcap") as log:
+    with replay.open(ended.folder / "fails_to_reach.mcap") as log:
         assert log.complete
         failed = [r for r in log.records(Task) if r.status == Task.FAILED]
         assert {r.failure.type for r in failed} == {"Unreachable"}
@@ -170,7 +177,7 @@ def test_run_records_any_plan_with_its_arguments(tmp_path: Path) -> None:
     ("code", "exit_code", "message"),
     [
         ("raise SystemExit(3)", 3, ""),
-        ("from pycram.bullet_world import BulletWorld; BulletWorld().set_gravity([1])", 1, "3 finite numbers"),
+        ("from pycram.bullet_world import *\nwith BulletWorld() as w: w.set_gravity([1])", 1, "3 finite numbers"),
         ("1 / 0", 1, "ZeroDivisionError"),
         ("raise SystemExit(['a', 'list'])", 1, "['a', 'list']"),
         ("class Own(BaseException): pass\nraise Own('of its own')", 1, "Own: of its own"),
@@ -183,19 +190,28 @@ def test_run_exits_with_the_code_of_the_plan(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], code: str, exit_code: int, message: str
 ) -> None:
     (tmp_path / "plan.py").write_text(code)
-    ended = pycram("run", "plan.py", cwd=tmp_path)
-    assert ended.returncode == exit_code
-    assert message in ended.stderr
-    assert "pycram: recorded to plan.mcap" in ended.stderr
+    with chdir(tmp_path):
+        assert pycram_command(["run", "plan.py"]) == exit_code
+    said = capsys.readouterr().err
+    assert message in said
+    assert "pycram: recorded to plan.mcap" in said
     with replay.open(tmp_path / "plan.mcap") as log:
         assert log.complete
-    for line in ended.stderr.splitlines():
+    for line in said.splitlines():
         if line.startswith("  pycram-replay"):  # what it says to type next works
             _, *words = line.split()
             words += ["--save", "plan.rrd"] if words[0] == "view" else []  # there is no screen to open it on
             with chdir(tmp_path):
                 assert replay_command(words) == 0, line
             assert capsys.readouterr().out, line
+
+
+@pytest.mark.slow
+def test_the_process_exits_with_the_code_of_the_command(tmp_path: Path) -> None:
+    (tmp_path / "plan.py").write_text("raise SystemExit(3)")
+    ended = pycram("run", "plan.py", cwd=tmp_path)
+    assert ended.returncode == 3
+    assert "pycram: recorded to plan.mcap" in ended.stderr
 
 
 @pytest.mark.slow

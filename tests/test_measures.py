@@ -42,8 +42,8 @@ def test_a_run_that_was_ended_goes_on(tmp_path: Path) -> None:
     file = tmp_path / "results.jsonl"
 
     def run(choice: str, *workers: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "pytest", *workers, "-m", choice, "--resume", str(file)]
-        environment = os.environ | {"PYTHONPATH": str(REPO)}
+        command = [sys.executable, "-m", "pytest", "-p", "xdist", *workers, "-m", choice, "--resume", str(file)]
+        environment = os.environ | {"PYTHONPATH": str(REPO), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
         return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
 
     def row(ended: subprocess.CompletedProcess[str], measure: str) -> list[str]:

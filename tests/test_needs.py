@@ -43,8 +43,9 @@ def test_a_run_on_a_machine_without(tmp_path: Path, more: tuple[str, ...], ci: s
     (tmp_path / "conftest.py").write_text(TESTS)
     (tmp_path / "test_cases.py").write_text(CASES)
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = needs\naddopts = -p no:cacheprovider\n")
-    command = [sys.executable, "-m", "pytest", *more]
-    environment = {**os.environ, "PATH": str(tmp_path), "PYTHONPATH": str(REPO), "CI": ci}
+    command = [sys.executable, "-m", "pytest", "-p", "xdist", *more]
+    kept = {**os.environ, "PYTHONPATH": str(REPO), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    environment = {**kept, "PATH": str(tmp_path), "CI": ci}
     ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert ended.returncode == code, ended.stdout
     line = "2 tests skipped: no Xvfb, no Chromium; `make system-packages` installs them"

@@ -14,6 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+import numpy.random  # noqa: F401  to be seeded in each run, which else would import it again
+
 from pycram.exploration.ending import DIED, TIME_LIMIT, Ending, EndingSink
 from pycram.projection.child import Child, usable_cores, wait
 from pycram.scheduling.order import Made, Precedence, Standing

@@ -12,6 +12,7 @@ import io
 import re
 import struct
 import xml.etree.ElementTree as ET
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -325,8 +326,11 @@ def _colored(entry: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
 def _properties(file: Path) -> Mapping[str, object]:
     """Return a mesh's table in the ``objects.toml`` beside it; empty if there is none."""
     table = _table(file)
-    entry = parse_toml(read_text(table), table).get(file.stem) if table.is_file() else None
+    entry = _parsed(read_text(table), table).get(file.stem) if table.is_file() else None
     return entry if isinstance(entry, dict) else {}
+
+
+_parsed = lru_cache(maxsize=8)(parse_toml)  # each object of a folder asks for the same
 
 
 def _mass(shape: trimesh.Trimesh, entry: Mapping[str, object]) -> float:

@@ -23,18 +23,20 @@ from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from pycram.models.robots.description import Arm
     from pycram.motions.execution import Step
     from pycram.world.object import Object
+    from pycram.world.trajectory import Trajectory
     from pycram.world.world import BulletWorld
     from recorder.geometry import Pose, Vector
 
 _STRAIGHT: Final = (0.1, 0.06, 0.03)  # m of straight line that are tried
 _BACK: Final = (-1.0, 0.0, 0.0)  # out of what the tool is in, in its frame
 _UP: Final = (0.0, 0.0, 1.0)
+_LOOKS: Final = 15  # a second, at which it is looked whether two parts of a robot meet
 _SAME: Final = 1e-4  # rad or m between positions of a joint that is to stay
 
 
@@ -49,11 +51,11 @@ class ContinuousExecution(Execution):
 
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
         """Drive there around what stands there."""
-        return _following(robot, planning.base_motion(robot, position, orientation))
+        return _following(robot, partial(planning.base_motion, robot, position, orientation))
 
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
         """Move the joints past what is in the way."""
-        return _following(robot, planning.joint_motion(robot, positions))
+        return _following(robot, partial(planning.joint_motion, robot, positions))
 
     def approach(
         self,
@@ -74,23 +76,23 @@ class ContinuousExecution(Execution):
         }
         steps = [self.grip(robot, before)]
         if lifted:
-            steps.append(_following(robot, planning.joint_motion(robot, lifted, start=before)))
+            steps.append(_following(robot, partial(planning.joint_motion, robot, lifted, start=before)))
         start = before | lifted
         end = start | dict(posture)
         ways = (geometry.rotate(_tool_pose(robot, arm, end)[1], direction), _UP)
         line = _line(robot, arm, end, ways, ignored, ignored_links)
         if line is None:  # between the open fingers, what they are for isn't in the way
             goal = {joint: posture[joint] for joint in arm.joints}
-            way = planning.joint_motion(robot, goal, start=start, ignored_links=ignored_links)
+            way = partial(planning.joint_motion, robot, goal, start=start, ignored_links=ignored_links)
             return _all((*steps, _following(robot, way)))
-        steps.append(_following(robot, planning.joint_motion(robot, line[-1], start=start)))
+        steps.append(_following(robot, partial(planning.joint_motion, robot, line[-1], start=start)))
         return _all((*steps, partial(_along, (robot, line[::-1]))))
 
     def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:
         """Move the fingers there."""
         if not positions:
             return _all(())
-        return _following(robot, planning.through(robot, [_now(robot, positions), _led(robot, positions)]))
+        return partial(_along, (robot, [_now(robot, positions), _led(robot, positions)]))
 
     def open(self, robot: Object, arm: Arm) -> Step:
         """Open the fingers until something stops them."""
@@ -147,8 +149,41 @@ def _now(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:
     return {name: min(max(lower, now[name]), upper) for name, (lower, upper) in limits.items()}
 
 
-def _following(robot: Object, planned: planning.Planned) -> Step:
-    return partial(driving.follow, robot.world, [(robot, planned)])
+def _following(robot: Object, plan: Callable[[], planning.Planned]) -> Step:
+    """Return what follows a plan, made now: once the robot's other parts have passed, if they would cross its way."""
+    planned = plan()
+
+    def step() -> None:
+        nonlocal planned
+        active = robot.world.trajectories.active
+        while _is_crossed(robot, planned.trajectory):
+            passing_time.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
+            planned = plan()  # they stand elsewhere now
+        driving.follow(robot.world, [(robot, planned)])
+
+    return step
+
+
+def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
+    """Return whether parts of a robot that move already would meet those that a trajectory moves, if it began now."""
+    with robot.world.lock:
+        active = robot.world.trajectories.active.values()
+        others = [each for each in active if each.body is robot and each.joints]
+        if not others or not trajectory.joints:
+            return False
+        postures = []
+        duration = max(trajectory.duration, *(each.trajectory.duration - each.time for each in others))
+        for number in range(math.ceil(duration * _LOOKS) + 1):
+            time = number / _LOOKS
+            posture = dict(zip(trajectory.joints, trajectory.at(time)[0], strict=True))
+            for each in others:
+                positions = each.trajectory.at(each.time + time)[0]
+                posture |= dict(zip(each.trajectory.joints, positions, strict=True))
+            postures.append(posture)
+        with CollisionChecker(robot, postures[0]) as checker:
+            touching = [checker.self_collisions(candidate) for candidate in checker.predict(postures)]
+        first, *rest = ({(pair.mover, pair.link, pair.body_link) for pair in pairs} for pairs in touching)
+        return any(pairs - first for pairs in rest)
 
 
 def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:

@@ -69,7 +69,7 @@ def base_motion(
         position, orientation = start or robot.get_position_and_orientation()
         here = (checks.vector("start", position), checks.quaternion("start", orientation))
         begin, end = np.array(_row(here)), np.array(_row((target, turn)))
-        end = nearest_turns(begin, end, np.array([False, False, True]))
+        end = nearest_turns(begin, end, np.array([np.inf, np.inf, -np.inf]), np.full(3, np.inf))
         with CollisionChecker(robot, (), all_links=True, margin=MARGIN) as checker:
 
             def predict(rows: Array) -> list[Candidate]:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 MARGIN: Final = 5e-3  # m that the robot keeps away from things
 
 _DEEPER: Final = 1e-3  # m that a touch may get deeper than it is at the start or the goal
+_SLACK: Final = 0.01  # m that hulls of the robot's own links may overlap more, if there is no other way
 _BATCH: Final = 64  # configurations whose boxes are compared at once
 _FIRST_BATCH: Final = 16  # of those that are spread over an edge: most edges that aren't free show it there
 
@@ -39,7 +40,8 @@ class Clearance:
 
     Attributes:
         touched: what would be touched at the goal that isn't touched as deep at the start, deepest first.
-        strict: whether it keeps away; else it may be near to anything, but touch nothing.
+        strict: whether it keeps away from things; else it may be as near as it likes, and hulls of its own links may
+            overlap a little more: they do where the robot doesn't.
         checks: how many configurations were checked.
         blocking: how often which two links were in the way, and how deep they overlapped at most, m.
     """
@@ -59,7 +61,7 @@ class Clearance:
         self.touched = self._allow(goal)
 
     def _allow(self, row: Array) -> list[CollisionPair]:
-        """Allow what is near in a configuration (d,) to be as near in all; return what is touched there but may not be."""
+        """Allow what is near in a configuration (d,) to be as near in all; return what is touched but mustn't be."""
         touched = []
         ((candidate, pairs),) = self._candidates(row[None])
         for pair in pairs:
@@ -112,8 +114,11 @@ class Clearance:
 
     def _most(self, pair: Pair) -> float:
         """Return the overlap in m up to which two links aren't in the way."""
-        keeps = self.strict and pair[2] is not self._checker.robot
-        usual = -MARGIN if keeps else self._checker.least(pair)
+        usual = self._checker.least(pair)
+        if pair[0] is pair[2]:
+            usual += 0.0 if self.strict else _SLACK
+        elif self.strict and pair[2] is not self._checker.robot:
+            usual = -MARGIN
         return max(usual, self._allowed.get(pair, usual))
 
 

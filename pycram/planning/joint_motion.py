@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -46,8 +45,9 @@ def joint_motion(
 ) -> Planned:
     """Return a motion of joints to a goal on which the robot touches nothing that it doesn't touch at the start.
 
-    What the robot holds moves along. Joints without limits go to the nearest equivalent turn. The choice between the
-    straight line and a search is on record.
+    What the robot holds moves along. Joints that can
+    go further than a turn go to the equivalent turn that is nearest. The choice between the straight line and a search
+    is on record.
 
     Args:
         robot: the robot.
@@ -140,12 +140,12 @@ class _Moved:
         self.slopes = np.zeros((len(self.searched), len(self._followers)))
         for column, name in enumerate(self._followers):
             self.slopes[self.searched.index(mimics[name].leader), column] = mimics[name].multiplier
-        self._joints = [robot.urdf.joint(name) for name in self.searched]
-        self._endless = np.array([not math.isfinite(joint.lower) for joint in self._joints], dtype=bool)
+        self._lower, self._upper = np.array([robot.joint_limits(name) for name in self.searched]).reshape(-1, 2).T
+        self._slides = np.array([robot.urdf.joint(name).type == "prismatic" for name in self.searched])
         self.start = np.array([now[name] for name in self.searched])
-        self.goal = nearest_turns(self.start, np.array([wanted[name] for name in self.searched]), self._endless)
-        if not moving:
-            self.goal = self.start
+        self.goal = np.array([wanted[name] for name in self.searched]) if moving else self.start
+        lower = np.where(self._slides, np.inf, self._lower)  # what slides has no turns
+        self.goal = nearest_turns(self.start, self.goal, lower, self._upper)
         self.arms = [arm.name for arm in arms if any(name in self.joints for name in arm.joints)]
 
     @property
@@ -156,10 +156,8 @@ class _Moved:
     def space(self) -> Space:
         """Return the space: within limits, and half a turn around start and goal."""
         low, high = np.minimum(self.start, self.goal), np.maximum(self.start, self.goal)
-        slides = np.array([joint.type == "prismatic" for joint in self._joints])
-        turn = np.where(slides, np.inf, np.pi)
-        lower = np.maximum(low - turn, [joint.lower for joint in self._joints])
-        upper = np.minimum(high + turn, [joint.upper for joint in self._joints])
+        turn = np.where(self._slides, np.inf, np.pi)
+        lower, upper = np.maximum(low - turn, self._lower), np.minimum(high + turn, self._upper)
         return Space(np.minimum(lower, low), np.maximum(upper, high), np.ones(len(low)), _STEP)
 
     def posture(self, row: Array) -> dict[str, float]:

@@ -53,7 +53,10 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
         try:
             return self._check(_row(a, self._range), _row(b, self._range))
         except BaseException as error:  # noqa: BLE001  raised again when OMPL has returned
-            self.error = error
+            trace = error.__traceback__
+            self.error = error.with_traceback(
+                trace and trace.tb_next
+            )  # not this frame, which would keep OMPL's objects
             return False
 
 
@@ -99,14 +102,17 @@ def search(
         util.setLogLevel(util.LogLevel.LOG_NONE)  # it would print, also that seeds were set before
         try:
             util.RNG.setSeed(seed)
-            return _search(space, start, goal, clearance, step, fine, max_checks)
+            found, nearest, error = _search(space, start, goal, clearance, step, fine, max_checks)
         finally:
             util.setLogLevel(level)
+    if error is not None:
+        raise error
+    return found, nearest
 
 
 def _search(
     space: Space, start: Array, goal: Array, clearance: Clearance, step: float, fine: float, max_checks: int
-) -> tuple[Array | None, Array]:
+) -> tuple[Array | None, Array, BaseException | None]:
     dimensions, weights = len(start), space.weights
     real = base.RealVectorStateSpace(dimensions)
     bounds = base.RealVectorBounds(dimensions)
@@ -149,10 +155,8 @@ def _search(
         simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)  # those that shortcuts begin and end at
         found = np.array([_row(state, range(dimensions)) for state in path.getStates()]) / weights
         found[0], found[-1] = start, goal
-    if edges.error is not None:
-        raise edges.error
     reached = goal if found is not None else _nearest(information, planner, space, goal)
-    return found, reached
+    return found, reached, edges.error
 
 
 def _nearest(information: Any, planner: Any, space: Space, goal: Array) -> Array:

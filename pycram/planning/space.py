@@ -52,7 +52,8 @@ def between(a: Array, b: Array, step: float | Array) -> Array:
     return rows
 
 
-def nearest_turns(start: Array, goal: Array, endless: NDArray[np.bool_]) -> Array:
-    """Return the goal (d,) by the nearest equivalent turns of coordinates without limits."""
+def nearest_turns(start: Array, goal: Array, lower: Array, upper: Array) -> Array:
+    """Return the goal (d,) by the equivalent turns of its angles that are nearest to the start, within limits."""
     turned: Array = start + (goal - start + np.pi) % (2 * np.pi) - np.pi
-    return np.where(endless & (np.abs(goal - start) > np.pi), turned, goal)
+    other = (np.abs(goal - start) > np.pi) & (lower <= turned) & (turned <= upper)
+    return np.where(other, turned, goal)

@@ -13,10 +13,8 @@ if TYPE_CHECKING:
 
 Message: TypeAlias = "dict[str, Any]"
 _BLOCK: Final = 1 << 16
-PAUSE: Final = getattr(
-    signal, "SIGURG", signal.SIGINT
-)  # systems that can fork have it; without a handler it does nothing
-"""Asks a plan that makes no record, and so reads no message, to stop where it is."""
+PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have it
+"""Asks a plan that makes no record, and so reads no message, to stop where it is; ignored where nobody handles it."""
 
 
 class Channel:

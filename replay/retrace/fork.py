@@ -120,7 +120,7 @@ def fork(
     notes = tuple(process.notes())
     begun()
     with ThreadPoolExecutor() as beside:
-        controlling = None if unchanged is None else beside.submit(compared, unchanged, len(log))
+        controlling = None if unchanged is None else beside.submit(compared, unchanged, log)
         try:
             outcome = process.run(file=file, changes=changes)
         except ReplayError:

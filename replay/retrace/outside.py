@@ -1,6 +1,6 @@
-"""Lines of a plan that read the world outside: clocks, files, the network. No seed knows what they find.
+"""What a plan got from the world outside, which no seed knows: lines that read clocks, files, the network; deadlines.
 
-They are found in the source, by the names that Python's own modules and a few others give to such calls; a plan may
+Lines are found in the source, by the names that Python's own modules and a few others give to such calls; a plan may
 read in other ways as well.
 """
 
@@ -10,11 +10,13 @@ import ast
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.records import Task
 from replay.explain.plan_source import syntax_nodes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from replay.file.record_reader import RecordReader
     from replay.retrace.guide import Difference
 
 _MAX_LINES: Final = 3  # that are named
@@ -50,6 +52,17 @@ def reads_before(difference: Difference) -> Iterator[str]:
         reads = [read for read in _reads(Path(file)) if read[0] <= int(number)]
         for line, call, what in sorted(reads, reverse=True)[:_MAX_LINES]:
             yield f"{Path(file).name}:{line} reads {what}: {call}"
+
+
+def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
+    """Yield in words the tasks around a step that the clock or a worker thread ended: that has no fixed moment."""
+    begun: dict[int, int] = {}
+    for record in log.records(Task):
+        if record.phase == Task.STARTED:
+            begun[record.task] = record.seq
+        elif record.checkpoint and begun.get(record.task, 0) <= step <= record.seq:
+            by = "a worker thread" if record.kind == "in-thread" else "the clock"
+            yield f"{by} ended {record.kind} {record.name} at step {record.seq}: when that comes, no seed knows"
 
 
 def _reads(file: Path) -> Iterator[tuple[int, str, str]]:

@@ -108,6 +108,8 @@ class PlanProcess:
             raise CantRetrace(f"{log.path}: secret arguments were left out of it; give all with --arguments, last")
         self._folder = Path(began.directory) if Path(began.directory).is_dir() else Path.cwd()
         _refuse_unrepeatable(log, until)
+        own = last_own_step(log)
+        self._interrupted_after = own if own < len(log) - 1 else None
 
     def notes(self) -> Iterator[str]:
         """Yield in words what is different from when the recording was made."""
@@ -123,9 +125,8 @@ class PlanProcess:
             yield "no seed is recorded: random numbers may differ"
         if not began.hash_seed.isdecimal():
             yield "no PYTHONHASHSEED is recorded: the order of sets may differ"
-        own = last_own_step(self._log)
-        if own < len(self._log) - 1:
-            yield f"the run was interrupted after step {own}: up to there it can be the same again"
+        if self._interrupted_after is not None:
+            yield f"the run was interrupted after step {self._interrupted_after}: up to there it can be the same again"
         if str(self._folder) != began.directory:
             yield f"the working directory {began.directory} isn't there: {self._folder} is taken"
 
@@ -144,9 +145,9 @@ class PlanProcess:
             CantRetrace: the process has ended before it came to a result.
             ReplayError: a change can't be made.
         """
-        own, until = last_own_step(self._log), self._until
-        if until is None and (own < len(self._log) - 1 or not self._log.closed):
-            until = own  # from there on the plan may hang
+        until = self._until
+        if until is None:  # behind its last own step the plan may hang
+            until = self._interrupted_after if self._log.closed else len(self._log) - 1
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
         request: dict[str, object] = {

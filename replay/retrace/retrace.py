@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from replay.retrace.outside import reads_before
+from replay.retrace.outside import decided_outside, reads_before
 from replay.retrace.plan_process import PlanProcess
 
 if TYPE_CHECKING:
@@ -75,15 +75,15 @@ def retrace(
             system rule out that it does the same; nothing has run.
     """
     process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
-    return compared(process, len(log), take_answers=answers == "recorded")
+    return compared(process, log, take_answers=answers == "recorded")
 
 
-def compared(process: PlanProcess, steps: int, *, take_answers: bool = False) -> Retracing:
-    """Run a plan again to the first difference from its recording, which has that many steps."""
+def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = False) -> Retracing:
+    """Run a plan again to the first difference from its recording."""
     notes = tuple(process.notes())
     start = time.perf_counter()
     outcome = process.run(take_answers=take_answers)
     seconds = time.perf_counter() - start
     if outcome.difference is not None:
-        notes += tuple(reads_before(outcome.difference))
-    return Retracing(process.program, steps, outcome.equal, outcome.difference, notes, seconds, outcome.taken)
+        notes += (*reads_before(outcome.difference), *decided_outside(log, outcome.difference.step))
+    return Retracing(process.program, len(log), outcome.equal, outcome.difference, notes, seconds, outcome.taken)

@@ -17,7 +17,7 @@ import pytest
 import recorder
 from pycram.projection import project_all
 from pycram.projection.child import Child
-from tests.benchmarks.timing import goal, ratio, seconds
+from tests.benchmarks.timing import amount, goal, ratio, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 REPO = Path(__file__).parents[2]
-CHECKPOINTS = 20
 NO_LIMIT = float("inf")  # where other processes of the machine have their say
 
 
@@ -44,14 +43,14 @@ def pause() -> bytes:
 
 def test_checkpoints_of_a_live_plan(scene: BulletWorld, tmp_path: Path) -> None:
     """Paused copies, each of another moment: the plan goes on between them."""
-    milk = scene.get_object("milk")
+    milk, count = scene.get_object("milk"), amount(20, 5)
     children: list[Child] = []
     forks: list[float] = []
     try:
         with recorder.record(tmp_path / "run.mcap"):
             step = seconds(lambda: scene.engine.step(20)) / 20
             before = megabytes(os.getpid())
-            for number in range(CHECKPOINTS):
+            for number in range(count):
                 forks.append(seconds(lambda: children.append(Child(pause))))
                 milk.set_position([1.3, 1, 1 + number / 100])
                 scene.simulate(0.1)
@@ -60,7 +59,7 @@ def test_checkpoints_of_a_live_plan(scene: BulletWorld, tmp_path: Path) -> None:
         for child in children:
             child.kill()
     fork = statistics.median(forks)
-    each = (after - before) / CHECKPOINTS
+    each = (after - before) / count
     print(f"\na checkpoint of the full scene: {fork * 1e3:.1f} ms ({fork / step:.1f} steps), {each:.1f} MB")
     goal("a checkpoint, ms", fork * 1e3, 10, room=NO_LIMIT)
     goal("a checkpoint, MB", each, 5)
@@ -72,7 +71,7 @@ def test_two_projections_at_once(scene: BulletWorld) -> None:
         until()
         return time.perf_counter() - start
 
-    candidates = [(scene.simulate, 2)] * 2
+    candidates = [(scene.simulate, amount(480, 60) / 240)] * 2
     cores = os.sched_getaffinity(0)
 
     def one_after_another() -> None:

@@ -15,7 +15,7 @@ import pytest
 import recorder
 from pycram import tasks
 from pycram.language import failure_handling, par, seq
-from tests.benchmarks.timing import goal
+from tests.benchmarks.timing import amount, goal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 REPO = Path(__file__).parents[2]
 
 
-def milliseconds(*actions: Callable[[], object], rounds: int = 15, times: int = 40) -> list[float]:
+def milliseconds(*actions: Callable[[], object], rounds: int, times: int = 40) -> list[float]:
     """Processor time of each, of all its threads: the best round, as others on the machine only add to it."""
     best = [float("inf")] * len(actions)
     for _ in range(rounds):
@@ -69,13 +69,13 @@ def six_attempts() -> None:
             pass
 
 
-def measure(file: Path) -> dict[str, float]:
+def measure(file: Path, rounds: int) -> dict[str, float]:
     """Milliseconds of each action, alone and recorded, and of finding one of many tasks."""
     actions = (three_threads, three_branches, in_order, six_attempts)
     names = [action.__name__ for action in actions]
-    costs = dict(zip(names, milliseconds(*actions), strict=True))
+    costs = dict(zip(names, milliseconds(*actions, rounds=rounds), strict=True))
     with recorder.record(file):
-        recorded = dict(zip(names, milliseconds(*actions), strict=True))
+        recorded = dict(zip(names, milliseconds(*actions, rounds=rounds), strict=True))
         (path,) = milliseconds(lambda: [tasks.tree().roots[-1].path for _ in range(100)], rounds=3, times=1)
     costs["three_threads"] = min(costs["three_threads"], recorded.pop("three_threads"))
     return costs | {f"{name}, recorded": cost for name, cost in recorded.items()} | {"a task's path": path / 100}
@@ -86,7 +86,7 @@ def test_blocks(tmp_path: Path) -> None:
     most, costs = 1.0, {}  # ms
     for turn in range(5):  # noise only adds, and a fast moment comes sooner or later
         ended = subprocess.run(
-            [sys.executable, "-m", "tests.benchmarks.test_language", tmp_path / f"{turn}.mcap"],
+            [sys.executable, "-m", "tests.benchmarks.test_language", tmp_path / f"{turn}.mcap", str(amount(15, 4))],
             cwd=REPO,
             capture_output=True,
             text=True,
@@ -103,4 +103,4 @@ def test_blocks(tmp_path: Path) -> None:
 
 
 if __name__ == "__main__":
-    print(json.dumps(measure(Path(sys.argv[1]))))
+    print(json.dumps(measure(Path(sys.argv[1]), int(sys.argv[2]))))

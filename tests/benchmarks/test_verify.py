@@ -14,7 +14,7 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from replay.restore.verify import verify
-from tests.benchmarks.timing import goal, ratio, seconds
+from tests.benchmarks.timing import amount, goal, ratio, seconds, warm_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,7 +48,7 @@ def physics() -> None:
 def moves() -> None:
     with BulletWorld():
         bowl = Object("bowl", "bowl", "bowl.stl", [0, 0, 1])
-        for number in range(5000):
+        for number in range(amount(5000, 1000)):
             bowl.set_position([number * 1e-3, 0, 1])
 
 
@@ -73,7 +73,7 @@ def test_verifying_costs_hardly_more_than_the_run(plan: Callable[[], None], tmp_
         with replay.open(file) as log:
             assert verify(log).exact
 
-    plan()  # what is made once: files laid out, code compiled
+    warm_up(plan)
     cost = ratio(lambda: seconds(check), lambda: seconds(record), rounds=3, most=MOST)
     print()
     goal(f"{plan.__name__}: verified, of the run's time", cost, MOST)

@@ -29,7 +29,7 @@ import recorder
 from recorder.viewer.address import address, answers
 from replay.cli.main import main
 from tests.benchmarks.test_reading import write
-from tests.benchmarks.timing import goal
+from tests.benchmarks.timing import amount, goal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -174,8 +174,10 @@ def converted(log: Path, file: Path) -> tuple[float, float, float]:
 
 
 @pytest.mark.needs("Vulkan driver")
-def test_a_recording_opens_in_a_viewer_that_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    demo(log := tmp_path / "demo.mcap")
+def test_a_recording_opens_in_a_viewer_that_is_there(
+    recorded_demo: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = recorded_demo("set_the_table")
     with viewer("--headless") as (url, _):
         start = time.perf_counter()
         assert main(["view", str(log), "--connect", url]) == 0
@@ -188,7 +190,7 @@ def test_a_recording_opens_in_a_viewer_that_is_there(tmp_path: Path, capsys: pyt
         goal("opening it, s", first, 5, inf)  # the viewer draws with the processor here
 
 
-@pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [amount(20_000, 5_000), pytest.param(1_000_000, marks=pytest.mark.long)])
 def test_long_recordings_are_translated(tmp_path: Path, count: int) -> None:
     log = tmp_path / "long.mcap"
     write(log, count)

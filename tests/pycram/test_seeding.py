@@ -74,6 +74,16 @@ def test_the_seed_of_a_run_repeats_its_random_numbers_and_the_order_of_its_sets(
     assert start_of(tmp_path / "plan.mcap").seed == "1"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [[], ["--seed", "5"], ["--seed=5", "--", "--seed", "x"]])
+def test_what_takes_long_is_imported_once(tmp_path: Path, options: Sequence[str]) -> None:
+    """The command that starts itself again has imported little before."""
+    (tmp_path / "plan.py").write_text(PLAN)
+    ended = run(tmp_path, *options, environment={"PYTHONPROFILEIMPORTTIME": "1"})
+    started = [re.findall(rf"\| +{name}\n", ended.stderr) for name in ("pycram.seeding", "numpy")]
+    assert [len(each) for each in started] == [2, 1]
+
+
 def test_a_run_that_a_plan_starts_draws_a_seed_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONHASHSEED", "7")
     monkeypatch.delenv("PYCRAM_SEEDED", raising=False)

@@ -6,6 +6,7 @@ find what is wrong in that.
 
 from __future__ import annotations
 
+import json
 import random
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,14 +14,18 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder.records import Keyframe
+from recorder.records import Keyframe, Mutation
 from replay.cli.main import main
 from replay.restore.verify import verify
+from replay.state.verification import verify_static
 from tests.measures import seeded
 from tests.replay.copies import CHUNK, container_records, flipped, zeroed
+from tests.replay.hostile import rewritten
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from recorder.records import Record
 
 GOLDEN = Path(__file__).parent / "golden" / "0.1.0.mcap"
 VERBS = ("log", "tree", "state 0", "state 60", "state last", "show 9", "diff 9 last", "blame milk", "why", "source")
@@ -100,14 +105,36 @@ def test_a_zeroed_chunk_is_damage_to_every_verb_that_reads_it(sound: Sound) -> N
 
 
 def test_a_zeroed_chunk_is_found_at_its_step(sound: Sound) -> None:
-    start, end = next((a, b) for code, a, b in container_records(sound.content)[::-1] if code == CHUNK)
-    sound.file.write_bytes(zeroed(sound.content, start, end))
+    """In each of the chunks that have records; behind the last records, nothing tells how many there were."""
     with replay.open(sound.file) as log:
-        first = len(log)
-        verdict = verify(log)
-    assert not verdict.sound
-    assert verdict.steps == first
-    assert "damaged" in verdict.damage
+        steps = set(range(len(log)))
+    chunks = [(start, end) for opcode, start, end in container_records(sound.content) if opcode == CHUNK]
+    for start, end in chunks[1:]:
+        sound.file.write_bytes(zeroed(sound.content, start, end))
+        with replay.open(sound.file) as log:
+            first = min(steps - {record.seq for record in log})
+            verdict = verify_static(log) if end != chunks[-1][1] else verify(log)
+        assert not verdict.sound
+        assert "damaged" in verdict.damage
+        assert (verdict.steps if verdict.problem is None else verdict.problem.step) == first
+
+
+def test_a_recording_that_is_damaged_and_differs_is_damaged(sound: Sound) -> None:
+    """Where a record differs, nothing is made again behind it; what is damaged there is told all the same."""
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        moved = next(record for record in records if isinstance(record, Mutation) and record.HasField("move_body"))
+        moved.effect.bodies[0].position[0] += 1
+
+    different = rewritten(GOLDEN, sound.file, change).read_bytes()
+    assert sound.ask("verify")[0] == 1
+    start, end = next((a, b) for code, a, b in container_records(different)[::-1] if code == CHUNK)
+    sound.file.write_bytes(zeroed(different, start, end))
+    code, said = sound.ask("verify")
+    verdict = json.loads(said)
+    assert code == 3
+    assert verdict["damage"]
+    assert "another effect" in verdict["problem"]["cause"]
 
 
 @pytest.mark.parametrize("name", ["opcode", "length", "times", "size", "checksum", "compression", "data"])

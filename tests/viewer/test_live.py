@@ -73,6 +73,16 @@ live_sink._LINGER_TIMEOUT = 3.0
 """
 
 
+#: More than the socket of a stopped process takes.
+FLOOD = """
+from recorder import records
+from recorder.tracing import journal
+def flood(times):
+    for _ in range(times):
+        journal.emit(records.Output(stream="stdout", text=os.urandom(5_000).hex()))
+"""
+
+
 FEW = """
 live_sink.LiveQueue.__init__.__defaults__ = (1_000, 128 << 20)
 """
@@ -236,7 +246,7 @@ def changes_in(server: Server) -> int:
 
 def test_a_viewer_is_closed_while_the_plan_runs(plan: Callable[..., Plan], serve: Callable[[], Server], until) -> None:
     server = serve()
-    running = plan("wait_for('more'); move(10); wait_for('go'); move(3000)", f"connect:{server.url}")
+    running = plan("wait_for('more'); move(10); wait_for('go'); move(1_000)", f"connect:{server.url}")
     until(lambda: changes_in(server) > 100, "the viewer has it")
     shown = changes_in(server)
     (running.folder / "more").touch()
@@ -256,9 +266,9 @@ def test_a_viewer_is_stopped_while_the_plan_runs(
     plan: Callable[..., Plan], serve: Callable[[], Server], until, *, at_the_end: bool
 ) -> None:
     server = serve()
-    # it is let go on, or not, before the plan ends; a stopped process' socket takes some, so there is more than that
-    flood = "\nwait_for('go')\nfor _ in range(40): world.simulate(1)\nfor _ in range(10): world.simulate(30)"
-    code = f"{flood}\nPath('flooded').touch()\n" + ("" if at_the_end else "wait_for('end')")
+    # it is let go on, or not, before the plan ends
+    code = f"{FLOOD}wait_for('go'); flood(1_000); move(10); Path('flooded').touch()\n"
+    code += "" if at_the_end else "wait_for('end')"
     running = plan(code, f"connect:{server.url}", before=BRIEF)
     until(lambda: changes_in(server) > 100, "the viewer has it")
     server.stall()
@@ -278,7 +288,7 @@ def test_records_that_a_stopped_viewer_misses_are_counted(
     plan: Callable[..., Plan], serve: Callable[[], Server]
 ) -> None:
     server = serve()
-    code = f"os.kill({server.process.pid}, signal.SIGSTOP); move(8_000)"
+    code = f"{FLOOD}os.kill({server.process.pid}, signal.SIGSTOP); flood(3_000)"
     ended = plan(code, f"connect:{server.url}", before=BRIEF + FEW).end()
     count = ended.check()
     missed, of = ended.missed()
@@ -292,12 +302,12 @@ def test_a_viewer_that_lives_gets_all_of_many_records(
     plan: Callable[..., Plan], serve: Callable[[], Server], until
 ) -> None:
     server = serve()
-    running = plan("move(5_000); Path('flooded').touch(); wait_for('seen')", f"connect:{server.url}")
+    running = plan("move(2_000); Path('flooded').touch(); wait_for('seen')", f"connect:{server.url}")
     until((running.folder / "flooded").exists, "the plan has done its part")
-    until(lambda: changes_in(server) > 5_000, "the viewer catches up")
+    until(lambda: changes_in(server) > 2_000, "the viewer catches up")
     (running.folder / "seen").touch()
     ended = running.end()
-    assert ended.check() > 5_000
+    assert ended.check() > 2_000
     assert "missed" not in ended.err
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +44,15 @@ def log(request: pytest.FixtureRequest, recorded_demo: Callable[[str], Path]) ->
     return recorded_demo(request.param)
 
 
+@cache
+def _message_type(name: str, definitions: bytes) -> type[Message]:
+    """A type of messages as a file defines it."""
+    pool = descriptor_pool.DescriptorPool()
+    for described in FileDescriptorSet.FromString(definitions).file:
+        pool.Add(described)  # refuses a file that imports one which isn't there yet
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+
+
 class Stranger:
     """Somebody who knows MCAP and protobuf, and nothing of us."""
 
@@ -58,10 +68,7 @@ class Stranger:
     @staticmethod
     def _read(schema: Schema, sent: Sent) -> Message:
         assert schema.encoding == "protobuf"
-        pool = descriptor_pool.DescriptorPool()
-        for described in FileDescriptorSet.FromString(schema.data).file:
-            pool.Add(described)  # refuses a file that imports one which isn't there yet
-        return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString(sent.data)
+        return _message_type(schema.name, schema.data).FromString(sent.data)
 
     def on(self, topic: str) -> list[tuple[Sent, Any]]:
         return [(sent, message) for channel, sent, message in self.messages if channel.topic == topic]

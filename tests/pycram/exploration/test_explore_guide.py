@@ -109,6 +109,15 @@ def test_wrong_usage_is_said_before_anything_runs(
 
 
 @pytest.mark.slow
+def test_a_plan_that_fails_in_all_orders_alike_is_no_success(tmp_path: Path) -> None:
+    (tmp_path / "plan.py").write_text("from pycram.language import par\npar(list, list)\nraise ValueError('so')\n")
+    process = explore(tmp_path, "--explore", "2", "plan.py")
+    printed, _ = process.communicate(timeout=500)
+    assert "all end alike: failed: ValueError: so at plan.py:3" in printed
+    assert process.returncode == 1
+
+
+@pytest.mark.slow
 def test_ctrl_c_ends_all_runs_and_tells_what_was_found(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "begun")
     (tmp_path / "plan.py").write_text(

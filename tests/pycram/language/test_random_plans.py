@@ -282,6 +282,6 @@ def test_random_plans(tmp_path: Path) -> None:
     run(30, 0, tmp_path / "plans.mcap")
 
 
-@seeded("random plans of the plan language", range(1000, 2000), 50, always=2)
+@seeded("random plans of the plan language", range(1000, 2000), 50)
 def test_a_thousand_random_plans(tmp_path: Path, seeds: range) -> None:
     run(len(seeds), seeds[0], tmp_path / "plans.mcap")

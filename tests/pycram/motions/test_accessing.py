@@ -91,7 +91,7 @@ def places(kitchen: Object, joint: str, handle: str) -> Iterator[tuple[float, fl
 
 
 @measures.seeded(
-    "doors and drawers that open close again", range(len(CASES))[::-1], 1, always=4
+    "doors and drawers that open close again", range(len(CASES))[::-1], 1, always=3
 )  # the fridge, last, takes longest
 def test_what_opened_from_a_place_closes_from_there(
     built: BulletWorld, seeds: range, record_property: pytest.RecordProperty

@@ -22,7 +22,9 @@ from pycram.fluents.world import joint, pose, position
 from pycram.language import State, par, pursue, timeout
 from pycram.language.timeouts import TimedOut
 from pycram.motions.environments import current_environment, set_default
+from pycram.planning import through
 from pycram.process_module import ProcessModule, execution_environment
+from pycram.world.driving import follow
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Driven, Mutation, Query, Task
 
@@ -54,6 +56,7 @@ def tool(robot: Object, arm: str) -> tuple[list[float], list[float]]:
     return robot.get_link_position_and_orientation(robot.description.arm(arm).tool_frame)
 
 
+@pytest.mark.slow
 def test_the_base_drives_around_what_stands_there(shared_scene: BulletWorld, sink: MemorySink) -> None:
     robot, begun = shared_scene.robot, shared_scene.sim_step
     robot.set_position_and_orientation([0.3, 0.7, 0], [0, 0, 0, 1])
@@ -159,6 +162,26 @@ def test_what_is_moved_while_the_hand_comes_is_not_grasped_blindly(shared_scene:
     assert shared_scene.sim_step > begun
 
 
+@pytest.mark.slow
+def test_what_is_taken_away_while_the_fingers_close_is_not_held(shared_scene: BulletWorld) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    finger = joint(robot, "l_gripper_l_finger_joint")
+
+    def take_away() -> None:
+        (finger > 0.53).wait_for()
+        (finger < 0.52).wait_for()
+        milk.set_position([1.3, 1.2, milk.get_position()[2]])
+
+    def plan() -> None:
+        with par as both:
+            both(take_away)
+            both(perform, type="pick-up", object=milk, arm="left")
+
+    with pytest.raises(GraspFailed, match="its fingers have closed, and touch it nowhere"):
+        plan()
+    assert not robot.carried
+
+
 def driven(sink: MemorySink) -> list[Driven]:
     """How far each trajectory got, in the end."""
     records = [each for record in sink.of(Mutation) for each in record.simulate.driven]
@@ -261,6 +284,7 @@ def test_what_the_other_hand_holds_is_refused_with_what_to_do(shared_scene: Bull
     assert shared_scene.sim_step == begun
 
 
+@pytest.mark.slow
 def test_an_open_drawer_in_the_way_is_named(shared_scene: BulletWorld) -> None:
     kitchen = shared_scene.get_object("kitchen")
     shared_scene.robot.set_position_and_orientation([0.2, 0.9, 0], [0, 0, 0, 1])
@@ -284,6 +308,32 @@ def test_the_environment_of_a_run_holds_in_all_threads_and_where_the_plan_names_
         set_default("")
     with ThreadPoolExecutor(1) as fresh:
         assert fresh.submit(current_environment).result() == "simulated"
+
+
+@pytest.mark.slow
+def test_an_arm_waits_for_the_other_one_to_pass(shared_scene: BulletWorld) -> None:
+    robot, center = shared_scene.robot, [1.1, 0.7, 1.2]
+    right = robot.description.arm("right")
+    with execution_environment("simulated"):
+        for name in ("milk", "bowl", "cereal"):
+            shared_scene.get_object(name).set_position([0.65, -2.0, 0.2])
+        perform(type="move-tcp", arm="right", target=center, orientation=[0, 0, 0, 1])
+        there = {joint: robot.get_joint_position(joint) for joint in right.joints}
+        perform(type="move-arm-joints", right_arm="park")
+    passing = through(robot, [right.posture("park"), there, right.posture("park")])
+    lift = robot.get_joint_position(right.joints[1])
+    set_out = network(lambda now: abs(now - lift), joint(robot, right.joints[1])) > 0.01
+
+    def come_after() -> None:
+        set_out.wait_for()
+        perform(type="move-tcp", arm="left", target=center, orientation=[0, 0, 0, 1])
+
+    begun = shared_scene.sim_step
+    with par as both:
+        both(follow, shared_scene, [(robot, passing)])
+        both(come_after)
+    assert tool(robot, "left")[0] == pytest.approx(center, abs=5e-3)
+    assert seconds(shared_scene, begun) > passing.trajectory.duration + 0.5  # it began when the other one had passed
 
 
 PLAN = """

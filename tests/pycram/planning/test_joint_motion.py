@@ -205,3 +205,35 @@ def test_the_same_seed_finds_the_same_path_in_another_process_after_other_querie
         assert ended.stdout == ""  # OMPL prints nothing
         times, positions = json.loads(ended.stderr)  # and nothing at the end, as of objects that were left
         assert (tuple(times), tuple(map(tuple, positions))) == (found[0].times, found[0].positions)
+
+
+INTERRUPTED = """
+import sys
+from pycram.bullet_world import BulletWorld, Object
+from pycram.planning import clearance, joint_motion
+from tests.pycram.planning.conftest import LEFT, RIGHT
+
+whole = clearance.Clearance.free
+def free(self, rows):
+    if self.checks > 1000:
+        raise KeyboardInterrupt
+    return whole(self, rows)
+clearance.Clearance.free = free
+
+with BulletWorld() as world:
+    robot = Object("ur5", "robot", "ur5.urdf")
+    robot.set_joint_positions(RIGHT)
+    Object("pillar", "environment", sys.argv[1], [0.55, 0, 0.45])
+    joint_motion(robot, LEFT)
+"""
+
+
+@pytest.mark.slow
+def test_an_interrupt_ends_a_search_and_is_raised_as_it_was(pillar: Object) -> None:
+    command = [sys.executable, "-c", INTERRUPTED, pillar.path]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert ended.stderr.endswith("    raise KeyboardInterrupt\nKeyboardInterrupt\n") or ended.stderr.endswith(
+        "KeyboardInterrupt\n"
+    )
+    assert "in free" in ended.stderr  # where it was raised
+    assert "nanobind" not in ended.stderr  # which tells of objects that were left

@@ -79,7 +79,7 @@ def test_every_pose_that_some_posture_has_is_reached(robot: Object, link: str) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("link", [LEFT, RIGHT])
+@pytest.mark.parametrize("link", [LEFT, pytest.param(RIGHT, marks=pytest.mark.long)])
 def test_spheres_around_the_shoulder_against_dense_sampling(robot: Object, link: str) -> None:
     arm = arm_of(robot, link)
     reached = np.vstack([arm.poses(random_postures(robot, link, 50_000, seed))[:, :3, 3] for seed in range(4)])

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder.records import Mutation
+from recorder.records import Mutation, Task
 from replay.cli.main import main
 from replay.errors import Damaged
 from replay.retrace.fork import fork
 from replay.retrace.guide import Difference
-from replay.retrace.outside import reads_before
+from replay.retrace.outside import decided_outside, reads_before
 from replay.retrace.plan_process import CantRetrace
 from replay.retrace.retrace import retrace
 from tests.measures import seeded
@@ -236,6 +236,48 @@ def test_a_program_that_records_itself_is_run_as_a_program(tmp_path: Path) -> No
         other = retrace(log, arguments=["0.6"])
     assert other.difference is not None
     assert other.difference.line == f"{file}:5"
+
+
+def test_what_the_clock_ended_is_named_where_it_comes_at_another_moment(tmp_path: Path) -> None:
+    file = tmp_path / "late.py"
+    file.write_text(
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        "from pycram.language import timeout\n"
+        "world = BulletWorld()\n"
+        'cup = Object("cup", "cup", "cup.stl")\n'
+        "x = 0\n"
+        "with timeout(0.2):\n"
+        "    while True:\n"
+        "        x += 0.001\n"
+        "        cup.set_position([x, 0, 1])\n"
+    )
+    log = record(file)
+    with replay.open(log) as recording:
+        ended = next(task.seq for task in recording.records(Task) if task.phase == Task.FINISHED)
+        said = f"the clock ended timeout 0.2 s at step {ended}: when that comes, no seed knows"
+        assert [list(decided_outside(recording, step)) for step in (2, ended - 1, ended, ended + 1)] == [
+            [],
+            [said],
+            [said],
+            [],
+        ]
+    waits = tmp_path / "waits.py"
+    waits.write_text(
+        "import time\n"
+        "from pycram.fluent import Fluent\n"
+        "from pycram.language import in_thread, par, timeout\n"
+        "from pycram.language.timeouts import TimedOut\n"
+        'never = Fluent(None, "never")\n'
+        "never.wait_for(timeout=0.1)\n"
+        "try:\n"
+        "    with timeout(0.1):\n"
+        "        par(never.wait_for, lambda: in_thread(time.sleep, 0.01))\n"
+        "except TimedOut:\n"
+        "    never.set_value(1)\n"
+    )
+    result = retraced(record(waits))
+    assert result.identical, result.difference
+    assert result.equal == result.steps > 10
 
 
 def test_a_program_is_called_again_as_it_was(tmp_path: Path) -> None:
