@@ -189,7 +189,7 @@ def _check_start(body: Object, trajectory: Trajectory) -> None:
 def _raise_lost(begun: Sequence[Followed]) -> None:
     """Raise the failure of a trajectory whose track is lost."""
     for each in begun:
-        if each.lost is not None:
+        if each.lost is not None and each.body.alive:
             joint, error = each.lost
             raise TrackingLost(each.body.name, each.number, joint, error, each.time, _touching(each.body, joint))
 
