@@ -220,7 +220,7 @@ class Node:
     @property
     def children(self) -> list[Node]:
         """Its direct children, in the order in which they were asked for."""
-        return sorted(self.parts.values(), key=BY_ID)
+        return [child for _, child in sorted(self.parts.items())]
 
     @property
     def attempts(self) -> list[Node]:

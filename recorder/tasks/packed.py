@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 from recorder.records import Task
+
+_parsed = lru_cache(64)(Task.FromString)  # who looks at a task asks for several of its fields
 
 
 class PackedTask:
@@ -21,9 +24,7 @@ class PackedTask:
         self._payload = record.SerializeToString()
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(Task.FromString(self._payload), name)
+        return getattr(_parsed(self._payload), name)
 
     def __eq__(self, other: object) -> bool:
-        return Task.FromString(self._payload) == (
-            Task.FromString(other._payload) if isinstance(other, PackedTask) else other
-        )
+        return _parsed(self._payload) == (_parsed(other._payload) if isinstance(other, PackedTask) else other)

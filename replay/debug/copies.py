@@ -76,7 +76,7 @@ class Copies:
 
     Args:
         process: starts the first one.
-        spacing: seconds of processor time between copies; None for no copies.
+        spacing: nanoseconds of the recording between copies; None for no copies.
 
     Attributes:
         waiting: copies that wait, each after its parent.
@@ -84,7 +84,7 @@ class Copies:
         runs: how often the first process was started.
     """
 
-    def __init__(self, process: PlanProcess, spacing: float | None) -> None:
+    def __init__(self, process: PlanProcess, spacing: int | None) -> None:
         self.waiting: list[Copy] = []
         self.now: Copy | None = None
         self.runs = 0

@@ -6,7 +6,6 @@ import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from recorder.records import Run
 from replay.debug.copies import Copies, EndedByInterrupt
 from replay.errors import Damaged, ReplayError
 from replay.retrace.plan_process import PlanProcess
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 _PARTS: Final = 40  # of a run, with a copy at the beginning of each
-_SHORTEST: Final = 0.05  # s of a part
+_SHORTEST: Final = 50_000_000  # ns of a part
 _FINEST: Final = 4  # steps from a copy to where one goes back to
 
 
@@ -197,11 +196,9 @@ class GuidedPlan:
         return answer["answer"]
 
 
-def _spacing(log: RecordReader) -> float:
-    """Return the seconds of processor time between copies."""
-    end = log[-1]
-    took = end.duration_ns if isinstance(end, Run) else end.monotonic_ns
-    return max(took / 1e9 / _PARTS, _SHORTEST)
+def _spacing(log: RecordReader) -> int:
+    """Return the nanoseconds of the recording between copies: by its own clock, as this machine may be busy or idle."""
+    return max(log[-1].monotonic_ns // _PARTS, _SHORTEST)
 
 
 def _halving(start: int, step: int) -> Iterator[int]:

@@ -30,7 +30,7 @@ def main(
     parent: int,
     folder: str,
     until: int,
-    spacing: float | None,
+    spacing: int | None,
     changes: Sequence[Mapping[str, Any]],
     moved: tuple[str, str] | None,
 ) -> None:
@@ -46,7 +46,7 @@ def main(
         parent: the prompt's process, with which this one ends.
         folder: for the recordings of its projections.
         until: the first step at which it stops.
-        spacing: seconds of processor time between checkpoints; None for no checkpoints.
+        spacing: nanoseconds of the recording between checkpoints; None for no checkpoints.
         changes: the fields of what was changed after its steps, where the recorded run is a fork.
         moved: the folder that the plan's recorded source was written to, and the one that it came from.
     """

@@ -13,7 +13,6 @@ import select
 import signal
 import socket
 import sys
-import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
@@ -114,7 +113,7 @@ class StoppingSink(NullSink):
         path: what would be the recording's file, beside which projections are recorded.
         clock: stands still while the plan is stopped.
         course: how far it goes at first.
-        spacing: seconds of processor time between checkpoints; None for no checkpoints.
+        spacing: nanoseconds of the recording between checkpoints; None for no checkpoints.
         changes: what was changed after its steps, where the recorded run is a fork.
         moved: the folder that the plan's recorded source was written to, and the one that it came from.
 
@@ -130,7 +129,7 @@ class StoppingSink(NullSink):
         path: Path,
         clock: StandingClock,
         course: Course,
-        spacing: float | None,
+        spacing: int | None,
         changes: Sequence[Change] = (),
         moved: tuple[str, str] | None = None,
     ) -> None:
@@ -235,10 +234,12 @@ class StoppingSink(NullSink):
     def _due(self) -> bool:
         if self._spacing is None:
             return False
-        return self._step in self._course.checkpoints or time.process_time() - self._last_checkpoint >= self._spacing
+        return (
+            self._step in self._course.checkpoints or self._guide.recorded_ns - self._last_checkpoint >= self._spacing
+        )
 
     def _check_point(self) -> None:
-        self._last_checkpoint = time.process_time()
+        self._last_checkpoint = self._guide.recorded_ns
         if obstacle():
             return
         if not self._went_on_in_child():
@@ -254,7 +255,6 @@ class StoppingSink(NullSink):
         self._channel.close()
         self._recorded.after_fork()
         self._channel = self._connected(parent)
-        self._last_checkpoint = time.process_time()
         return True
 
     def _connected(self, parent: int) -> Channel:

@@ -58,6 +58,7 @@ class Guide(NullSink):
 
     Attributes:
         equal: number of records that were the same so far.
+        recorded_ns: when the last of them was made, by the recording's clock.
         path: as given.
     """
 
@@ -78,6 +79,7 @@ class Guide(NullSink):
         self._ended = False
         self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # of tasks that run, recorded and now
         self.equal = 0
+        self.recorded_ns = 0
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
         """Compare a record."""
@@ -93,6 +95,7 @@ class Guide(NullSink):
             self._end(_difference(recorded, record, fields, now or before))
             return
         self.equal += 1
+        self.recorded_ns = recorded.monotonic_ns
         if recorded.seq == self._until or (isinstance(record, Run) and record.phase == Run.FINISHED):
             self._end(None)
 

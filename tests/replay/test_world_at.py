@@ -215,11 +215,12 @@ def test_the_future_of_an_exact_world_is_the_originals(file: Path, seeds: range)
             assert everything(restored) == wanted, f"plan {seed}, step {step}"
 
 
-@pytest.mark.slow
-def test_the_future_of_the_demo_is_the_originals(demo_log: Path) -> None:
+@seeded("futures of the demo", range(10), 1)
+def test_the_future_of_the_demo_is_the_originals(demo_log: Path, seeds: range) -> None:
     """The same for the demo, whose original run is gone: it is made again with the public methods only."""
     with replay.open(demo_log) as log:
-        for step in random.Random(3).sample(range(20, end_of(log)), 2):
+        for seed in seeds:
+            step = random.Random(seed).randrange(20, end_of(log))
             with log.world_at(step, exact=True) as world:
                 world.simulate_steps(480)
                 assert everything(world) == made_by_hand(log, step), f"step {step}"

@@ -55,9 +55,12 @@ class MoveJoints(SimulatedModule):
 
 
 def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, float] | None:
-    """Return the torso's joint, and the height that it is loaded with, if the arms could take a posture there."""
+    """Return the torso's joint, and the height that it is loaded with, if the arms could take a posture there.
+
+    `accessing` may have left it lower, for a drawer near the floor.
+    """
     torso = robot.description.torso if robot.description else None
-    if torso is None:  # what it is for may have left it lower: a drawer near the floor
+    if torso is None:
         return None
     touched = checker.newly_touched(robot, {**positions, torso.joint: torso.default})
     return None if touched else (torso.joint, torso.default)
