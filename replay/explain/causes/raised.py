@@ -24,8 +24,8 @@ _RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")  # also behind the h
 USAGE_ERRORS: Final = frozenset(
     (
         "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock",
-        "DeadlockedBranches", "DesignatorError", "DisplayError", "JointLimitError", "LockHeld", "Misnested",
-        "NoDescription", "NoProcessModule", "NoResult", "NoWorld", "NotExplorable", "NotProjectable", "NotSettable",
+        "DeadlockedBranches", "DesignatorError", "DisplayError", "FollowsTrajectory", "JointLimitError", "LockHeld",
+        "Misnested", "NoDescription", "NoProcessModule", "NoResult", "NoWorld", "NotExplorable", "NotProjectable", "NotSettable",
         "NotTrueOrFalse", "ObjectsChanged", "OutlivesTimeout", "ReadOnly", "ResourceError", "RunsEarly", "UnknownName",
         "UsageError", "WorldClosed",
     )
