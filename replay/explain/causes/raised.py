@@ -25,9 +25,9 @@ USAGE_ERRORS: Final = frozenset(
     (
         "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock",
         "DeadlockedBranches", "DesignatorError", "DisplayError", "FollowsTrajectory", "JointLimitError", "LockHeld",
-        "Misnested", "NoDescription", "NoProcessModule", "NoResult", "NoWorld", "NotExplorable", "NotProjectable", "NotSettable",
-        "NotTrueOrFalse", "ObjectsChanged", "OutlivesTimeout", "ReadOnly", "ResourceError", "RunsEarly", "UnknownName",
-        "UsageError", "WorldClosed",
+        "Misnested", "NoDescription", "NoProcessModule", "NoResult", "NoWorld", "NotExplorable", "NotProjectable",
+        "NotSettable", "NotTrueOrFalse", "ObjectsChanged", "OutlivesTimeout", "ReadOnly", "ResourceError", "RunsEarly",
+        "UnknownName", "UsageError", "WorldClosed",
     )
 )  # fmt: skip
 _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.designator import DesignatorError
+from pycram.exploration import NotExplorable
 from pycram.failures import UsageError
 from pycram.language import timeout
 from pycram.motions.modules.simulated import NoDescription
@@ -90,7 +91,7 @@ def test_all_of_pycram_s_usage_errors_are_known_as_mistakes() -> None:
                 yield each.__name__
                 yield from below(each)
 
-    assert {DesignatorError, NoDescription, NotProjectable} <= set(UsageError.__subclasses__())
+    assert {DesignatorError, NoDescription, NotExplorable, NotProjectable} <= set(UsageError.__subclasses__())
     assert timeout  # the words of the plan language are loaded, with what they refuse
     assert {*below(UsageError), "UsageError"} == USAGE_ERRORS
 
