@@ -13,17 +13,17 @@ export PYTHONDONTWRITEBYTECODE :=
 demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap, the next time set_the_table.2.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
 
-test: .venv/ready-dev  ## all tests, and a slice of each long measure: some 9 minutes on two cores
-	$(BIN)/pytest -n auto --dist worksteal -m "not long"
+test: .venv/ready-dev  ## the tests, and a slice of each long measure: some 6 minutes on two cores; with CI=true the costliest too
+	$(BIN)/pytest -n auto --dist worksteal -m "not long$(if $(CI),, and not costly)"
 
 test-fast: .venv/ready-dev  ## the inner loop, under a minute
-	$(BIN)/pytest -n auto --dist worksteal -m "not slow and not long"
+	$(BIN)/pytest -n auto --dist worksteal -m "not slow and not long and not costly"
 
 test-long: .venv/ready-dev  ## the full measures; a run that was ended goes on where it was
-	$(BIN)/pytest -n auto --dist worksteal -m "long or measure" --resume .measures/results.jsonl
+	$(BIN)/pytest -n auto --dist worksteal -m "long or measure or costly" --resume .measures/results.jsonl
 
 test-lowest: .venv-lowest/ready  ## the inner loop with the lowest versions that pyproject.toml allows
-	.venv-lowest/bin/pytest -n auto --dist worksteal -m "not slow and not long"
+	.venv-lowest/bin/pytest -n auto --dist worksteal -m "not slow and not long and not costly"
 
 test-reading: .venv-reading/ready  ## reading recordings where neither engine nor viewer is installed
 	.venv-reading/bin/pytest --noconftest -m "not slow" tests/replay/test_reading_alone.py

@@ -232,6 +232,7 @@ def test_names_that_toml_has_no_plain_keys_for(describe: Callable[..., Ended], t
     assert 0 < columns.min() < columns.max() < 799
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_hands_that_are_not_understood_are_left_out(describe: Callable[..., Ended], tmp_path: Path) -> None:
     urdf = urdf_of("alex_sake_hands.urdf")

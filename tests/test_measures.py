@@ -34,6 +34,7 @@ def test_of_another_size(): ...
 """
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_run_that_was_ended_goes_on(tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text(CONFTEST)

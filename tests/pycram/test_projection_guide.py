@@ -17,6 +17,7 @@ def block(kind: str) -> str:
     return found
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_the_guide_s_program_prints_what_the_guide_says() -> None:
     ended = subprocess.run([sys.executable, "-c", block("python")], capture_output=True, text=True, check=False)

@@ -392,6 +392,7 @@ def test_records_in_disorder_are_read_once(tmp_path: Path) -> None:
         assert [record.seq for record in log] == list(range(chunks * each))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(("count", "size"), [(1, 60 * MEGABYTE), (2, MEGABYTE)])
 def test_empty_parts_take_no_more_memory_than_others(count: int, size: int, tmp_path: Path) -> None:
     """Each takes three bytes in the file, and a hundred in memory."""
@@ -523,7 +524,13 @@ SAID: Final[dict[str, Callable[[list[Record], dict[str, bytes]], None]]] = {
 }
 
 
-@pytest.mark.parametrize("what", SAID)
+#: What is read for seconds.
+LENGTHY: Final = ("deep JSON", "tasks in each other", "long rows of digits", "long")
+
+
+@pytest.mark.parametrize(
+    "what", [pytest.param(what, marks=[pytest.mark.costly] if what in LENGTHY else []) for what in SAID]
+)
 def test_what_records_say_harms_nobody(what: str, tmp_path: Path) -> None:
     def change(records: list[Record], assets: dict[str, bytes]) -> None:
         SAID[what](records, assets)

@@ -11,6 +11,7 @@ from tests.replay.documented import blocks, printed, without_numbers
 README = Path(__file__).parents[2] / "README.md"
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_the_readme_s_walk_through_a_failed_plan_is_real(failed_log: Path, tmp_path: Path) -> None:
     (tmp_path / failed_log.name).write_bytes(failed_log.read_bytes())

@@ -145,6 +145,7 @@ def test_wrong_usage_is_reported_on_stderr(
     assert not current.open_worlds()
 
 
+@pytest.mark.costly
 @pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
 def test_a_window_stays_open_until_ctrl_c(log_file: Path, display: str) -> None:
@@ -166,6 +167,7 @@ def test_a_window_stays_open_until_ctrl_c(log_file: Path, display: str) -> None:
     assert not out  # not even what the window's own thread says
 
 
+@pytest.mark.costly
 @pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
 def test_a_script_can_have_a_window(log_file: Path, display: str, tmp_path: Path) -> None:

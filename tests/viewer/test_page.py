@@ -68,6 +68,7 @@ def shades(picture: Image.Image) -> int:
     return int((counts * 1000 > counts.sum()).sum())
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 @pytest.mark.usefixtures("usual_ports")
 def test_a_plan_is_seen_in_the_browser_while_it_runs(

@@ -83,6 +83,7 @@ def is_task(record: object) -> bool:
     return type(record).__name__ == "Task"
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_live_and_afterwards_show_the_same(
     tmp_path: Path, serve: Callable[[], Server], until: Callable[..., None]
@@ -387,6 +388,7 @@ def test_two_recordings_side_by_side(tmp_path: Path) -> None:
     assert in_world(frames, "right/w//cup", "right/world")[0] == (3, 0, 1)
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_the_viewer_shows_the_demo(
     demo: Path, tmp_path: Path, headless: Headless, capsys: pytest.CaptureFixture[str], until: Callable[..., None]

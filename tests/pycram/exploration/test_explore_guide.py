@@ -33,6 +33,7 @@ def explore(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_reader_of_the_guide_gets_what_it_shows(tmp_path: Path) -> None:
     text = GUIDE.read_text(encoding="utf-8")

@@ -89,6 +89,7 @@ def test_what_decides_is_the_line_that_ran_too_early(tmp_path: Path) -> None:
             assert ended.succeeded == (found is good)
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_exploring_again_finds_the_same_and_another_seed_other_orders() -> None:
     def plan() -> None:
@@ -181,6 +182,7 @@ def test_what_can_t_be_explored_is_said_before() -> None:
             explore(print)
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_recording_of_a_found_order_is_retraced(tmp_path: Path) -> None:
     """Of both kinds of orders: as drawn, and as made small."""

@@ -310,6 +310,7 @@ def test_the_environment_of_a_run_holds_in_all_threads_and_where_the_plan_names_
         assert fresh.submit(current_environment).result() == "simulated"
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_an_arm_waits_for_the_other_one_to_pass(shared_scene: BulletWorld) -> None:
     robot, center = shared_scene.robot, [1.1, 0.7, 1.2]
@@ -348,6 +349,7 @@ with BulletWorld() as world:
 """
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_run_with_motion_is_recorded_and_retraced_as_such(tmp_path: Path) -> None:
     plan, log = tmp_path / "look.py", tmp_path / "look.mcap"

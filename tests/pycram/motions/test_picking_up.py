@@ -129,6 +129,7 @@ def test_what_lies_between_the_fingers_too_is_in_the_way(table: BulletWorld) -> 
                 body.remove()
 
 
+@pytest.mark.costly
 @seeded("taken and still held", range(120), 8)
 def test_what_was_taken_is_still_in_the_hand_half_a_second_later(tmp_path: Path, seeds: range) -> None:
     taken = 0

@@ -115,6 +115,7 @@ def run(plan: str, *arguments: str, display: str) -> str:
     return ended.stdout
 
 
+@pytest.mark.costly
 @pytest.mark.needs("Xvfb", "OpenGL", "XTest")
 @pytest.mark.slow
 def test_what_somebody_drags_with_the_mouse_is_marked(
@@ -167,6 +168,7 @@ def test_a_window_outlives_its_script_where_somebody_can_close_it(display: str) 
         assert process.wait(60) == 0
 
 
+@pytest.mark.costly
 @pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
 def test_a_window_opens_on_a_server_that_resets_and_ends_where_nobody_could_close_it() -> None:

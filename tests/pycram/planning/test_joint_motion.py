@@ -193,6 +193,7 @@ with BulletWorld() as world:
 """
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_the_same_seed_finds_the_same_path_in_another_process_after_other_queries(arm: Object, pillar: Object) -> None:
     try:

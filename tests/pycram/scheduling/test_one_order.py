@@ -103,6 +103,7 @@ def output(process: subprocess.Popen[str]) -> str:
 PLANS = 50
 
 
+@pytest.mark.costly
 @seeded("one order a seed: runs of random plans", range(5 * PLANS), 10)
 def test_random_plans_make_the_same_records_in_any_process_under_any_load(
     seeds: range, record_property: Callable[[str, object], None]

@@ -84,6 +84,7 @@ def terminal(failed_log: Path, tmp_path: Path) -> Iterator[Terminal]:
     opened.close()
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_person_finds_out_why_the_demo_failed(terminal: Terminal, tmp_path: Path, failed_log: Path) -> None:
     begun = terminal.shown()

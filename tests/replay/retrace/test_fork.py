@@ -257,6 +257,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
     return Undisturbed(log, began, ended)
 
 
+@pytest.mark.costly
 @seeded("demos killed at any moment, resumed", range(50), 1)
 def test_a_killed_demo_goes_on_and_ends_as_the_undisturbed_one(
     undisturbed: Undisturbed, tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]

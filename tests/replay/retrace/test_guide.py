@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_the_guide_s_output_is_real(failed_log: Path, tmp_path: Path) -> None:
     (tmp_path / failed_log.name).write_bytes(failed_log.read_bytes())

@@ -99,6 +99,7 @@ steps.move(milk)
 STEPS = "import numbers_of\ndef move(body):\n    body.set_position([0, 0, numbers_of.height])\n"
 
 
+@pytest.mark.costly
 def test_the_recorded_source_runs_where_the_files_are_others_now(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -294,6 +294,7 @@ def test_a_program_is_called_again_as_it_was(tmp_path: Path) -> None:
         assert result.equal == len(recording) == 3
 
 
+@pytest.mark.costly
 def test_of_recordings_of_one_name_each_is_retraced(tmp_path: Path) -> None:
     file = tmp_path / "program.py"
     file.write_text(
