@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _STEP: Final = 0.05  # rad or m of a joint between configurations that are checked while a path is searched
-_THERE: Final = 1e-6  # rad or m that a joint may be from its goal and not be moved
+_THERE: Final = 1e-3  # rad or m that a joint may be from its goal and not be moved: what motors keep to
 
 
 def joint_motion(
@@ -125,6 +125,7 @@ class _Moved:
 
     def __init__(self, robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> None:
         mimics = robot.urdf.mimics if robot.model.loading.mimic else {}
+        wanted = _turned(robot, now, wanted)
         arms = robot.description.arms.values() if robot.description else ()
         groups = [group for arm in arms if (group := [name for name in arm.joints if name in wanted])]
         groups += [[name] for name in wanted if not any(name in group for group in groups)]
@@ -143,8 +144,6 @@ class _Moved:
         self._slides = np.array([robot.urdf.joint(name).type == "prismatic" for name in self.searched])
         self.start = np.array([now[name] for name in self.searched])
         self.goal = np.array([wanted[name] for name in self.searched]) if moving else self.start
-        lower = np.where(self._slides, np.inf, self._lower)  # what slides has no turns
-        self.goal = nearest_turns(self.start, self.goal, lower, self._upper)
         self.arms = [arm.name for arm in arms if any(name in self.joints for name in arm.joints)]
 
     @property
@@ -171,6 +170,15 @@ class _Moved:
             return rows
         postures = [self.posture(row) for row in rows]
         return np.array([[posture[name] for name in self.joints] for posture in postures])
+
+
+def _turned(robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> dict[str, float]:
+    """Return values of joints at the equivalent turns that are nearest to where they are now."""
+    slides = [robot.urdf.joint(name).type == "prismatic" for name in wanted]  # has no turns
+    lower, upper = np.array([robot.joint_limits(name) for name in wanted]).reshape(-1, 2).T
+    lower = np.where(slides, np.inf, lower)
+    start, goal = np.array([now[name] for name in wanted]), np.array([*wanted.values()])
+    return dict(zip(wanted, nearest_turns(start, goal, lower, upper).tolist(), strict=True))
 
 
 def through(body: Object, way_points: Sequence[Mapping[str, float]]) -> Planned:

@@ -171,6 +171,10 @@ def test_an_arm_that_is_there_stays(shared_scene: BulletWorld) -> None:
     assert joint_motion(robot, left.posture("park") | lifted).trajectory.joints == right.joints
     there = joint_motion(robot, left.posture("park"))
     assert (there.trajectory.duration, there.trajectory.joints) == (0.0, left.joints)
+    roll, lift = (robot.get_joint_position(name) for name in ("l_forearm_roll_joint", "l_shoulder_lift_joint"))
+    motors = {"l_forearm_roll_joint": roll - 2 * math.pi, "l_shoulder_lift_joint": lift + 1e-4}  # as they leave it
+    robot.set_joint_positions(motors)
+    assert joint_motion(robot, left.posture("park") | lifted).trajectory.joints == right.joints
 
 
 QUERIES = """
