@@ -184,7 +184,7 @@ def _following(robot: Object, plan: Callable[[], planning.Planned]) -> Step:
         while _is_crossed(robot, planned.trajectory):
             passing_time.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
             planned = plan()  # they stand elsewhere now
-        driving.follow(robot.world, [(robot, planned)])
+        _follow(robot.world, [(robot, planned)])
 
     return step
 
@@ -216,9 +216,13 @@ def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:
     world = paths[0][0].world
     with world.lock:
         planned = planning.together([(body, _unwound(body, way_points)) for body, way_points in paths])
-    motions = [(body, each) for (body, _), each in zip(paths, planned, strict=True)]
-    for body, each in motions:
-        displaced = _displacement(body, each)
+    _follow(world, [(body, each) for (body, _), each in zip(paths, planned, strict=True)])
+
+
+def _follow(world: BulletWorld, motions: Sequence[tuple[Object, planning.Planned]]) -> None:
+    """Follow what was planned, together, if all still stand where it begins."""
+    for body, planned in motions:
+        displaced = _displacement(body, planned)
         if displaced is not None:
             raise Displaced(body.name, *displaced)
     driving.follow(world, motions)
