@@ -39,6 +39,7 @@ __all__ = [
     "Blocked",
     "ChangeRefused",
     "CollisionPair",
+    "Displaced",
     "DisplayError",
     "DoesNotFit",
     "FollowsTrajectory",
@@ -390,6 +391,27 @@ class TrajectoryEnded(PlanFailure):
         self.number = number
         self.time = time
         self.duration = duration
+
+
+class Displaced(PlanFailure):
+    """What a motion was to move on isn't where it had left it: another branch, or something else, has moved it.
+
+    Attributes:
+        body: name of the object.
+        coordinate: name of the joint, or x, y or yaw of the base.
+        expected: where it was to be, rad or m.
+        position: where it is.
+    """
+
+    def __init__(self, body: str, coordinate: str, expected: float, position: float) -> None:
+        super().__init__(
+            f"{coordinate} of {body} was moved to {position:.3f} during a motion that goes on from {expected:.3f}; "
+            "it stays there: perform the motion again"
+        )
+        self.body = body
+        self.coordinate = coordinate
+        self.expected = expected
+        self.position = position
 
 
 class AccessFailed(PlanFailure):

@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from pycram import planning
-from pycram.foundation.failures import PlanFailure, WorldClosed
+from pycram.foundation.failures import Displaced, NoPath, PlanFailure, WorldClosed
 from pycram.motions.execution import TIMEOUT, Execution
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.grasping import fingers
@@ -54,8 +54,22 @@ class ContinuousExecution(Execution):
         return _following(robot, partial(planning.base_motion, robot, position, orientation))
 
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Move the joints past what is in the way."""
-        return _following(robot, partial(planning.joint_motion, robot, positions))
+        """Move the joints past what is in the way; where no path leads out, each hand is drawn straight back first.
+
+        A hand around an object, as when putting it down was cancelled, has but a narrow way out, which searches miss.
+        """
+        plan = partial(planning.joint_motion, robot, positions)
+        try:
+            return _following(robot, plan)
+        except NoPath:
+            arms = robot.description.arms.values() if robot.description else ()
+            lines = (self._line_back(robot, arm) for arm in arms if not positions.keys().isdisjoint(arm.joints))
+            back = [line for line in lines if line is not None]
+            if not back:
+                raise
+            start = {joint: at for line in back for joint, at in line[-1].items()}
+            following = _following(robot, partial(plan, start=start))
+            return _all((*(partial(_along, (robot, line)) for line in back), following))
 
     def approach(
         self,
@@ -115,10 +129,16 @@ class ContinuousExecution(Execution):
 
     def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
         """Draw the hand straight back as far as nothing is in the way; None if there is something at once."""
+        line = self._line_back(robot, arm, ignored_links)
+        return None if line is None else partial(_along, (robot, line))
+
+    @staticmethod
+    def _line_back(
+        robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()
+    ) -> list[Mapping[str, float]] | None:
         now = robot.get_joint_positions()
         ways = (geometry.rotate(_tool_pose(robot, arm, now)[1], _BACK), _UP)
-        line = _line(robot, arm, {joint: now[joint] for joint in arm.joints}, ways, (), ignored_links)
-        return None if line is None else partial(_along, (robot, line))
+        return _line(robot, arm, {joint: now[joint] for joint in arm.joints}, ways, (), ignored_links)
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:
         """Raise it straight as far as nothing is in the way; None if there is something at once."""
@@ -150,16 +170,21 @@ def _now(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:
 
 
 def _following(robot: Object, plan: Callable[[], planning.Planned]) -> Step:
-    """Return what follows a plan, made now: once the robot's other parts have passed, if they would cross its way."""
+    """Return what follows a plan, made now, and anew if what moves stands elsewhere when its turn has come.
+
+    If the robot's other parts would cross its way, it waits until they have passed.
+    """
     planned = plan()
 
     def step() -> None:
         nonlocal planned
+        if _displacement(robot, planned) is not None:
+            planned = plan()
         active = robot.world.trajectories.active
         while _is_crossed(robot, planned.trajectory):
             passing_time.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
             planned = plan()  # they stand elsewhere now
-        driving.follow(robot.world, [(robot, planned)])
+        _follow(robot.world, [(robot, planned)])
 
     return step
 
@@ -191,7 +216,21 @@ def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:
     world = paths[0][0].world
     with world.lock:
         planned = planning.together([(body, _unwound(body, way_points)) for body, way_points in paths])
-    driving.follow(world, [(body, each) for (body, _), each in zip(paths, planned, strict=True)])
+    _follow(world, [(body, each) for (body, _), each in zip(paths, planned, strict=True)])
+
+
+def _follow(world: BulletWorld, motions: Sequence[tuple[Object, planning.Planned]]) -> None:
+    """Follow what was planned, together, if all still stand where it begins."""
+    for body, planned in motions:
+        displaced = _displacement(body, planned)
+        if displaced is not None:
+            raise Displaced(body.name, *displaced)
+    driving.follow(world, motions)
+
+
+def _displacement(body: Object, planned: planning.Planned) -> tuple[str, float, float] | None:
+    with body.world.lock:
+        return driving.displacement(body, planned.trajectory)
 
 
 def _unwound(body: Object, way_points: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:

@@ -168,7 +168,11 @@ def _check(body: Object, trajectory: Trajectory) -> None:
             raise BadArgument(name, farthest, f"a number up to {most:g}")
 
 
-def _check_start(body: Object, trajectory: Trajectory) -> None:
+def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, float] | None:
+    """Return a coordinate of a body that isn't where a trajectory begins, where it is to be and where it is (rad or m).
+
+    None if all are there, near enough for motors to follow.
+    """
     engine, joints = body.world.engine, body.handle.joints
     if trajectory.joints:
         now = [engine.joint(body.handle, name) for name in trajectory.joints]
@@ -183,7 +187,15 @@ def _check_start(body: Object, trajectory: Trajectory) -> None:
         trajectory.coordinates, now, trajectory.positions[0], off, near, strict=True
     ):
         if distance > limit:
-            raise BadArgument(f"start of {name}", start, f"about {at:.4f}, where {name} of {body.name} is")
+            return name, start, at
+    return None
+
+
+def _check_start(body: Object, trajectory: Trajectory) -> None:
+    displaced = displacement(body, trajectory)
+    if displaced is not None:
+        name, start, at = displaced
+        raise BadArgument(f"start of {name}", start, f"about {at:.4f}, where {name} of {body.name} is")
 
 
 def _raise_lost(begun: Sequence[Followed]) -> None:

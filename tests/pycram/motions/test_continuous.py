@@ -16,14 +16,16 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
-from pycram.failures import AccessFailed, GraspFailed, InCollision, Unreachable
+from pycram.failures import AccessFailed, Displaced, GraspFailed, InCollision, Unreachable
 from pycram.fluent import network
 from pycram.fluents.world import joint, pose, position
 from pycram.language import State, par, pursue, timeout
 from pycram.language.timeouts import TimedOut
+from pycram.motions.continuous import IN_SIMULATED_TIME
 from pycram.motions.environments import current_environment, set_default
-from pycram.planning import through
+from pycram.planning import path, through
 from pycram.process_module import ProcessModule, execution_environment
+from pycram.world import passing_time
 from pycram.world.driving import follow
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Driven, Mutation, Query, Task
@@ -264,6 +266,53 @@ def test_ctrl_c_stops_a_motion_and_leaves_the_world_consistent(shared_scene: Bul
     stands = robot.get_joint_position(wrist)
     shared_scene.simulate(0.25)
     assert robot.get_joint_position(wrist) == pytest.approx(stands, abs=2e-3)
+
+
+def set_joint(world: BulletWorld, begun: int, joint: str, value: float) -> None:
+    """Put a joint somewhere half a second later, while nothing of the arm moves."""
+    passing_time.wait(world, lambda: world.sim_step >= begun + STEPS_PER_SECOND // 2)
+    world.robot.set_joint_position(joint, value)
+
+
+@pytest.mark.slow
+def test_an_arm_that_was_moved_while_its_gripper_opened_goes_on_from_there(shared_scene: BulletWorld) -> None:
+    milk, lift = shared_scene.get_object("milk"), "l_shoulder_lift_joint"
+    moved = shared_scene.robot.get_joint_position(lift) - 0.2
+    with par as both:
+        both(perform, type="pick-up", object=milk, arm="left")
+        both(set_joint, shared_scene, shared_scene.sim_step, lift, moved)
+    assert shared_scene.robot.attachments[milk].carrier is shared_scene.robot
+
+
+def test_fingers_that_were_moved_during_a_motion_are_named_with_what_to_do(shared_scene: BulletWorld) -> None:
+    robot, finger = shared_scene.robot, "l_gripper_l_finger_joint"
+    now = robot.get_joint_position(finger)
+    step = IN_SIMULATED_TIME.pull(robot, robot, "head_pan_joint", [0.0, 0.1], [{finger: now}, {finger: now + 0.1}])
+    robot.set_joint_position(finger, now + 0.3)
+    begun = shared_scene.sim_step
+    with pytest.raises(Displaced, match=f"{finger} of pr2 was moved to .* from {now:.3f}; .* again") as error:
+        step()
+    assert (error.value.coordinate, error.value.expected) == (finger, pytest.approx(now))
+    assert shared_scene.sim_step == begun
+    assert not shared_scene.trajectories.active
+
+
+def test_a_hand_around_an_object_is_drawn_straight_back_where_no_other_way_is_found(
+    shared_scene: BulletWorld, sink: MemorySink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    arm = robot.description.arm("left")
+    with execution_environment("simulated"):
+        perform(type="pick-up", object=milk, arm="left")
+    robot.detach(milk)
+    robot.set_joint_positions(arm.gripper.positions("open"))  # as when putting it down is stopped here
+    stands = milk.get_position()
+    monkeypatch.setattr(path, "MAX_CHECKS", 300)  # a search that does find a way out takes some thousand
+    perform(type="move-arm-joints", left_arm="park")
+    assert len([each for each in sink.of(Mutation) if each.HasField("begin_trajectory")]) == 2  # back, and from there
+    off = [robot.get_joint_position(name) - at for name, at in arm.posture("park").items()]
+    assert [math.remainder(each, math.tau) for each in off] == pytest.approx([0.0] * len(off), abs=1e-2)
+    assert milk.get_position() == pytest.approx(stands, abs=2e-3)
 
 
 def test_a_goal_out_of_reach_is_refused_before_anything_is_searched(
