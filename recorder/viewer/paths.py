@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 PATHS: Final = "paths"
 _PLANNED: Final = 0.004  # m, radius
-_DRIVEN: Final = 0.006  # m
+_DRIVEN: Final = 0.01  # m
 _ABOVE_FLOOR: Final = 0.01  # m, of a base's path, which would lie in the floor
 _LEAST: Final = 0.001  # m; a tool that only turns has no path
 _SAMPLES: Final = 6  # after which the driven line grows, a fifth of a simulated second; each time all of it is sent
