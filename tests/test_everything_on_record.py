@@ -153,7 +153,11 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
         "refusal",
         r"restore\(world=.*ObjectsChanged: .*cup was removed",
     ),
-    "a motion begins": (Things.begin_motion, "mutation", "begin trajectory 1: drawer_joint of cabinet, 1.000 s, given"),
+    "a motion begins": (
+        Things.begin_motion,
+        "mutation",
+        "begin trajectory 1: drawer_joint of cabinet, 1.000 s, along a given path",
+    ),
     "a motion is stopped": (
         lambda t: t.world.stop_trajectory(t.begin_motion()),
         "mutation",

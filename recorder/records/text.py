@@ -213,7 +213,8 @@ def _searched(search: PathSearch) -> str:
     if not search.planner:
         return ""
     checks = f" after {search.checks} checks" if search.checks else ""
-    return f", {search.planner}{checks}"
+    planner = "along a given path" if search.planner == "given" else search.planner
+    return f", {planner}{checks}"
 
 
 def _fluent(record: Fluent) -> tuple[str, Log.Level.ValueType]:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-import tomllib
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import rerun as rr
 
 from recorder import geometry
 from recorder.viewer.colors import BLUE
+from recorder.viewer.descriptions import offset, table
 from recorder.viewer.positions import position
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from recorder.geometry import Pose, Vector
-    from recorder.records import LoadBody
+    from recorder.geometry import Vector
     from recorder.viewer.columns import Columns, TimePoint
     from recorder.viewer.scene import Scene, SceneBody
 
@@ -43,26 +40,20 @@ class CameraFrustums:
 
     def _show_frustum(self, world: str, name: str, body: SceneBody, now: TimePoint) -> None:
         path = self._paths[world, name] = self._columns.path(world, "camera", name)
-        camera = _description(body.loaded)
+        camera = table(body.loaded, "camera")
         try:
             right, down = (math.tan(camera[f"{axis}_fov"] / 2) * _FRUSTUM for axis in ("horizontal", "vertical"))
             frame = self._scene.frame(world, name, str(camera["frame"]))
         except (KeyError, TypeError):
             return  # a robot without one
-        offset = _offset(camera)
+        link_T_optical = offset(camera, "frame_offset")
         corners = [
-            geometry.transform(offset, (right * x, down * y, _FRUSTUM)) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+            geometry.transform(link_T_optical, (right * x, down * y, _FRUSTUM))
+            for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
         ]
-        strips = [[*corners, corners[0]], *([offset[0], corner] for corner in corners)]
+        strips = [[*corners, corners[0]], *([link_T_optical[0], corner] for corner in corners)]
         self._columns.set_frame(path, frame)
         self._columns.send(path, now, rr.LineStrips3D(strips, colors=[BLUE], radii=[_LINE]))
-
-
-def _offset(camera: Mapping[str, Any]) -> Pose:
-    """Pose of a described camera's optical frame in its link."""
-    offset = camera.get("frame_offset", {})
-    x, y, z = offset.get("xyz", (0.0, 0.0, 0.0))
-    return (x, y, z), geometry.from_rpy(*offset.get("rpy", (0.0, 0.0, 0.0)))
 
 
 def camera_position(scene: Scene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
@@ -71,15 +62,6 @@ def camera_position(scene: Scene, world: str, camera: object = None, robot_name:
     if isinstance(camera, list) or robot is None:
         return position(camera)
     name, body = robot
-    frame = str(camera or _description(body.loaded).get("frame", ""))
+    frame = str(camera or table(body.loaded, "camera").get("frame", ""))
     pose = scene.pose(world, name, frame) if frame else None
     return pose[0] if pose is not None else None
-
-
-def _description(robot: LoadBody) -> Mapping[str, Any]:
-    """The camera in a robot's description; empty if there is none."""
-    try:
-        camera = tomllib.loads(robot.robot_description).get("camera", {})
-    except ValueError:
-        return {}
-    return camera if isinstance(camera, dict) else {}

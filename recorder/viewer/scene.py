@@ -24,7 +24,7 @@ from recorder.records.frames import ROOT, FrameTree, frame_name
 from recorder.viewer.link_shapes import draw
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from recorder.geometry import Pose, Vector
     from recorder.records import LoadBody, Mutation
@@ -138,6 +138,23 @@ class Scene:
             if points or joint.name in joints:
                 points.append(pose[0])
         return points
+
+    def link_position(
+        self, world: str, body: str, link: str, offset: Vector
+    ) -> Callable[[Mapping[str, float]], Vector] | None:
+        """What gives where a point of a link is in its body's base, in m; None without a model that has the link.
+
+        It takes positions of joints in rad or m; the other joints are as they are when it is called.
+        """
+        scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
+        if scene_body is None or model is None or link not in model.links:
+            return None
+
+        def position(joints: Mapping[str, float]) -> Vector:
+            values = {**scene_body.joints, **joints, **model.followers(joints)}
+            return geometry.transform(model.forward_kinematics(values, link), offset)
+
+        return position
 
     def motions(self, record: Mutation | Keyframe) -> list[BodyMotion]:
         """What a record moved, in the order of simulated time; also takes the models of what it adds."""

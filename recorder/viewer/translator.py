@@ -12,6 +12,7 @@ from recorder.viewer.cameras import CameraFrustums
 from recorder.viewer.columns import Columns, TimePoint, sim_ns
 from recorder.viewer.log_lines import LogLines
 from recorder.viewer.marks import QueryMarks, TaskMarks
+from recorder.viewer.paths import TrajectoryPaths
 from recorder.viewer.plots import Plots
 from recorder.viewer.query_page import QueryPage
 from recorder.viewer.query_picture import QueryPicture
@@ -46,6 +47,7 @@ class Translator:
         scene = self.scene = Scene(columns, f"{root}/" if root else "")
         self._plots, self.worlds = Plots(columns), ActiveWorlds(scene)
         self._attachments, self._cameras = Attachments(columns, scene), CameraFrustums(columns, scene)
+        self._paths = TrajectoryPaths(columns, scene)
         self._task_marks, self._query_marks = TaskMarks(columns, scene), QueryMarks(columns, scene)
         self._sim_ns = 0  # of the world of the latest record that has one
         self._previous_ns = 0  # wall time of the record before
@@ -112,6 +114,8 @@ class Translator:
             body = self.scene.move(world, motion, time)
             if body is not None:
                 self._plots.show(world, body, motion, time)
+                self._paths.move(world, motion.body, time)
+        self._paths.show(record, now)
         if not only_moves or effect is None or effect.attached or effect.detached:
             self._attachments.show(record, now)
             self._cameras.show(world, now)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from typing import TYPE_CHECKING, Final
 
 from replay.cli import record_text
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 _WIDTH: Final = 100  # characters; longer values are printed on several lines
+_FEW: Final = 12  # numbers; more are printed in rows
+_MANY: Final = 100  # numbers that are printed
+_ENDS: Final = 18  # of more than that, which are printed at each end
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -49,6 +53,9 @@ def _lines(fields: dict[str, Plain], indent: str) -> Iterator[str]:
 
 
 def _items(values: list[Plain], indent: str) -> Iterator[str]:
+    if len(values) > _FEW and all(isinstance(item, float | int) for item in values):
+        yield from (f"{indent}{line}" for line in _numbers([json.dumps(item) for item in values]))
+        return
     for item in values:
         if isinstance(item, dict):
             first, *rest = _lines(item, indent + "  ")
@@ -56,3 +63,13 @@ def _items(values: list[Plain], indent: str) -> Iterator[str]:
             yield from rest
         else:
             yield f"{indent}- {json.dumps(item, ensure_ascii=False)}"
+
+
+def _numbers(texts: list[str]) -> Iterator[str]:
+    """Numbers in rows; of very many, as of a trajectory, the first and last."""
+    if len(texts) <= _MANY:
+        yield from textwrap.wrap(", ".join(texts), _WIDTH)
+        return
+    yield from textwrap.wrap(", ".join(texts[:_ENDS]), _WIDTH)
+    yield f"... {len(texts) - 2 * _ENDS} more, all with --json"
+    yield from textwrap.wrap(", ".join(texts[-_ENDS:]), _WIDTH)

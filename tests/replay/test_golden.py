@@ -1,8 +1,8 @@
 """Recordings of every release stay readable: what each must give, whatever is added to the definition later.
 
 ``golden/VERSION.mcap`` was made by that release with ``pycram run tests/replay/golden/plan.py``,
-``golden/demos/VERSION-DEMO.mcap`` with the demo, ``golden/reasons/VERSION.mcap`` and ``golden/forks/VERSION.mcap`` as the
-plans beside them say. A new release adds its own files; none is ever replaced.
+``golden/demos/VERSION-DEMO.mcap`` with the demo, ``golden/reasons/VERSION.mcap``, ``golden/forks/VERSION.mcap``,
+``golden/motions/VERSION.mcap`` and ``golden/motions/VERSION-program.mcap`` as the plans beside them say. A new release adds its own files; none is ever replaced.
 ``golden/demos/why.json`` has the explanations of the demos: steps, causes and types, but no wording.
 """
 
@@ -32,6 +32,7 @@ GOLDEN = sorted((Path(__file__).parent / "golden").glob("*.mcap"))
 README = Path(__file__).parents[2] / "README.md"
 REASONS = sorted((Path(__file__).parent / "golden" / "reasons").glob("*.mcap"))
 FORKS = sorted((Path(__file__).parent / "golden" / "forks").glob("*[0-9].[0-9].mcap"))
+MOTIONS = sorted((Path(__file__).parent / "golden" / "motions").glob("*[0-9].[0-9].mcap"))
 DEMOS = sorted((Path(__file__).parent / "golden" / "demos").glob("*.mcap"))
 EXPLANATIONS = json.loads((Path(__file__).parent / "golden" / "demos" / "why.json").read_text())
 COMMANDS = [
@@ -57,7 +58,9 @@ def test_golden_recordings_are_small() -> None:
     assert GOLDEN
     assert REASONS
     assert FORKS
+    assert MOTIONS
     assert all(file.stat().st_size < 100_000 for file in (*GOLDEN, *REASONS, *FORKS))
+    assert all(file.stat().st_size < 200_000 for file in MOTIONS)
 
 
 def test_golden_recording_is_complete(log: Recording) -> None:
@@ -184,6 +187,70 @@ def test_forks_stay_readable_with_what_they_imagined_and_restored(
         name, *rest = verb.split()
         assert main([name, str(file), *rest]) == 0
         assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize("file", MOTIONS, ids=lambda file: file.stem)
+def test_motions_that_take_time_stay_readable(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with replay.open(file) as log:
+        start = log[0]
+        assert isinstance(start, Run)
+        assert (start.environment, start.seed, start.by_program) == ("continuous", "7", False)
+        begun = [record.begin_trajectory for record in log.records(Mutation) if record.HasField("begin_trajectory")]
+        assert [each.number for each in begun] == [1, 2, 3, 4, 5, 6]
+        assert [each.search.planner for each in begun] == ["given", "RRT-Connect", *["given"] * 3, "straight line"]
+        assert begun[1].trajectory.times[-1] == pytest.approx(2.882, abs=1e-3)
+        (frame,) = log.records(Keyframe)
+        assert [(each.begin.number, each.stopped) for each in frame.following] == [(2, 0)]
+        within = log.state_at(frame.seq + 1).world("table").following
+        assert [(each.begin.number, each.began) for each in within.values()] == [(2, 240)]
+        (stop,) = (record for record in log.records(Mutation) if record.HasField("stop_trajectory"))
+        assert log.state_at(stop.seq).world("table").following[6].stopped == stop.sim_step
+        ended = [each for record in log.records(Mutation) for each in record.simulate.driven if each.ended]
+        assert [each.number for each in ended] == [1, 2, 3, 4, 5, 6]
+        assert [each.time < of.trajectory.times[-1] for each, of in zip(ended, begun, strict=True)] == [
+            *[False] * 5,
+            True,
+        ]
+        end = log.state_at("last").world("table")
+        assert not end.following
+        assert end.carrier("milk").carrier == "arm"
+        statuses = {task.name: task.status for task in log.records(Task) if task.kind == "motion" and task.status}
+        assert statuses == {"pick-up": Task.SUCCEEDED, "move-arm-joints": Task.CANCELLED}
+        assert log.blame("arm.elbow_joint", "last").how == "driven"
+    for verb in ("info", "log", "tree", "show 37", "state 150", "state last", "blame milk", "diff 37 last"):
+        name, *rest = verb.split()
+        assert main([name, str(file), *rest]) == 0
+        assert not capsys.readouterr().err
+
+
+def test_show_prints_a_trajectory_in_few_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["show", str(MOTIONS[0]), "37"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "step 37: mutation: begin trajectory 2: 6 joints of arm, 2.882 s, RRT-Connect after 2104 checks"
+    assert sum("more, all with --json" in line for line in lines) == 2, "of positions and velocities"
+    assert len(lines) < 100
+    assert any(line.lstrip().startswith("0.0, 0.042") for line in lines), "few numbers are all there"
+    assert main(["show", str(MOTIONS[0]), "37", "--json"]) == 0
+    trajectory = json.loads(capsys.readouterr().out)["begin_trajectory"]["trajectory"]
+    assert len(trajectory["positions"]) == 6 * len(trajectory["times"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", MOTIONS, ids=lambda file: file.stem)
+def test_motions_of_releases_are_verified(file: Path) -> None:
+    with replay.open(file) as log:
+        found = verify(log)
+        assert found.sound
+        assert found.keyframes == 1
+
+
+@pytest.mark.parametrize("file", MOTIONS, ids=lambda file: file.stem)
+def test_recordings_that_programs_began_stay_readable(file: Path) -> None:
+    with replay.open(file.with_name(f"{file.stem}-program.mcap")) as log:
+        start = log[0]
+        assert isinstance(start, Run)
+        assert (start.called_as, start.by_program) == ("tests/replay/golden/motions/program.py", True)
+        assert verify(log).sound
 
 
 def test_the_readme_shows_what_is_recorded_of_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:

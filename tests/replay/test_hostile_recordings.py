@@ -51,7 +51,7 @@ pytestmark = pytest.mark.slow
 
 GOLDEN: Final = Path(__file__).parent / "golden" / "0.1.0.mcap"
 #: What is mutated: of every kind of record one of them has some.
-CORPUS: Final = (GOLDEN, *(GOLDEN.parent / each / GOLDEN.name for each in ("reasons", "forks")))
+CORPUS: Final = (GOLDEN, *(GOLDEN.parent / each / GOLDEN.name for each in ("reasons", "forks", "motions")))
 ENGINE: Final = (["verify"], ["restore", "-20", "--json"], ["render", "-20", "-o", "x.png", "--size", "8x8"])
 READING: Final = (
     ["info"],
@@ -657,7 +657,7 @@ def test_the_corpus_has_every_kind_of_record() -> None:
             parts |= {part.DESCRIPTOR.name for record in log for part in hostile.parts(record)}
             parts |= {task.kind for task in log.records(Task)}
     assert kinds == set(TOPICS)
-    assert {"Origin", "Restore", "SavedBody", "projection", "in-thread", "Candidate", "Decision"} <= parts
+    assert {"Origin", "Restore", "SavedBody", "projection", "in-thread", "Candidate", "Decision", "Following"} <= parts
 
 
 @seeded("mutations of small recordings", range(20_000), 10, always=50 if "CI" in os.environ else 1)
