@@ -281,7 +281,7 @@ def _is_program(file: Path) -> bool:
 
 
 def look_up_revisions(source: Path | None = None) -> None:
-    """Looks up once, for recordings of this process' forks, what they tell of the code: that takes longer than most do.
+    """Looks up once what recordings of this process' forks tell of the code: git takes as long as a small plan.
 
     Args:
         source: the plan's file; by default the program's.
