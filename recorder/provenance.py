@@ -47,6 +47,13 @@ def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int
     run.host, run.cpu = escaped(platform.node()), _cpu()
 
 
+def look_up_revisions(program: Path | None) -> None:
+    """Looks up what :func:`describe` tells of the code, which starts git: once, for all forks of this process."""
+    pycram_revision()
+    if program is not None and program.is_file():
+        _plan_revision(program.resolve())
+
+
 def metadata(run: Run) -> dict[str, str]:
     """What a file's metadata tell of a run that begins now, for programs that don't know its records."""
     return {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}

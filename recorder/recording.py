@@ -280,6 +280,15 @@ def _is_program(file: Path) -> bool:
     return program is not None and program.exists() and program.samefile(file)
 
 
+def look_up_revisions(source: Path | None = None) -> None:
+    """Looks up once what recordings of this process' forks tell of the code: git takes as long as a small plan.
+
+    Args:
+        source: the plan's file; by default the program's.
+    """
+    provenance.look_up_revisions(_program() if source is None else source)
+
+
 def _program() -> Path | None:
     """The file of the program that runs, if it has one."""
     main = sys.modules.get("__main__")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import json
 import os
 import shutil
@@ -44,6 +45,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     # viewers take long: no worker is to begin with one when the others are done
     items.sort(key=lambda item: "viewer" not in item.path.parts)
+
+
+def pytest_collection_finish() -> None:
+    """Thousands of tests are no garbage: whoever collects it later, here or in a fork, doesn't look through them."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -27,7 +27,7 @@ from pycram.seeding import seed_random_numbers
 from pycram.world.current import open_worlds
 from recorder.errors import RecordingError
 from recorder.mcap.output_file import free_path
-from recorder.recording import record
+from recorder.recording import look_up_revisions, record
 from recorder.tracing import forking
 
 if TYPE_CHECKING:
@@ -150,6 +150,7 @@ def explore_runs(
     *,
     depth: int = DEPTH,
     limit: float = LIMIT,
+    plan: Path | None = None,
     file: Path | None = None,
     overwrite: bool = False,
     progress: Callable[[int], None] = lambda _: None,
@@ -161,6 +162,7 @@ def explore_runs(
         count: How many orders.
         depth: Of the races.
         limit: Seconds that a run may take.
+        plan: Its file; None for the program's.
         file: Recordings are named after it, RUN.explored-1.mcap for the first ending; None to keep none.
         overwrite: Whether recordings that are there are replaced.
         progress: Called after each run with their number.
@@ -173,6 +175,7 @@ def explore_runs(
     _refuse_impossible()
     if file is not None and not file.parent.is_dir():  # else it would come out when all has run
         raise RecordingError(file, "No such file or directory", "make the folder first")
+    look_up_revisions(plan)
     several = Runs(run, limit)
     result = Exploration(0, 0, [])
     attempts: dict[int, Attempt] = {}

@@ -65,7 +65,16 @@ def run(
             sys.stderr.flush()
 
     try:
-        result = explore_runs(runner, count, depth=depth, limit=limit, file=file, overwrite=overwrite, progress=show)
+        result = explore_runs(
+            runner,
+            count,
+            depth=depth,
+            limit=limit,
+            plan=Path(plan),
+            file=file,
+            overwrite=overwrite,
+            progress=show,
+        )
     except (NotExplorable, RecordingError) as error:
         print(f"pycram: {error}", file=sys.stderr)
         return _WRONG_USAGE

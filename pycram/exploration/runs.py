@@ -21,7 +21,7 @@ from pycram.projection.child import Child, usable_cores, wait
 from pycram.scheduling.order import Made, Precedence, Standing
 from pycram.scheduling.schedule import scheduler
 from recorder.mcap.sink import McapSink
-from recorder.provenance import metadata, pycram_revision
+from recorder.provenance import metadata
 from recorder.recording import redirected
 
 if TYPE_CHECKING:
@@ -72,7 +72,6 @@ class Runs:
         self._run = run
         self._limit = limit
         self.cores = usable_cores()
-        pycram_revision()  # once, for the records of all: it starts git
 
     def all(self, orders: Iterable[str], file: Path | None = None) -> Generator[tuple[int, Attempt], None, None]:
         """Run it in several orders at once; yield each with its index, as they end. None outlives the iteration."""

@@ -41,7 +41,7 @@ from tests.measures import seeded
 from tests.replay import forked, hostile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Sequence
 
     from mcap.records import McapRecord
 
@@ -67,6 +67,7 @@ READING: Final = (
     ["blame", "milk"],
     ["why"],
 )
+EVERY: Final = (*READING, *ENGINE, ["ask", "-20", "stable(milk)"])
 USING: Final = (
     *ENGINE,
     ["restore", "-9", "--exact", "--json"],
@@ -393,7 +394,7 @@ def test_records_in_disorder_are_read_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize(("count", "size"), [(1, 60 * MEGABYTE), (2, MEGABYTE)])
+@pytest.mark.parametrize(("count", "size"), [(1, 60 * MEGABYTE), (2, MEGABYTE // 2)])
 def test_empty_parts_take_no_more_memory_than_others(count: int, size: int, tmp_path: Path) -> None:
     """Each takes three bytes in the file, and a hundred in memory."""
     file, bodies = tmp_path / "x.mcap", b"\xa2\x01\x00"
@@ -524,31 +525,40 @@ SAID: Final[dict[str, Callable[[list[Record], dict[str, bytes]], None]]] = {
 }
 
 
-#: What is read for seconds.
-LENGTHY: Final = ("deep JSON", "tasks in each other", "long rows of digits", "long")
+def shared(cases: Iterable[Any]) -> pytest.MarkDecorator:
+    """Share the verbs out among a case's four tests, of which ``make test`` has one: the next verbs for each case."""
+    return pytest.mark.parametrize(
+        ("case", "verbs"),
+        [
+            pytest.param(case, EVERY[part::4], id=f"{case}-{part}", marks=[pytest.mark.long] * (part != number % 4))
+            for number, case in enumerate(cases)
+            for part in range(4)
+        ],
+    )
 
 
-@pytest.mark.parametrize(
-    "what", [pytest.param(what, marks=[pytest.mark.costly] if what in LENGTHY else []) for what in SAID]
-)
-def test_what_records_say_harms_nobody(what: str, tmp_path: Path) -> None:
+@pytest.mark.measure("what records say, by every verb")
+@shared(SAID)
+def test_what_records_say_harms_nobody(case: str, verbs: Sequence[list[str]], tmp_path: Path) -> None:
     def change(records: list[Record], assets: dict[str, bytes]) -> None:
-        SAID[what](records, assets)
+        SAID[case](records, assets)
         assets["0/filler"] = random.Random(0).randbytes(MEGABYTE)  # so that the texts aren't too much for the file
 
     file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
-    check(file, tmp_path, *READING, *ENGINE, ["ask", "-20", "stable(milk)"], damaged=False)
+    check(file, tmp_path, *verbs, damaged=False)
 
 
-@pytest.mark.parametrize("number", [-1, 2**63 - 1, 2**39])
-@pytest.mark.parametrize("place", [3, -1])
-def test_a_step_that_can_not_be_is_damage(number: int, place: int, tmp_path: Path) -> None:
+@pytest.mark.measure("steps that can't be, by every verb")
+@shared([(place, number) for place in (3, -1) for number in (-1, 2**63 - 1, 2**39)])
+def test_a_step_that_can_not_be_is_damage(case: tuple[int, int], verbs: Sequence[list[str]], tmp_path: Path) -> None:
+    place, number = case
+
     def change(records: list[Record], _: dict[str, bytes]) -> None:
         records[place].seq = number
 
     file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
     check(file, tmp_path, ["info"], ["log"])
-    check(file, tmp_path, *READING[2:], *ENGINE, damaged=False)
+    check(file, tmp_path, *verbs, damaged=False)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from pycram.failures import BadArgument
 from pycram.fluent import Fluent
 from pycram.language import par
 from pycram.scheduling.cancellation import checkpoint
+from recorder import provenance
 from recorder.errors import RecordingError
 from recorder.records import Run
 from replay.retrace.retrace import retrace
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@seeded("races found by exploring", range(len(races.RACES)), 2)
+@seeded("races found by exploring", range(len(races.RACES)), 1)
 def test_a_race_is_found_and_told_by_what_decides(seeds: range, record_property: Callable[[str, object], None]) -> None:
     needed = 0
     for seed in seeds:
@@ -107,6 +108,24 @@ def test_exploring_again_finds_the_same_and_another_seed_other_orders() -> None:
     assert first == second
     assert not first.alike
     assert [found.count for found in other.found] != [found.count for found in first.found]
+
+
+def test_the_code_s_revisions_are_looked_up_once_for_all_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    git = tmp_path / "git"
+    git.write_text(f"#!/bin/sh\necho $* >> {tmp_path / 'asked'}\n")
+    git.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", __file__, raising=False)
+    caches = provenance.pycram_revision, provenance._plan_revision
+    try:
+        for each in caches:
+            each.cache_clear()
+        assert explore(partial(par, checkpoint, checkpoint), 3).runs == 3
+    finally:
+        for each in caches:
+            each.cache_clear()
+    asked = (tmp_path / "asked").read_text().splitlines()
+    assert len(asked) == len(set(asked)) == 4, "two questions about the plan, two about PyCRAM"
 
 
 @pytest.mark.slow

@@ -64,7 +64,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     return made
 
 
-@seeded("forks without a change, at every step of 21 plans", range(PARTS * len(PLANS)), 2)
+@seeded("forks without a change, at every step of 21 plans", range(PARTS * len(PLANS)), 1)
 def test_a_fork_without_a_change_goes_on_as_the_original(
     recorded: Callable[[str], Path], tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]
 ) -> None:

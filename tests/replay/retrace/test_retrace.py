@@ -134,7 +134,7 @@ with BulletWorld() as world:
 """
 
 
-@seeded("random concurrent plans, retraced", range(200), 2)
+@seeded("random concurrent plans, retraced", range(200), 1)
 def test_random_concurrent_plans_do_the_same_again(
     tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]
 ) -> None:
@@ -148,7 +148,7 @@ def test_random_concurrent_plans_do_the_same_again(
     record_property("records", steps)
 
 
-@seeded("changes of one line, found by retrace", range(len(CHANGES)), 2)
+@seeded("changes of one line, found by retrace", range(len(CHANGES)), 1)
 def test_a_changed_line_is_told(plan: Path, tmp_path: Path, seeds: range) -> None:
     for seed in seeds:
         number, change = CHANGES[seed]
