@@ -349,8 +349,8 @@ def keeps_local_variables() -> bool:
     return bool(journals) and all(journal.local_variables for journal in journals)
 
 
-#: How often this thread has looked for strikes; its scheduler sets it.
-looks: Callable[[], int] = lambda: 0
+#: Gives how often this thread has looked for strikes; the scheduler sets it, 0 without one.
+looks: Callable[[], int] = int
 
 
 def strike(look: int, which: Iterable[int]) -> None:
