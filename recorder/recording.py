@@ -113,6 +113,7 @@ def record(
     began.by_program = program is not None and _is_program(program)
     if began.by_program:
         began.called_as = escaped(sys.argv[0])
+    began.looks = journal.looks()
     began.number = _numbers[title] = _numbers[title] + 1
     start = time.perf_counter_ns()
     sink = _redirect(began) if _redirect is not None else None

@@ -6,14 +6,14 @@ failing function of a network harms no other thread, and no state is missed, how
 
 from __future__ import annotations
 
-import threading
-import time
 from collections import deque
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from pycram.fluents.expressions import lock
-from pycram.scheduling.cancellation import checkpoint, wait
+from pycram.scheduling.cancellation import checkpoint, wait_until
 from pycram.scheduling.schedule import Condition
+from pycram.scheduling.strikes import Deadline
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,26 +49,23 @@ class StateStream:
         self._states.append({leaf: leaf.held for leaf in self._expression.leaves})
         self._news.notify_all()  # each time: the waiting branch takes states without the lock, and may just have looked
 
-    def states(self, timeout: float | None = None) -> Iterator[State]:
+    def states(self, limit: Deadline | None = None) -> Iterator[State]:
         """Yield the states, as they come.
 
         Args:
-            timeout: In seconds from now, however fast states come; None for no limit.
+            limit: When it ends, however fast states come; None for never.
 
         Raises:
             Cancelled: The branch is cancelled.
         """
-        limit = None if timeout is None else min(timeout, threading.TIMEOUT_MAX)
-        end = None if limit is None else time.monotonic() + limit
         while True:
-            late = end is not None and time.monotonic() >= end
+            late = limit is not None and limit.has_come
             for _ in range(len(self._states)):
                 checkpoint()
                 yield self._states.popleft()
             if late:
                 return
-            left = None if end is None else max(0.0, end - time.monotonic())
-            wait(self._news, lambda: bool(self._states), left)
+            wait_until(self._news, lambda: bool(self._states), limit)
 
 
 def first_value(expression: Expression, timeout: float | None = None) -> Value:
@@ -86,6 +83,6 @@ def first_value(expression: Expression, timeout: float | None = None) -> Value:
         WorldClosed: An object or world that it follows is gone.
         Exception: Of a function of the network.
     """
-    with StateStream(expression) as stream:
-        values = (expression.value(state) for state in stream.states(timeout))
+    with StateStream(expression) as stream, nullcontext() if timeout is None else Deadline(timeout) as limit:
+        values = (expression.value(state) for state in stream.states(limit))
         return next((value for value in values if value is not None), None)

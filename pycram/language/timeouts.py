@@ -9,8 +9,6 @@ A branch of a block around the timeout would outlive it, and is refused in its b
 
 from __future__ import annotations
 
-import math
-import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -20,11 +18,14 @@ from pycram.language.body import sequential
 from pycram.language.nesting import scope
 from pycram.scheduling.cancellation import CancelScope, current_scope, entered, raise_if_cancelled
 from pycram.scheduling.schedule import scheduler
+from pycram.scheduling.strikes import Deadline, Limit
 from recorder.records import STEPS_PER_SECOND
 from recorder.tracing.span import Cancelled, span
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
+
+    from pycram.world.world import BulletWorld
 
 
 class TimedOut(PlanFailure):
@@ -75,11 +76,30 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
                 raise
 
 
+class _SimulatedDeadline(Limit):
+    """A moment of a world's simulated time."""
+
+    def __init__(self, world: BulletWorld, seconds: float) -> None:
+        super().__init__()
+        self._world = world
+        self._end = world.sim_step + round(seconds * STEPS_PER_SECOND)
+
+    @property
+    def has_come(self) -> bool:
+        """Whether it is now, or was."""
+        return self._world.sim_step >= self._end
+
+    @property
+    def was_missed(self) -> bool:
+        """Whether it was before this moment."""
+        return self._world.sim_step > self._end
+
+
 @contextmanager
 def _timer(seconds: float) -> Iterator[CancelScope]:
     """Yield a scope whose deadline is on the clock."""
-    end = time.monotonic() + seconds
-    yield CancelScope(current_scope(), lambda: end - time.monotonic())
+    with Deadline(seconds) as deadline:
+        yield CancelScope(current_scope(), deadline)
 
 
 @contextmanager
@@ -90,11 +110,9 @@ def _simulated_timer(seconds: float) -> Iterator[CancelScope]:
     world = BulletWorld.current_bullet_world
     if world is None:
         raise NoWorld
-    end = world.sim_step + round(seconds * STEPS_PER_SECOND)
-    remaining: Callable[[], float] = lambda: math.inf if world.sim_step < end else end - world.sim_step  # noqa: E731
-    timed = CancelScope(current_scope(), remaining)
-    world.time_listeners[timed.notify_all] = None
+    deadline = _SimulatedDeadline(world, seconds)
+    world.time_listeners[deadline.notify_all] = None
     try:
-        yield timed
+        yield CancelScope(current_scope(), deadline)
     finally:
-        world.time_listeners.pop(timed.notify_all, None)
+        world.time_listeners.pop(deadline.notify_all, None)

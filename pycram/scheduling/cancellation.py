@@ -8,19 +8,20 @@ A cancelled branch stops by itself at its next checkpoint (:mod:`pycram.scheduli
 from __future__ import annotations
 
 import sys
-import threading
-import time
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
 from pycram.scheduling.locks import is_held
 from pycram.scheduling.schedule import Condition, Waiter, schedule_alone, scheduler
+from pycram.scheduling.strikes import Deadline
 from recorder.tracing.span import Cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextvars import Token
+
+    from pycram.scheduling.strikes import Limit
 
 Value = TypeVar("Value")
 
@@ -47,8 +48,7 @@ class CancelScope(Condition):
 
     Args:
         parent: The scope around it, whose cancellation is this one's too.
-        remaining: Returns a lower bound of the seconds by the clock until its deadline, 0 at it, less later; None for
-            no deadline.
+        deadline: Its deadline; None for none.
 
     Raises:
         RecursionError: It would be nested deeper than Python's recursion limit.
@@ -56,35 +56,40 @@ class CancelScope(Condition):
     Attributes:
         around: The scopes around it, from the inside out; without itself, as reference cycles are freed late.
         cancel_called: Whether this very scope has been cancelled.
-        deadlines: ``remaining`` of this and all scopes around it that have a deadline.
+        deadlines: That of this, and of all scopes around it that have one.
         struck: The checkpoint of its thread, from 1, at which its deadline was first seen to have come; 0: none yet.
     """
 
-    def __init__(self, parent: CancelScope | None = None, remaining: Callable[[], float] | None = None) -> None:
+    def __init__(self, parent: CancelScope | None = None, deadline: Limit | None = None) -> None:
         super().__init__()
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
         if len(self.around) >= sys.getrecursionlimit():  # each branch has a stack of its own, so Python doesn't notice
             raise RecursionError(f"{len(self.around)} blocks and timeouts of the plan within each other")
         known = parent.deadlines if parent is not None else ()
-        self.deadlines: tuple[Callable[[], float], ...] = known if remaining is None else (remaining, *known)
-        self._remaining = remaining
+        self.deadlines: tuple[Limit, ...] = known if deadline is None else (deadline, *known)
+        self._deadline = deadline
         self.cancel_called = False
         self.struck = 0
 
     @property
     def is_overdue(self) -> bool:
         """Whether the deadline of this very scope has come."""
-        return self._remaining is not None and self._remaining() <= 0
+        return self._deadline is not None and self._deadline.has_come
 
     def refuse_late(self) -> None:
         """Raise Cancelled if the deadline of this very scope was before this moment."""
-        if self._remaining is not None and self._remaining() < 0:
+        if self._deadline is not None and self._deadline.was_missed:
             raise Cancelled
 
     @property
     def has_deadline(self) -> bool:
         """Whether this very scope has a deadline."""
-        return self._remaining is not None
+        return self._deadline is not None
+
+    @property
+    def sources(self) -> tuple[Condition, ...]:
+        """What wakes the waits in it."""
+        return (self, *self.around, *self.deadlines)
 
     @property
     def is_cancelled(self) -> bool:
@@ -94,12 +99,7 @@ class CancelScope(Condition):
         for scope in self.around:
             if scope.cancel_called:
                 return True
-        return bool(self.deadlines) and any(remaining() <= 0 for remaining in self.deadlines)
-
-    def deadline(self) -> float | None:
-        """Time of time.monotonic() at which a wait in it has to check its deadlines; None for never."""
-        shortest = min((remaining() for remaining in self.deadlines), default=None)
-        return None if shortest is None or shortest > threading.TIMEOUT_MAX else time.monotonic() + shortest
+        return bool(self.deadlines) and any(deadline.has_come for deadline in self.deadlines)
 
     def cancel(self) -> None:
         """Cancel it, and wake the waits in it."""
@@ -216,15 +216,23 @@ def wait(condition: Condition, predicate: Callable[[], bool], timeout: float | N
     """
     if predicate():
         return True
+    if timeout is None:
+        return wait_until(condition, predicate)
+    with Deadline(timeout) as limit:
+        return wait_until(condition, predicate, limit)
+
+
+def wait_until(condition: Condition, predicate: Callable[[], bool], limit: Deadline | None = None) -> bool:
+    """Wait until a predicate holds, or a deadline has come whose block this is in; see :func:`wait`."""
     scope = _scope.get()
-    end = None if timeout is None else time.monotonic() + timeout
-    sources = (condition,) if scope is None else (condition, scope, *scope.around)
+    sources = (condition, *(() if scope is None else scope.sources), *(() if limit is None else (limit,)))
     with Waiter(sources) as waiter:
         while not predicate():
             raise_if_cancelled()
-            deadlines = (end, scope.deadline() if scope is not None else None)
-            waiter.sleep(min((limit for limit in deadlines if limit is not None), default=None))
-            if end is not None and end <= time.monotonic():
+            if limit is not None and limit.struck:  # before it was waited for; others have their turn nevertheless
+                waiter.wake()
+            waiter.sleep()
+            if limit is not None and limit.has_come:
                 return predicate()
     return True
 

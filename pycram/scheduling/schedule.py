@@ -3,7 +3,9 @@
 With a seed, the next one is drawn from all that are ready: another seed takes the plan through another order, the same
 one through the same, in any process and under any load. Without a seed, it is the one that has been ready longest.
 Orders that somebody asks for by name are those of :mod:`pycram.scheduling.order`.
-What a clock or another thread decides comes at a checkpoint that no seed knows; its number is on record.
+What a clock or a worker decides is a strike, and no seed knows when it comes. The scheduler sees it when it looks: at
+checkpoints, and when it chooses who runs next. Looks that have something to look for are numbered, and the strikes of
+the main thread are on record; a run that a recording guides has them at the same looks.
 
 A branch that yields switches to the scheduler's loop, a greenlet too, which starts or resumes the next one that is
 ready. If none is, the first of those goes on that wait patiently, as for simulated time, which passes only while nobody
@@ -35,7 +37,7 @@ from greenlet import getcurrent, greenlet
 
 from pycram.scheduling.locks import refuse_held
 from pycram.scheduling.order import DeadlockedBranches, Standing, order_of
-from recorder.tracing import forking, interrupts, stack_room
+from recorder.tracing import forking, interrupts, journal, stack_room
 from recorder.tracing.branch_identity import enter_branch, new_branch
 from recorder.tracing.call_stack import call_site, plan_frame
 
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
     from typing import Self
 
     from pycram.scheduling.order import Order, Ranked
+    from pycram.scheduling.strikes import Outer
     from recorder.tracing.call_stack import CallSite
 
 #: Python doesn't wake a thread for a signal that arrives just before it goes to sleep: seconds until that is noticed.
@@ -89,13 +92,13 @@ class Waiter:
         """Where the plan waits."""
         return _standing(self.branch, self._greenlet)
 
-    def sleep(self, deadline: float | None = None) -> bool:
-        """Yield until woken, perhaps spuriously, or until the deadline, a time of time.monotonic().
+    def sleep(self) -> bool:
+        """Yield until woken, perhaps spuriously.
 
         Returns:
             Whether a patient wait goes on because nothing else of the thread is ready.
         """
-        self._scheduler.park(self, deadline)
+        self._scheduler.park(self)
         return self.undisturbed
 
     def __enter__(self) -> Self:
@@ -227,6 +230,10 @@ class Condition:
             waiter.wake()
 
 
+#: The strikes of a recorded run: what strikes at a look, by its number; None when the recording guides no more.
+Foreseen: TypeAlias = "Callable[[int], Collection[int] | None]"
+
+
 class Scheduler:
     """Lets the branches of one thread take turns.
 
@@ -237,6 +244,9 @@ class Scheduler:
         running: The branch that runs; None while the code outside of all does.
         order: The order that was asked for; None for the ordinary one.
         patient: The patient waits, in order of arrival; the first that would goes on when nothing is ready.
+        outer: What it looks for, in the order in which that began.
+        looks: How many there were.
+        foreseen: Says what strikes where a recording guides; None where none does.
     """
 
     order: Order | None
@@ -250,7 +260,9 @@ class Scheduler:
         self.patient: dict[Waiter, None] = {}
         self._first: Waiter | None = None  # runs next, whatever else is ready
         self._ready: OrderedDict[Ready, None] = OrderedDict()
-        self._deadlines: dict[Waiter, float] = {}
+        self.outer: dict[Outer, None] = {}
+        self.looks = 0
+        self.foreseen: Foreseen | None = None
         self._bell = _thread.allocate_lock()
         self._bell.acquire()
         self._loop: greenlet | None = None
@@ -318,7 +330,7 @@ class Scheduler:
         if interrupts.is_pending() and self._is_outside() and not self.joining:
             interrupts.raise_pending()
         if self.branches and getcurrent() is not self._loop:
-            self._wake_overdue()
+            self.look()
             if self._ready:
                 waiter = Waiter()
                 waiter.wake()
@@ -327,7 +339,7 @@ class Scheduler:
         if self.order is not None:  # in the order of another run it might have been a turn
             self._ranked(self.order).stops += 1
 
-    def park(self, waiter: Waiter, deadline: float | None) -> None:
+    def park(self, waiter: Waiter) -> None:
         """Run others until the waiter is woken; see :meth:`Waiter.sleep`."""
         refuse_held()
         if self.order is not None:
@@ -335,8 +347,6 @@ class Scheduler:
         outside = self._is_outside()
         waiter.parked, waiter.undisturbed = True, False
         try:
-            if deadline is not None:
-                self._deadlines[waiter] = deadline
             if not self.branches:
                 self._sleep_alone()
             else:
@@ -348,7 +358,6 @@ class Scheduler:
                 self._loop.switch()
         finally:
             waiter.parked = False
-            self._deadlines.pop(waiter, None)
             if outside:
                 self._outside = None
         if outside and not self.joining:
@@ -382,8 +391,10 @@ class Scheduler:
     def _run(self) -> None:
         """Loop as long as there are branches."""
         try:
+            slept = False
             while self.branches:
-                self._wake_overdue()
+                self.look(again=slept)
+                slept = False
                 first, self._first = self._first, None
                 chosen: Ready
                 if first is not None and first in self._ready:
@@ -395,6 +406,7 @@ class Scheduler:
                     chosen = patient
                 else:
                     self._sleep()
+                    slept = True
                     continue
                 self.running = chosen.branch
                 chosen.resume()
@@ -415,7 +427,7 @@ class Scheduler:
 
     def is_awaited(self) -> bool:
         """Whether something is ready while a patient wait goes on, or a Ctrl-C is deferred to its next checkpoint."""
-        self._wake_overdue()
+        self.look()
         return bool(self._ready) or (interrupts.is_pending() and self._is_outside() and not self.joining)
 
     def _resume_all(self) -> None:
@@ -427,15 +439,17 @@ class Scheduler:
                 self.add(branch)
 
     def _sleep_alone(self) -> None:
-        if not self._ready and self._next_patient() is None:
+        self.look()
+        while not self._ready and self._next_patient() is None and not interrupts.is_pending():
             self._sleep()
+            self.look(again=True)
         for ready in list(self._ready):
             if isinstance(ready, Waiter):  # its wait checks the predicate anyway
                 self._ready.pop(ready, None)
 
     def _sleep(self) -> None:
         """Block the thread until the bell rings or a deadline passes."""
-        first = min(self._deadlines.values(), default=math.inf)
+        first = min((each.end for each in self.outer if not each.struck), default=math.inf)
         if self.order is not None and first == math.inf and self._bell.locked() and not forking.others():
             self._tell_deadlock(self.order)
         while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
@@ -450,13 +464,27 @@ class Scheduler:
             standing = standing or [Standing(threading.current_thread().name, *call_site())]
             raise DeadlockedBranches({each.branch: f"{Path(each.file).name}:{each.line}" for each in standing})
 
-    def _wake_overdue(self) -> None:
-        if self._deadlines:
-            now = time.monotonic()
-            for waiter, deadline in list(self._deadlines.items()):
-                if deadline <= now:
-                    waiter.wake()
-                    self._deadlines.pop(waiter, None)
+    def look(self, *, again: bool = False) -> None:
+        """See what has come by now, and have it strike.
+
+        Args:
+            again: Whether the thread has slept since it last looked, and nothing else: that is one look.
+        """
+        waiting = [each for each in self.outer if not each.struck]
+        if not waiting:
+            return
+        if not again:
+            self.looks += 1
+        which = None if self.foreseen is None else self.foreseen(self.looks)
+        if which is None or (again and not which):
+            which = [number for number, each in enumerate(waiting) if each.is_due()]
+        struck = [number for number in which if number < len(waiting)]
+        for each in (waiting[number] for number in struck):
+            each.await_due()
+            each.struck = True
+            each.notify_all()
+        if struck and threading.current_thread() is threading.main_thread():
+            journal.strike(self.looks, struck)
 
     def defers(self, frame: FrameType) -> bool:
         """Whether a Ctrl-C that arrives in this frame has to wait for the next checkpoint."""
@@ -495,6 +523,9 @@ _local = _Local()
 def scheduler() -> Scheduler:
     """Return the scheduler of this thread."""
     return _local.scheduler
+
+
+journal.looks = lambda: scheduler().looks
 
 
 def schedule_alone() -> None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pycram.scheduling.cancellation import join, raise_if_cancelled
 from pycram.scheduling.locks import refuse_held
-from pycram.scheduling.schedule import Condition, scheduler
+from pycram.scheduling.schedule import scheduler
+from pycram.scheduling.strikes import Outer
 from recorder.tracing.branch_identity import current_name
 from recorder.tracing.span import span
 
@@ -16,6 +17,27 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 Result = TypeVar("Result")
+
+
+class _Ended(Outer):
+    """The end of a worker."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._set = threading.Event()
+
+    def set(self) -> None:
+        """Say so, in the worker."""
+        self._set.set()
+        self._scheduler.ring()
+
+    def is_due(self) -> bool:
+        """Whether it has ended."""
+        return self._set.is_set()
+
+    def await_due(self) -> None:
+        """Wait for it, without others."""
+        self._set.wait()
 
 
 def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) -> Result:
@@ -33,7 +55,6 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
         LockHeld: The caller holds a lock.
     """
     refuse_held()
-    ended = Condition()
     results: list[Result] = []
     errors: list[BaseException] = []
 
@@ -42,14 +63,14 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
             results.append(function(*args, **kwargs))
         except BaseException as error:  # noqa: BLE001  raised in the branch
             errors.append(error)
-        ended.notify_all()
+        ended.set()
 
     name = f"{current_name()} {getattr(function, '__name__', 'function')}"
     task = span("in-thread", getattr(function, "__name__", "function"))
     # a daemon: only Ctrl-C outside of all branches abandons it, and then the process may end
-    with task:
+    with task, _Ended() as ended:
         threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True).start()
-        join(ended, lambda: bool(results or errors))
+        join(ended, lambda: ended.struck)
         task.checkpoint = scheduler().checkpoints
         try:
             if errors:

@@ -52,7 +52,7 @@ def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
 
 def _pass(world: BulletWorld, waiting: Wait) -> None:
     scope = current_scope()
-    sources = () if scope is None else (scope, *scope.around)
+    sources = () if scope is None else scope.sources
     with Waiter(sources, patience=lambda: not world.realtime) as waiter:
         waiting.waiter = waiter
         world.waits.add(waiting)
@@ -61,7 +61,7 @@ def _pass(world: BulletWorld, waiting: Wait) -> None:
                 raise_if_cancelled()
                 if world.closed:
                     raise WorldClosed(world.name, "wait in its time")
-                if waiter.sleep(scope.deadline() if scope is not None else None):
+                if waiter.sleep():
                     _simulate(world, scope)
         finally:
             world.waits.remove(waiting)

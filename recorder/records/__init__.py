@@ -52,6 +52,7 @@ from recorder.records.log_pb2 import (
     SourceLine as SourceLine,
     StackFrame as StackFrame,
     StopTrajectory as StopTrajectory,
+    Strike as Strike,
     Subscription as Subscription,
     Task as Task,
     Trajectory as Trajectory,

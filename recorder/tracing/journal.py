@@ -15,7 +15,7 @@ from contextvars import ContextVar
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
-from recorder.records import TOPICS, Keyframe, Mutation, Output, Record
+from recorder.records import TOPICS, Keyframe, Mutation, Output, Record, Strike
 from recorder.records.asset import AssetFile
 from recorder.tracing import stack_room, worlds
 from recorder.tracing.branch_identity import current_name
@@ -105,6 +105,7 @@ class Journal:
         self._lock = threading.RLock()
         self._writing = self._resuming = False
         self._interrupting: deque[Record | AssetFile] = deque()  # taken while this thread was writing
+        self._strikes: list[Strike] = []  # since the latest record
         self._next = 0
         self._latest_ns = 0
         self._attached: set[str] = set()
@@ -140,6 +141,11 @@ class Journal:
         """
         record.cause = _cause.get().get(self, 0)
         return self._take(record)
+
+    def strike(self, strike: Strike) -> None:
+        """Keeps a strike, with the next record."""
+        with self._lock:
+            self._strikes.append(strike)
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
         """Keeps files, each content once.
@@ -178,6 +184,10 @@ class Journal:
                 return 0
             self._expected.remove(item.world)
         self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
+        del item.strikes[:]  # another journal's
+        if self._strikes:
+            item.strikes.extend(self._strikes)
+            self._strikes.clear()
         item.seq = self._next
         item.wall_time_ns = self._latest_ns
         item.monotonic_ns = self._monotonic_ns() - self._began_ns
@@ -337,6 +347,21 @@ def keeps_local_variables() -> bool:
     """Whether all journals that record this context may hold local variables, and there is any."""
     journals = _listening()
     return bool(journals) and all(journal.local_variables for journal in journals)
+
+
+#: Gives how often this thread has looked for strikes; the scheduler sets it, 0 without one.
+looks: Callable[[], int] = int
+
+
+def strike(look: int, which: Iterable[int]) -> None:
+    """Keeps in every open journal what the clock and workers have decided in the main thread, whatever it does now.
+
+    Args:
+        look: the number of the look that found it.
+        which: of what was looked for, from 0.
+    """
+    for journal in _open:
+        journal.strike(Strike(look=look, which=which))
 
 
 def attach(assets: Iterable[AssetFile]) -> None:

@@ -59,6 +59,6 @@ def main(
     path = Path(folder) / recorded.path.name
     sink = StoppingSink(recorded, address, path, clock, Course(until), spacing, changed, moved)
     with answered_by(sink.answers):
-        run_plan(plan, arguments, seed, recorded, lambda _: sink, by_program=by_program)
+        run_plan(plan, arguments, seed, recorded, lambda _: sink, sink.foreseen, by_program=by_program)
     sink.close()
     os._exit(0)

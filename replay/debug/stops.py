@@ -120,6 +120,7 @@ class StoppingSink(NullSink):
     Attributes:
         path: as given.
         answers: those that the fork was given.
+        foreseen: gives the strikes of the recorded run.
     """
 
     def __init__(
@@ -141,6 +142,7 @@ class StoppingSink(NullSink):
         self._spacing = spacing
         self._moved = moved
         self._guide = Guide(recorded, self._report, None, path)
+        self.foreseen = self._guide.foreseen
         self.answers = Answers(self._guide, taken=False, refuse=_refuse)
         self._steering = Steering(changes, self.answers, make_change, _refuse)
         self._difference: Difference | None = None

@@ -33,13 +33,13 @@ _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
     "seq", "wall_time_ns", "monotonic_ns", "task", "parent", "thread", "cause", "duration_ns", "began_ns",
-    "source_file", "source_line", "callers",
+    "source_file", "source_line", "callers", "strikes",
 )  # fmt: skip
 
 #: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
 _GIVEN: Final = (
     "name", "arguments", "directory", "seed", "order", "hash_seed", "plan", "pycram", "host", "cpu", "program",
-    "by_program", "called_as", "number", "origin",
+    "by_program", "called_as", "number", "origin", "looks",
 )  # fmt: skip
 _REQUESTS: Final = ("reference", "next_solution")
 

@@ -18,7 +18,7 @@ from recorder.tracing.journal import NullSink
 from replay.explain.compare_runs import differing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from pathlib import Path
 
     from recorder.records import Plain, Record
@@ -78,6 +78,7 @@ class Guide(NullSink):
         self._report = report
         self._ended = False
         self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # of tasks that run, recorded and now
+        self._strikes: dict[int, Collection[int]] | None = None  # by their looks; None until they matter
         self.equal = 0
         self.recorded_ns = 0
 
@@ -107,6 +108,20 @@ class Guide(NullSink):
             if self._ahead is None:
                 self._ahead = next(self._recorded, None)
             return self._ahead if self._ahead is not None and self._ahead.seq == self.equal else None
+
+    def foreseen(self, look: int) -> Collection[int] | None:
+        """Return what struck at a look of the recorded run; None where it isn't guided any more.
+
+        They are read ahead: a record that tells one comes after it, and those of a worker come when they do.
+        """
+        if self._ended:
+            return None
+        with self._reading:
+            if self._strikes is None:
+                stop = None if self._until is None else self._until + 1
+                records = self._log.records(None, 0, stop)
+                self._strikes = {each.look: each.which for record in records for each in record.strikes}
+            return self._strikes.get(look, ())
 
     def _next(self) -> Record | None:
         with self._reading:

@@ -10,7 +10,7 @@ import ast
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Task
+from recorder.records import Run, Task
 from replay.explain.plan_source import syntax_nodes
 
 if TYPE_CHECKING:
@@ -55,7 +55,13 @@ def reads_before(difference: Difference) -> Iterator[str]:
 
 
 def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield in words the tasks around a step that the clock or a worker thread ended: that has no fixed moment."""
+    """Yield in words the tasks around a step that the clock or a worker thread ended in an old recording.
+
+    Newer ones tell at which look that was.
+    """
+    began = log[0]
+    if isinstance(began, Run) and began.HasField("looks"):  # then the recording guides that
+        return
     begun: dict[int, int] = {}
     for record in log.records(Task):
         if record.phase == Task.STARTED:

@@ -21,6 +21,7 @@ from pycram.projection.child import die_with
 from pycram.reasoning.queries.query import answered_by
 from pycram.scheduling.cancellation import uninterruptible
 from pycram.scheduling.schedule import seed_order
+from pycram.scheduling.strikes import guide_strikes
 from pycram.seeding import seed_random_numbers
 from recorder.errors import PortableError
 from recorder.mcap.sink import McapSink
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
     from google.protobuf.message import Message
 
+    from pycram.scheduling.schedule import Foreseen
     from recorder.records import Record
     from recorder.records.asset import AssetFile
     from recorder.tracing.journal import Sink
@@ -192,6 +194,7 @@ class _GuidedRun:
                 request.seed,
                 self._recorded,
                 self._sink_of,
+                self._guide.foreseen,
                 by_program=request.by_program,
                 file=Path(request.file or os.devnull),
             )
@@ -244,6 +247,7 @@ def run_plan(
     seed: int | None,
     recorded: RecordReader,
     sink_of: Callable[[Run], Sink],
+    foreseen: Foreseen,
     *,
     by_program: bool,
     file: Path = Path(os.devnull),
@@ -256,6 +260,7 @@ def run_plan(
         seed: of random numbers; None to leave them as they are.
         recorded: the recording that it has made.
         sink_of: gives the sink for that recording, when the plan makes it again.
+        foreseen: gives the strikes of the recorded run.
         by_program: whether the plan begins the recording itself.
         file: where it would be recorded.
     """
@@ -268,6 +273,8 @@ def run_plan(
         if guided or not _is_meant(run, began, plan):
             return NullSink()  # what a program records beside the recording in question
         guided = True
+        if isinstance(began, Run) and began.HasField("looks"):  # else an older release made it
+            guide_strikes(lambda look: foreseen(look) if process() == owner else None, began.looks)
         return sink_of(run)
 
     with redirected(redirect):

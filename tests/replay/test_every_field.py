@@ -47,7 +47,7 @@ _DAEMON = "what the recorder was given"
 #: Regular expressions of fields that nothing determines, and why.
 NOT_DETERMINED: Final = {
     r"\w+\.(wall_time_ns|monotonic_ns)": _CLOCK,
-    r"\w+\.duration_ns|Task\.began_ns|(Task|Run)\.checkpoint": _CLOCK,
+    r"\w+\.duration_ns|Task\.began_ns|(Task|Run)\.checkpoint|\w+\.strikes\..*|Run\.looks": _CLOCK,
     r"\w+\.thread": _WHERE,
     r"\w+\.(source_file|source_line|callers\..*)": _WHERE,
     r"(?!Mutation|Keyframe)\w+\.(world|sim_step)": _SAID,

@@ -37,7 +37,7 @@ def test_setting_false_notifies_waits_for_not() -> None:
 def test_a_wait_is_notified_when_there_is_a_state_to_look_at(monkeypatch: pytest.MonkeyPatch) -> None:
     fluent, seen = Fluent(1), []
     with StateStream(fluent.expression) as stream:
-        next(stream.states(0))
+        next(stream.states())
         monkeypatch.setattr(stream._news, "notify_all", lambda: seen.append(len(stream._states)))
         fluent.set_value(2)
     assert seen == [1]

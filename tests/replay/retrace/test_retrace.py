@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder.records import Mutation, Task
+from recorder.records import Fluent, Mutation, Task
 from replay.cli.main import main
 from replay.errors import Damaged
 from replay.retrace.fork import fork
@@ -238,46 +238,73 @@ def test_a_program_that_records_itself_is_run_as_a_program(tmp_path: Path) -> No
     assert other.difference.line == f"{file}:5"
 
 
-def test_what_the_clock_ended_is_named_where_it_comes_at_another_moment(tmp_path: Path) -> None:
-    file = tmp_path / "late.py"
-    file.write_text(
-        "from pycram.bullet_world import BulletWorld, Object\n"
-        "from pycram.language import timeout\n"
-        "world = BulletWorld()\n"
-        'cup = Object("cup", "cup", "cup.stl")\n'
-        "x = 0\n"
-        "with timeout(0.2):\n"
-        "    while True:\n"
-        "        x += 0.001\n"
-        "        cup.set_position([x, 0, 1])\n"
-    )
+def test_what_the_clock_ended_is_named_in_recordings_that_dont_guide_it() -> None:
+    golden = next((Path(__file__).parents[1] / "golden" / "forks").glob("*.mcap"))
+    with replay.open(golden) as recording:
+        (late,) = (task for task in recording.records(Task) if task.kind == "timeout" and task.phase == Task.FINISHED)
+        said = f"the clock ended timeout 0 s at step {late.seq}: when that comes, no seed knows"
+        assert said in list(decided_outside(recording, late.seq))
+        assert said not in list(decided_outside(recording, late.seq + 1))
+
+
+_CLOCKS = """
+import time
+from pycram.bullet_world import BulletWorld, Object
+from pycram.fluent import Fluent
+from pycram.language import in_thread, par, timeout
+from pycram.language.timeouts import TimedOut
+with timeout(60):
+    in_thread(time.sleep, 0)
+world = BulletWorld()
+cups = [Object(f"cup{i}", "cup", "cup.stl", [0, i, 1]) for i in range(2)]
+count, never = Fluent(0, "count"), Fluent(0, "never")
+
+def shoves(cup, seconds):
+    x = 0
+    try:
+        with timeout(seconds):
+            while True:
+                x += 0.001
+                cup.set_position([x, cup.get_position()[1], 1])
+    except TimedOut:
+        count.set_value(count.get_value() + 1)
+
+def waits():
+    for _ in range(3):
+        (never > 0).wait_for(timeout=0.03)
+        count.set_value(count.get_value() + 10)
+
+def works():
+    for _ in range(2):
+        in_thread(time.sleep, 0.03)
+        count.set_value(count.get_value() + 100)
+
+par(lambda: shoves(cups[0], 0.2), lambda: shoves(cups[1], 0.1), waits, works)
+"""
+
+
+def test_what_the_clock_and_workers_decide_comes_at_the_same_moment_again(tmp_path: Path) -> None:
+    file = tmp_path / "clocks.py"
+    file.write_text(_CLOCKS)
     log = record(file)
     with replay.open(log) as recording:
-        ended = next(task.seq for task in recording.records(Task) if task.phase == Task.FINISHED)
-        said = f"the clock ended timeout 0.2 s at step {ended}: when that comes, no seed knows"
-        assert [list(decided_outside(recording, step)) for step in (2, ended - 1, ended, ended + 1)] == [
-            [],
-            [said],
-            [said],
-            [],
-        ]
-    waits = tmp_path / "waits.py"
-    waits.write_text(
-        "import time\n"
-        "from pycram.fluent import Fluent\n"
-        "from pycram.language import in_thread, par, timeout\n"
-        "from pycram.language.timeouts import TimedOut\n"
-        'never = Fluent(None, "never")\n'
-        "never.wait_for(timeout=0.1)\n"
-        "try:\n"
-        "    with timeout(0.1):\n"
-        "        par(never.wait_for, lambda: in_thread(time.sleep, 0.01))\n"
-        "except TimedOut:\n"
-        "    never.set_value(1)\n"
-    )
-    result = retraced(record(waits))
+        struck = [(strike, record.seq) for record in recording.records() for strike in record.strikes]
+        values = [record.after_json for record in recording.records(Fluent)]
+        last_of_all = len(recording)
+    assert sum(len(strike.which) for strike, _ in struck) == 8  # 2 timeouts, 3 waits, 3 workers
+    assert [strike.look for strike, _ in struck] == sorted({strike.look for strike, _ in struck})
+    assert values[-1] == "232"
+    for _ in range(3):
+        result = retraced(log)
+        assert result.identical, result.difference
+        assert result.equal == last_of_all
+    early = struck[len(struck) // 2][1]  # in the midst of them
+    with replay.open(log) as recording:
+        forked = fork(recording, early, tmp_path / "fork.mcap", control=True)
+    assert forked.control is not None
+    assert forked.control.identical, forked.control.difference
+    result = retraced(tmp_path / "fork.mcap")
     assert result.identical, result.difference
-    assert result.equal == result.steps > 10
 
 
 def test_a_program_is_called_again_as_it_was(tmp_path: Path) -> None:
