@@ -14,6 +14,8 @@ import pytest
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument, JointLimitError, NoPath, PostureInCollision, UnknownName
 from pycram.planning import joint_motion, path, through, together
+from pycram.reasoning.collision import checker
+from pycram.reasoning.kinematics import solver
 from pycram.scheduling.schedule import seed_order
 from pycram.world.snapshot import take_snapshot
 from recorder import geometry, records
@@ -182,6 +184,8 @@ import json, sys
 from pathlib import Path
 from pycram.bullet_world import BulletWorld, Object
 from pycram.planning import joint_motion
+from pycram.reasoning.collision import checker
+from pycram.reasoning.kinematics import solver
 from pycram.scheduling.schedule import seed_order
 from tests.pycram.planning.conftest import LEFT, RIGHT
 
@@ -245,3 +249,21 @@ def test_an_interrupt_ends_a_search_and_is_raised_as_it_was(pillar: Object) -> N
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert ended.stderr.endswith("\nKeyboardInterrupt\n")
     assert "nanobind" not in ended.stderr  # which tells of objects that were left
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("side", "y"), [("left", 0.85), ("right", 1.15)])
+def test_a_parked_arm_gets_over_what_its_robot_stands_close_to(world: BulletWorld, side: str, y: float) -> None:
+    Object("kitchen", "environment", "kitchen.urdf")
+    world.robot = robot = Object("tiago_pro", "robot", "tiago_pro.urdf", [-0.3, 1, 0], [0, 0, 1, 0])
+    for each in robot.description.arms.values():
+        robot.set_joint_positions(each.posture("park"))
+    tool, down = robot.description.arm(side).tool_frame, geometry.from_rpy(0, 1.2, math.pi)
+    found = [
+        posture.positions
+        for posture in solver.postures(robot, tool, [-1.0, y, 1.05], down)
+        if posture.reaches() and not checker.in_the_way(robot, posture.positions)
+    ]
+    assert found
+    planned = joint_motion(robot, found[0])
+    assert deepest(robot, planned, 20) < 5e-3
