@@ -49,7 +49,9 @@ def kinematic_error(robot: Object, numbers: random.Random) -> tuple[float, float
     far = turned = 0.0
     for _ in range(3):
         values = {}
-        for name in set(robot.joints) - set(robot.urdf.mimics):
+        for name in robot.joints:
+            if name in robot.urdf.mimics:
+                continue
             lower, upper = robot.joint_limits(name)
             values[name] = numbers.uniform(max(lower, -math.pi), min(upper, math.pi))
         robot.set_joint_positions(values)
