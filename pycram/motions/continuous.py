@@ -136,14 +136,13 @@ class ContinuousExecution(Execution):
     def _line_back(
         robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()
     ) -> list[Mapping[str, float]] | None:
-        now = robot.get_joint_positions()
+        now = _now(robot, dict.fromkeys(arm.joints, 0.0))
         ways = (geometry.rotate(_tool_pose(robot, arm, now)[1], _BACK), _UP)
-        return _line(robot, arm, {joint: now[joint] for joint in arm.joints}, ways, (), ignored_links)
+        return _line(robot, arm, now, ways, (), ignored_links)
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:
         """Raise it straight as far as nothing is in the way; None if there is something at once."""
-        now = robot.get_joint_positions()
-        line = _line(robot, arm, {joint: now[joint] for joint in arm.joints}, (_UP,))
+        line = _line(robot, arm, _now(robot, dict.fromkeys(arm.joints, 0.0)), (_UP,))
         return None if line is None else partial(_along, (robot, line))
 
     def settle(self, world: BulletWorld) -> Sequence[Object]:

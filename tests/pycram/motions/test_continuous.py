@@ -315,6 +315,19 @@ def test_a_hand_around_an_object_is_drawn_straight_back_where_no_other_way_is_fo
     assert milk.get_position() == pytest.approx(stands, abs=2e-3)
 
 
+def test_a_hand_is_lifted_where_a_motor_left_a_joint_a_little_beyond_its_limit(shared_scene: BulletWorld) -> None:
+    robot = shared_scene.robot
+    arm = robot.description.arm("left")
+    lower, _ = robot.joint_limits("l_wrist_flex_joint")
+    robot.set_joint_position("l_wrist_flex_joint", lower)
+    robot.world.engine.set_joints(robot.handle, {"l_wrist_flex_joint": lower - 2e-5})
+    before = tool(robot, "left")[0][2]
+    step = IN_SIMULATED_TIME.lift(robot, arm)
+    assert step is not None
+    step()
+    assert tool(robot, "left")[0][2] > before + 0.02
+
+
 def test_a_goal_out_of_reach_is_refused_before_anything_is_searched(
     shared_scene: BulletWorld, sink: MemorySink
 ) -> None:
