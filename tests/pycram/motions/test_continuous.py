@@ -315,6 +315,7 @@ def test_a_hand_around_an_object_is_drawn_straight_back_where_no_other_way_is_fo
     assert milk.get_position() == pytest.approx(stands, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_hand_is_lifted_where_a_motor_left_a_joint_a_little_beyond_its_limit(shared_scene: BulletWorld) -> None:
     robot = shared_scene.robot
     arm = robot.description.arm("left")
