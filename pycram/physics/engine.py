@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from pycram.foundation.failures import AssetError
 from pycram.foundation.redirect import silenced
 from pycram.physics.body import Body, Joint
 from pycram.physics.contacts import ClosestPoint, Contact
@@ -100,13 +101,19 @@ class Engine:
             robot: Whether its links ignore what a robot holds.
             loading: How the body is made of the file.
             start: Positions of its joints in rad or m by name; by default 0.
+
+        Raises:
+            AssetError: PyBullet refuses the file.
         """
         c = self._client
         flags = bullet.URDF_USE_INERTIA_FROM_FILE if robot and loading.inertia else 0
         if not self._window:  # nobody sees them: pictures are drawn from the model itself
             flags |= bullet.URDF_IGNORE_VISUAL_SHAPES
         journal.flush()  # a large model takes up to 90 ms, in which a process that is killed writes nothing
-        number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
+        try:
+            number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
+        except bullet.error as error:  # of what checks let through, as in a damaged recording
+            raise AssetError(str(urdf), f"PyBullet refuses it: {error}") from error
         base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
         links = {base: -1}
         joints = {}
