@@ -5,15 +5,10 @@ So a command that runs a plan starts itself again, once, with ``PYTHONHASHSEED``
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import sys
-from contextlib import suppress
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from typing import Final
 
 MAX_SEED: Final = 2**32 - 1  # of PYTHONHASHSEED and of NumPy
 
@@ -43,26 +38,6 @@ def restart(seed: int) -> None:
         return
     environment = os.environ | {_HASH: str(seed), _RESTARTED: mark}
     os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)  # noqa: S606  this very command
-
-
-def restart_early(words: Sequence[str]) -> None:
-    """Start a command that runs a plan again before it has imported what takes longer than all else that it does.
-
-    What can't be understood yet is left to :func:`restart`, when all words are parsed.
-
-    Args:
-        words: The command's, as they were typed.
-    """
-    done = os.environ.get(_RESTARTED, "").startswith(f"{os.getpid()}:")
-    if done or words[:1] not in (["run"], ["demo"]):
-        return
-    own = words[: words.index("--")] if "--" in words else words
-    parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
-    parser.add_argument("--seed")
-    with suppress(argparse.ArgumentError):
-        text = parser.parse_known_args(own)[0].seed
-        if text is None or (text.isdecimal() and int(text) <= MAX_SEED):
-            restart(chosen_seed(None if text is None else int(text)))
 
 
 def seed_random_numbers(seed: int | None) -> None:

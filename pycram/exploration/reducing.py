@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pycram.exploration.runs import Attempt, Runs
     from pycram.scheduling.order import Precedence
 
-_MOST: Final = 200  # tries
+_MAX_TRIES: Final = 200  # tries
 
 
 class _Tries:
@@ -33,7 +33,7 @@ class _Tries:
         """Return the first run that ends so, as many at once as there are cores; None if there is none."""
         for start in range(0, len(tries), self._runs.cores):
             wave = [tuple(each) for each in tries[start : start + self._runs.cores]]
-            new = [each for each in wave if each not in self._known][: _MOST - len(self._known)]
+            new = [each for each in wave if each not in self._known][: _MAX_TRIES - len(self._known)]
             for index, attempt in self._runs.all([text_of(each) for each in new]):
                 self._known[new[index]] = attempt
             for each in wave:

@@ -26,7 +26,7 @@ T = TypeVar("T")
 Ends: TypeAlias = "tuple[Sequence[float] | NDArray[np.float64], Sequence[float] | NDArray[np.float64]]"
 """Lowest and highest corner of a box, m."""
 
-_FEW: Final = 300  # numbers
+_SMALL: Final = 300  # numbers
 _SECTIONS: Final = 32  # sides of cylinders and spheres
 _NO_AREA: Final = 1e-12  # m^2 of a triangle of a solid of 1 m, which has lost its third corner on the axis
 _CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners, of edges of 1 m
@@ -108,7 +108,7 @@ def _colors_of(parts: Sequence[Shape], folder: Path) -> NDArray[np.float64]:
 
 def bounds(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and highest of corners (..., 3): coordinate by coordinate, which is many times as fast."""
-    if corners.size <= _FEW:
+    if corners.size <= _SMALL:
         few = corners.reshape(-1, 3)
         return few.min(axis=0), few.max(axis=0)
     x, y, z = (np.ascontiguousarray(corners[..., axis]) for axis in range(3))

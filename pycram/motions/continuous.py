@@ -23,7 +23,7 @@ from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from pycram.models.robots.description import Arm
@@ -136,13 +136,13 @@ class ContinuousExecution(Execution):
     def _line_back(
         robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()
     ) -> list[Mapping[str, float]] | None:
-        now = _now(robot, dict.fromkeys(arm.joints, 0.0))
+        now = _now(robot, arm.joints)
         ways = (geometry.rotate(_tool_pose(robot, arm, now)[1], _BACK), _UP)
         return _line(robot, arm, now, ways, (), ignored_links)
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:
         """Raise it straight as far as nothing is in the way; None if there is something at once."""
-        line = _line(robot, arm, _now(robot, dict.fromkeys(arm.joints, 0.0)), (_UP,))
+        line = _line(robot, arm, _now(robot, arm.joints), (_UP,))
         return None if line is None else partial(_along, (robot, line))
 
     def settle(self, world: BulletWorld) -> Sequence[Object]:
@@ -161,10 +161,10 @@ def _led(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:
     return {name: at for name, at in positions.items() if name not in mimics or mimics[name].leader not in positions}
 
 
-def _now(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return where the same joints are now, within their limits, to which motors keep but nearly."""
+def _now(robot: Object, joints: Iterable[str]) -> dict[str, float]:
+    """Return where joints are now, within their limits, to which motors keep but nearly; see :func:`_led`."""
     now = robot.get_joint_positions()
-    limits = {name: robot.joint_limits(name) for name in _led(robot, positions)}
+    limits = {name: robot.joint_limits(name) for name in _led(robot, {name: now[name] for name in joints})}
     return {name: min(max(lower, now[name]), upper) for name, (lower, upper) in limits.items()}
 
 

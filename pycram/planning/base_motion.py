@@ -10,14 +10,16 @@ from pycram.foundation import checks
 from pycram.foundation.failures import InCollision
 from pycram.planning import path
 from pycram.planning.clearance import MARGIN, Clearance
-from pycram.planning.planned import Planned, trajectory_of
+from pycram.planning.planned import Planned, search_record, trajectory_of
 from pycram.planning.rates import base_rates
 from pycram.planning.space import Space, nearest_turns
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.driving import check_drives, check_ground
 from pycram.reasoning.rejections import Touching
-from recorder import geometry, records
+from pycram.world.trajectory import BaseFrame
+from recorder import geometry
+from recorder.records.following import BASE_COORDINATES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_COORDINATES: Final = ("x", "y", "yaw")
 _ROOM: Final = 3.0  # m around start and goal that a path may go
 _TURN: Final = 0.5  # m for a radian of turn, as the outline of a robot moves
 _STEP: Final = 0.06  # m between poses that are checked while a path is searched
@@ -69,11 +70,12 @@ def base_motion(
         position, orientation = start or robot.get_position_and_orientation()
         here = (checks.vector("start", position), checks.quaternion("start", orientation))
         begin, end = np.array(_row(here)), np.array(_row((target, turn)))
+        frame = BaseFrame.of(here)
         end = nearest_turns(begin, end, np.array([np.inf, np.inf, -np.inf]), np.full(3, np.inf))
         with CollisionChecker(robot, (), all_links=True, margin=MARGIN) as checker:
 
             def predict(rows: Array) -> list[Candidate]:
-                return checker.predict_at([pose_at(here, row) for row in rows.tolist()])
+                return checker.predict_at([frame.pose(row) for row in rows.tolist()])
 
             clearance = Clearance(checker, predict, begin, end)
             if touched := clearance.touched:
@@ -82,26 +84,11 @@ def base_motion(
             room = np.array([_ROOM, _ROOM, np.pi])
             low, high = np.minimum(begin, end) - room, np.maximum(begin, end) + room
             space = Space(low, high, np.array([1.0, 1.0, _TURN]), _STEP)
-            query = path.Query("base", _COORDINATES, space, begin, end, base_rates(robot), seed)
+            query = path.Query("base", BASE_COORDINATES, space, begin, end, base_rates(robot), seed)
             found = path.find(query, clearance, choice)
-    search = records.PathSearch(
-        planner=found.planner,
-        seed=found.seed,
-        attempts=found.attempts,
-        checks=clearance.checks,
-        max_checks=path.MAX_CHECKS,
-        way_points=found.way_points.ravel().tolist(),
-    )
-    return Planned(trajectory_of((), found.knots), search)
+    return Planned(trajectory_of((), found.knots), search_record(found, clearance.checks, found.way_points))
 
 
 def _row(pose: Pose) -> tuple[float, float, float]:
     """Return x, y and yaw of a pose."""
     return pose[0][0], pose[0][1], geometry.to_rpy(pose[1])[2]
-
-
-def pose_at(start: Pose, row: Sequence[float]) -> Pose:
-    """Return the pose of a base that was at a start and is at x, y and yaw now: its height and lean have stayed."""
-    x, y, yaw = row
-    turn = geometry.from_rpy(0.0, 0.0, yaw - geometry.to_rpy(start[1])[2])
-    return (x, y, start[0][2]), geometry.product(turn, start[1])

@@ -68,7 +68,7 @@ class Clearance:
             depth = self._checker.depth(candidate, pair)
             if depth >= max(self._checker.least(pair), self._allowed.get(pair, 0.0)):
                 touched.append(self._checker.named(pair, depth))
-            if depth > self._most(pair):
+            if depth > self._allowed_depth(pair):
                 self._allowed[pair] = depth + _DEEPER
         return sorted(touched, key=lambda pair: -pair.depth)
 
@@ -103,7 +103,7 @@ class Clearance:
                 pairs.insert(0, self._last)
             for pair in pairs:
                 depth = self._checker.depth(candidate, pair)
-                if depth > self._most(pair):
+                if depth > self._allowed_depth(pair):
                     self._last = pair
                     self.blocking[pair] += 1
                     self._deepest[pair] = max(depth, self._deepest.get(pair, 0.0))
@@ -117,7 +117,7 @@ class Clearance:
         owns = self._checker.self_pairs(candidates)
         return [(each, [*self._checker.pairs(each), *own]) for each, own in zip(candidates, owns, strict=True)]
 
-    def _most(self, pair: Pair) -> float:
+    def _allowed_depth(self, pair: Pair) -> float:
         """Return the overlap in m up to which two links aren't in the way."""
         usual = self._checker.least(pair)
         if pair[0] is pair[2]:

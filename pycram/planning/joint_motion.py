@@ -9,14 +9,13 @@ import numpy as np
 from pycram.foundation.failures import BadArgument, PostureInCollision
 from pycram.planning import path, timing
 from pycram.planning.clearance import MARGIN, Clearance
-from pycram.planning.planned import Planned, given, trajectory_of
+from pycram.planning.planned import Planned, given, search_record, trajectory_of
 from pycram.planning.rates import joint_rates, stacked
 from pycram.planning.space import Space, nearest_turns
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.rejections import Touching
 from pycram.world.joints import checked_positions, coupled
-from recorder import records
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -95,15 +94,7 @@ def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> Planned:
         positions = moved.with_followers(knots.positions)
         velocities = np.hstack([knots.velocities, knots.velocities @ moved.slopes])
         knots = timing.slowed(timing.Knots(knots.times, positions, velocities), rates)
-    search = records.PathSearch(
-        planner=found.planner,
-        seed=found.seed,
-        attempts=found.attempts,
-        checks=checks,
-        max_checks=path.MAX_CHECKS,
-        way_points=way_points.ravel().tolist(),
-    )
-    return Planned(trajectory_of(moved.joints, knots), search)
+    return Planned(trajectory_of(moved.joints, knots), search_record(found, checks, way_points))
 
 
 class _Moved:

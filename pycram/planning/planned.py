@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pycram.planning import path
 from pycram.world.trajectory import Trajectory
 from recorder import records
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from pycram.planning.path import Path
     from pycram.planning.timing import Knots
 
     Array = NDArray[np.float64]
@@ -41,6 +43,18 @@ def trajectory_of(joints: Sequence[str], knots: Knots) -> Trajectory:
     """Return knots as a trajectory of joints, or of a base if there are none."""
     rows = (tuple(map(tuple, values.tolist())) for values in (knots.positions, knots.velocities))
     return Trajectory(tuple(joints), tuple(knots.times.tolist()), *rows)
+
+
+def search_record(found: Path, checks: int, way_points: Array) -> records.PathSearch:
+    """Return the record of how a path was found, with its way points before it was timed."""
+    return records.PathSearch(
+        planner=found.planner,
+        seed=found.seed,
+        attempts=found.attempts,
+        checks=checks,
+        max_checks=path.MAX_CHECKS,
+        way_points=way_points.ravel().tolist(),
+    )
 
 
 def given(joints: Sequence[str], knots: Knots, way_points: Array) -> Planned:

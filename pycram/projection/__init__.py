@@ -191,8 +191,8 @@ def _limits(timeout: float | None, memory: float | None) -> tuple[float | None, 
     if seconds is not None and seconds <= 0:
         raise BadArgument("timeout", timeout, "seconds, more than 0")
     room = None if memory is None else round(checks.number("memory", memory) * 1e6)
-    if room is not None and not 0 < room < _MOST:
-        raise BadArgument("memory", memory, f"megabytes, more than 0 and up to {_MOST / 1e6:g}")
+    if room is not None and not 0 < room < _MAX_MEMORY:
+        raise BadArgument("memory", memory, f"megabytes, more than 0 and up to {_MAX_MEMORY / 1e6:g}")
     return seconds, room
 
 
@@ -269,7 +269,7 @@ def obstacle() -> str:
     return ""
 
 
-_MOST: Final = 10**12  # bytes
+_MAX_MEMORY: Final = 10**12  # bytes
 _numbers: Final = threading.local()
 
 

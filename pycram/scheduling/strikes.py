@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 from pycram.scheduling.schedule import Condition, scheduler
@@ -14,18 +15,18 @@ if TYPE_CHECKING:
     from pycram.scheduling.schedule import Foreseen
 
 
-class Limit(Condition):
+class Limit(Condition, ABC):
     """A moment at which a part of the plan is to be done; notified when it comes."""
 
     @property
+    @abstractmethod
     def has_come(self) -> bool:
         """Whether it is now, or was."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def was_missed(self) -> bool:
         """Whether it was before this moment."""
-        raise NotImplementedError
 
 
 class Outer(Condition):

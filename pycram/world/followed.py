@@ -11,14 +11,13 @@ wouldn't have been anyway, and trajectories that are stopped together stay toget
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.usage_errors import FollowsTrajectory
 from pycram.world import carried
 from pycram.world.joints import with_followers
-from pycram.world.trajectory import Trajectory
-from recorder import geometry, records
+from pycram.world.trajectory import BaseFrame, Trajectory
+from recorder import records
 from recorder.records.following import has_ended, time_of
 
 if TYPE_CHECKING:
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
-    from recorder.geometry import Quaternion
 
 LOST: Final = {"revolute": 0.1, "prismatic": 0.05}
 """rad or m that a joint may be off its trajectory; without contacts it is less than 1e-3."""
@@ -68,9 +66,7 @@ class Followed:
         self.lost: tuple[str, float] | None = None
         self.ended = False
         self._targets: Sequence[float] = self.trajectory.at(self.time)[0]
-        position, orientation = body.world.engine.pose(body.handle)
-        self._height = position[2]
-        self._level = geometry.product(_turned(-geometry.to_rpy(orientation)[2]), orientation)
+        self._base = BaseFrame.of(body.world.engine.pose(body.handle))
         self.begin_stretch()
 
     @property
@@ -90,8 +86,7 @@ class Followed:
         if self.joints:
             engine.drive(self.body.handle, self.joints, before, self._targets)
             return
-        x, y, yaw = self._targets
-        engine.set_pose(self.body.handle, ((x, y, self._height), geometry.product(_turned(yaw), self._level)))
+        engine.set_pose(self.body.handle, self._base.pose(self._targets))
         carried.move_attached(self.body, transaction)
 
     def measure(self) -> None:
@@ -123,10 +118,6 @@ class Followed:
             joint=self.worst,
             ended=self.ended,
         )
-
-
-def _turned(yaw: float) -> Quaternion:
-    return (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
 
 class Trajectories:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pycram.scheduling.cancellation import CancelScope
     from pycram.world.world import BulletWorld
 
-_MOST_STEPS: Final = 10 * records.STEPS_PER_SECOND  # of one record
+_MAX_STEPS: Final = 10 * records.STEPS_PER_SECOND  # of one record
 
 
 def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
@@ -70,9 +70,9 @@ def _pass(world: BulletWorld, waiting: Wait) -> None:
 @uninterruptible()
 def _simulate(world: BulletWorld, scope: CancelScope | None) -> None:
     """Simulate until somebody has something to do."""
-    command = records.Simulate(steps=_MOST_STEPS)
+    command = records.Simulate(steps=_MAX_STEPS)
     with world.transactions.begin(records.Mutation(simulate=command)) as transaction:
-        simulation.simulate(world, _MOST_STEPS, transaction, partial(_is_enough, world, scope))
+        simulation.simulate(world, _MAX_STEPS, transaction, partial(_is_enough, world, scope))
 
 
 def _is_enough(world: BulletWorld, scope: CancelScope | None) -> bool:

@@ -14,12 +14,13 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import BadArgument
-from recorder import records
+from recorder import geometry, records
+from recorder.records.following import BASE_COORDINATES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_COORDINATES = ("x", "y", "yaw")
+    from recorder.geometry import Pose, Quaternion
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,7 @@ class Trajectory:
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the columns: joints, or x, y and yaw of the base."""
-        return self.joints or _COORDINATES
+        return self.joints or BASE_COORDINATES
 
     @property
     def duration(self) -> float:
@@ -98,9 +99,34 @@ class Trajectory:
             BadArgument: Its numbers don't fit each other.
         """
         joints = tuple(record.joints)
-        width = len(joints or _COORDINATES)
+        width = len(joints or BASE_COORDINATES)
 
         def rows(numbers: Sequence[float]) -> tuple[tuple[float, ...], ...]:
             return tuple(tuple(numbers[start : start + width]) for start in range(0, len(numbers), width))
 
         return cls(joints, tuple(record.times), rows(record.positions), rows(record.velocities))
+
+
+@dataclass(frozen=True, slots=True)
+class BaseFrame:
+    """What a trajectory of a base leaves as it is.
+
+    Attributes:
+        height: of the base in m.
+        lean: its orientation, turned about the vertical to yaw 0.
+    """
+
+    height: float
+    lean: Quaternion
+
+    @classmethod
+    def of(cls, pose: Pose) -> BaseFrame:
+        """Return that of a base at a pose in the world frame."""
+        position, orientation = pose
+        back = geometry.from_rpy(0.0, 0.0, -geometry.to_rpy(orientation)[2])
+        return cls(position[2], geometry.product(back, orientation))
+
+    def pose(self, row: Sequence[float]) -> Pose:
+        """Return the pose of the base at x and y in m and yaw in rad."""
+        x, y, yaw = row
+        return (x, y, self.height), geometry.product(geometry.from_rpy(0.0, 0.0, yaw), self.lean)

@@ -9,6 +9,9 @@ from recorder.records import STEPS_PER_SECOND
 if TYPE_CHECKING:
     from recorder.records import Following
 
+BASE_COORDINATES: Final = ("x", "y", "yaw")
+"""Of the trajectory of a base: m, m and rad in the world frame."""
+
 STOPPING_STEPS: Final = 36
 """In which a stopped trajectory slows down, 0.15 s; recordings are executed again with it, so it never changes."""
 

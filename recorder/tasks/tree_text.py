@@ -171,14 +171,14 @@ def _extent(node: Node) -> str:
 def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> list[Node | str]:
     """Siblings, folded, and between them the lines of their parent's output, which are folded likewise."""
     shown: list[Node | str] = []
-    told = 0  # lines that are shown
+    printed = 0  # lines that are shown
     for item in _folded(nodes, whole=whole):
-        if not isinstance(item, str) and told < len(output):
-            before = bisect_left(output, (item.asked or item.started).seq, told, key=attrgetter("seq"))
-            shown += _said(output[told:before], whole=whole)
-            told = before
+        if not isinstance(item, str) and printed < len(output):
+            before = bisect_left(output, (item.asked or item.started).seq, printed, key=attrgetter("seq"))
+            shown += _said(output[printed:before], whole=whole)
+            printed = before
         shown.append(item)
-    return shown + _said(output[told:], whole=whole)
+    return shown + _said(output[printed:], whole=whole)
 
 
 def _said(output: Sequence[Output], *, whole: bool) -> list[Node | str]:

@@ -15,6 +15,7 @@ import rerun as rr
 
 from recorder import geometry
 from recorder.records import Following, Keyframe
+from recorder.records.following import BASE_COORDINATES
 from recorder.viewer.colors import BLUE, GREEN, GREY
 from recorder.viewer.descriptions import offset, table
 
@@ -31,7 +32,7 @@ PATHS: Final = "paths"
 _PLANNED: Final = 0.004  # m, radius
 _DRIVEN: Final = 0.01  # m
 _ABOVE_FLOOR: Final = 0.01  # m, of a base's path, which would lie in the floor
-_LEAST: Final = 0.001  # m; a tool that only turns has no path
+_MIN_LENGTH: Final = 0.001  # m; a tool that only turns has no path
 _SAMPLES: Final = 6  # after which the driven line grows, a fifth of a simulated second; each time all of it is sent
 _ENDING: Final = ("reset", "restore", "close_world")  # commands after which nothing is followed
 
@@ -129,7 +130,7 @@ class TrajectoryPaths:
         trajectory, body = begin.trajectory, scene.bodies.get(world, {}).get(begin.body)
         if body is None:
             return
-        width = len(trajectory.joints) or 3
+        width = len(trajectory.joints or BASE_COORDINATES)
         rows = [trajectory.positions[at : at + width] for at in range(0, len(trajectory.positions), width)]
         seconds = f"{trajectory.times[-1]:.1f} s"
         if not trajectory.joints:
@@ -148,7 +149,7 @@ class TrajectoryPaths:
             if tool_of is None:
                 continue
             points = [tool_of(dict(zip(trajectory.joints, row, strict=True))) for row in rows]
-            if max(math.dist(points[0], point) for point in points) > _LEAST:
+            if max(math.dist(points[0], point) for point in points) > _MIN_LENGTH:
 
                 def at_tool(tool_of: Callable[..., Vector] = tool_of) -> Vector:
                     return geometry.transform(body.pose, tool_of({}))

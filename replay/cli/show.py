@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 _WIDTH: Final = 100  # characters; longer values are printed on several lines
-_FEW: Final = 12  # numbers; more are printed in rows
+_MAX_IN_LINE: Final = 12  # numbers; more are printed in rows
 _MANY: Final = 100  # numbers that are printed
 _ENDS: Final = 18  # of more than that, which are printed at each end
 
@@ -53,7 +53,7 @@ def _lines(fields: dict[str, Plain], indent: str) -> Iterator[str]:
 
 
 def _items(values: list[Plain], indent: str) -> Iterator[str]:
-    if len(values) > _FEW and all(isinstance(item, float | int) for item in values):
+    if len(values) > _MAX_IN_LINE and all(isinstance(item, float | int) for item in values):
         yield from (f"{indent}{line}" for line in _numbers([json.dumps(item) for item in values]))
         return
     for item in values:

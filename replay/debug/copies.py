@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from replay.debug.channel import Message
     from replay.retrace.plan_process import PlanProcess
 
-_MOST: Final = 64  # copies that wait
+_MAX_WAITING: Final = 64  # copies that wait
 _SHOWN: Final = 2000  # characters of stderr of a process that has ended
 _POLL: Final = 0.2  # s until Ctrl-C, or a process that ended without a word, is noticed
 
@@ -269,7 +269,7 @@ class Copies:
 
     def thin_out(self, step: int) -> None:
         """End those copies that wait farthest from a step, if there are too many."""
-        while len(self.waiting) > _MOST:
+        while len(self.waiting) > _MAX_WAITING:
             parents = {each.parent for each in (*self.waiting, self.now) if each is not None}
             ends = [each for each in self.waiting if each not in parents and each is not self.now]
             if not ends:

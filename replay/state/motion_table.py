@@ -6,11 +6,11 @@ were read from the engine; a base, which is put from pose to pose, has none.
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
-from recorder.records.following import has_ended, time_of
+from recorder.records.following import BASE_COORDINATES, has_ended, time_of
 from replay.errors import Damaged
 from replay.state.fold import apply
 
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
     from replay.state.fold import WorldBuilder
     from replay.state.state import Body, World
-
-_BASE: Final = ("x", "y", "yaw")
 
 
 class Row(NamedTuple):
@@ -100,7 +98,7 @@ def _driven(world: World, record: Mutation) -> Iterator[Row]:
 
 
 def _names(begin: BeginTrajectory) -> Sequence[str]:
-    return begin.trajectory.joints or _BASE
+    return begin.trajectory.joints or BASE_COORDINATES
 
 
 def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
@@ -126,5 +124,4 @@ def _place(position: Sequence[float]) -> dict[str, tuple[float, float | None]]:
 def _heading(orientation: Sequence[float]) -> dict[str, tuple[float, float | None]]:
     if not orientation:
         return {}
-    x, y, z, w = orientation
-    return {"yaw": (math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)), None)}
+    return {"yaw": (geometry.to_rpy(orientation)[2], None)}

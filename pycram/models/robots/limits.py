@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pycram.foundation import checks
 from pycram.models.robots import tables
 
-_LEAST, _MOST = 1e-3, 1e3
+_MIN_RATE, _MAX_RATE = 1e-3, 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,4 +42,4 @@ def read_limits(table: tables.Table) -> MotionLimits:
         BadArgument: An entry is unknown or impossible.
     """
     tables.only(table, *(field.name for field in fields(MotionLimits)))
-    return MotionLimits(**{name: checks.in_range(name, value, _LEAST, _MOST) for name, value in table.items()})
+    return MotionLimits(**{name: checks.in_range(name, value, _MIN_RATE, _MAX_RATE) for name, value in table.items()})

@@ -160,7 +160,7 @@ def test_a_robot_that_is_bolted_down_is_not_told_to_stand_elsewhere(world: Bulle
     drawer.write_text(DRAWER)
     drives = RobotDescription.load(ROBOTS / "pr2.toml")
     chest = Object("chest", "environment", drawer, [1.4, 0.0, 0.9])
-    told = {}
+    remedies = {}
     for description in (drives, replace(drives, drives=False)):
         world.robot = robot = Object("pr2", "robot", "pr2.urdf", description=description)
         perform(type="move-arm-joints", left_arm="park", right_arm="park")
@@ -168,10 +168,10 @@ def test_a_robot_that_is_bolted_down_is_not_told_to_stand_elsewhere(world: Bulle
             perform(
                 type="accessing", drawer_joint="slide", drawer_handle="bar", part_of=chest, arm="left", distance=0.2
             )
-        told[description.drives] = raised.value.remedies
+        remedies[description.drives] = raised.value.remedies
         robot.remove()
-    assert any("with the robot at" in remedy for remedy in told[True])
-    assert told[False] == ["no arm or place nearby that was tried would do"]
+    assert any("with the robot at" in remedy for remedy in remedies[True])
+    assert remedies[False] == ["no arm or place nearby that was tried would do"]
 
 
 @pytest.mark.slow
