@@ -87,7 +87,7 @@ ON_TABLE = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 @pytest.mark.parametrize(("robot", "goals"), [("tiago_pro", GOALS), ("panda", ON_TABLE), ("ur5", ON_TABLE)])
 def test_every_robot_in_the_box_sets_the_table(tmp_path: Path, robot: str, goals: dict[str, list[float]]) -> None:
     ended = pycram("demo", "--robot", robot, cwd=tmp_path)

@@ -204,6 +204,7 @@ ONE_ARM = """<robot name="my robot 2.0"><link name="base"/>{links}<link name="ha
 {joints}<joint name="end" type="fixed"><parent link="link 3"/><child link="hand"/></joint></robot>"""
 
 
+@pytest.mark.slow
 def test_names_that_toml_has_no_plain_keys_for(describe: Callable[..., Ended], tmp_path: Path) -> None:
     shape = '<origin xyz="0 0 0.1"/><geometry><box size="0.04 0.04 0.16"/></geometry>'
     red = '<material name="red"><color rgba="1 0 0 1"/></material>'

@@ -44,6 +44,7 @@ def listing_5_1() -> Iterator[dict[str, Object]]:
     world.exit()
 
 
+@pytest.mark.slow
 def test_listing_5_2_opens_the_drawer(listing_5_1: dict[str, Object]) -> None:
     kitchen = listing_5_1["kitchen"]
     BulletWorld.robot.set_position([0.65, 0.7, 0])
@@ -99,6 +100,7 @@ def joints_of(robot: Object, joints: dict[str, float]) -> dict[str, float]:
     return {joint: robot.get_joint_position(joint) for joint in joints}
 
 
+@pytest.mark.slow
 def test_listing_5_3_moves_base_arms_and_head_in_branches(sink: MemorySink, listing_5_1: dict[str, Object]) -> None:
     robot, object_type = listing_5_1["pr2"], "milk"
     parked = stretched_out(robot)
@@ -143,6 +145,7 @@ def test_three_branches_move_base_and_arms(sink: MemorySink, listing_5_1: dict[s
     ]
 
 
+@pytest.mark.slow
 def test_an_obstacle_is_named_by_blocking_and_can_be_moved(listing_5_1: dict[str, Object]) -> None:
     """A box before the milk: blocking names it, and when it is gone the way is free (Listing 5.4)."""
     robot, milk, cereal = listing_5_1["pr2"], listing_5_1["milk"], listing_5_1["cereal"]

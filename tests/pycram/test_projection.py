@@ -118,6 +118,7 @@ class Silent:
         raise ValueError("nor this")
 
 
+@pytest.mark.slow
 def test_a_result_that_cannot_leave_the_copy_is_told_as_text(cup: Object, sink: MemorySink) -> None:
     outcome = project(lambda: (i for i in ()))
     assert outcome.succeeded
@@ -129,6 +130,7 @@ def test_a_result_that_cannot_leave_the_copy_is_told_as_text(cup: Object, sink: 
     assert [each.get("unsent", "")[:10] for each in told] == ["<generator", "<Silent, w", ""]
 
 
+@pytest.mark.slow
 def test_what_ends_the_copy_is_an_outcome(cup: Object) -> None:
     for action, limits, cause in (
         (lambda: os._exit(3), {}, "exit code 3"),
@@ -195,6 +197,7 @@ def test_a_small_limit_of_memory_ends_a_recorded_copy(cup: Object, tmp_path: Pat
     assert isinstance(outcome.failure, ProjectionDied)
 
 
+@pytest.mark.slow
 def test_the_first_that_succeeds_is_the_first_of_the_candidates(cup: Object) -> None:
     def slow() -> str:
         cup.world.simulate(1)
@@ -212,6 +215,7 @@ def test_the_first_that_succeeds_is_the_first_of_the_candidates(cup: Object) -> 
     assert project_all([]) == []
 
 
+@pytest.mark.slow
 def test_in_a_branch_the_others_stand_still_in_the_copy(world: BulletWorld, cup: Object) -> None:
     moved: list[str] = []
 
@@ -274,6 +278,7 @@ def test_what_other_branches_claim_is_free_in_the_copy(world: BulletWorld) -> No
     assert s.branches[0].result()
 
 
+@pytest.mark.slow
 def test_the_outcome_and_the_copy_s_recording_are_on_record(tmp_path: Path) -> None:
     with recorder.record(tmp_path / "plan.mcap", output=True), BulletWorld() as world:
         cup = Object("cup", "cup", "cup.stl", [0, 0, 0.3], world=world)
@@ -297,6 +302,7 @@ def test_the_outcome_and_the_copy_s_recording_are_on_record(tmp_path: Path) -> N
         assert [record.text for record in log.records("output")] == ["in the copy"]
 
 
+@pytest.mark.slow
 def test_on_record_is_one_after_the_other_in_the_candidates_order(cup: Object, sink: MemorySink) -> None:
     def after(seconds: float, failing: str) -> None:
         time.sleep(seconds)

@@ -351,6 +351,7 @@ def test_chunks_that_are_too_much_are_not_inflated(library: str, index: str, crc
     check(file, tmp_path, ["info"], ["log"], says="inflate to more than")
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("table", ["_chunks", "_attachments", "_metadata"])
 def test_an_index_that_names_the_same_very_often_harms_nobody(
     table: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -113,6 +113,7 @@ def check(sound: Path, target: Path, seed: int) -> None:
         assert not current.open_worlds(), f"seed {seed}: {asked}"
 
 
+@pytest.mark.slow
 def test_inconsistent_records_are_reported(sound: Path, tmp_path: Path) -> None:
     for seed in range(2):
         check(sound, tmp_path / f"{seed}.mcap", seed)

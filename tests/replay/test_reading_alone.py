@@ -97,6 +97,7 @@ def replay(verb: str, log: Path, *words: str) -> tuple[str, ...]:
     return ("replay.cli.main", verb, str(log), *words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", LOGS, ids=lambda log: log.stem)
 def test_reading_verbs(log: Path) -> None:
     calls = [replay(verb, log, *words, *more) for verb, *words in READING for more in ((), ("--json",))]
@@ -112,6 +113,7 @@ def test_they_say_the_same_as_where_all_is_installed() -> None:
     assert run(*calls) == run(*calls, hiding=False)
 
 
+@pytest.mark.slow
 def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
     calls = {
         replay("ask", LOGS[0], "last", "stable(milk)"): ("pycram-replay: ask: ", "executor"),

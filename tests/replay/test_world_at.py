@@ -81,6 +81,7 @@ def end_of(log: replay.Recording) -> int:
     return max(record.seq for record in log.records(Mutation) if not record.HasField("close_world"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exact", [False, True])
 def test_a_restored_world_equals_the_live_one(plan_log: tuple[Path, dict[str, object]], exact: bool) -> None:
     file, wanted = plan_log
@@ -121,6 +122,7 @@ world.simulate(0.1)
     subprocess.run([sys.executable, "-c", script, str(planned)], check=True)
 
 
+@pytest.mark.slow
 def test_restoring_does_not_affect_a_running_plan(planned: Path, file: Path) -> None:
     """Only a world that is handed out is on record, from a keyframe on; pictures and questions leave nothing."""
     with BulletWorld(name="now") as now, recorder.record(file):

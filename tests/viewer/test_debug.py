@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tests.viewer.conftest import Headless
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_the_viewer_follows_the_debugger(
     tmp_path: Path, headless: Headless, until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -261,6 +261,7 @@ def test_a_viewer_is_closed_while_the_plan_runs(plan: Callable[..., Plan], serve
     assert 0 < missed < count
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("at_the_end", [True, False])
 def test_a_viewer_is_stopped_while_the_plan_runs(
     plan: Callable[..., Plan], serve: Callable[[], Server], until, *, at_the_end: bool
@@ -284,6 +285,7 @@ def test_a_viewer_is_stopped_while_the_plan_runs(
     ended.check()
 
 
+@pytest.mark.costly
 def test_records_that_a_stopped_viewer_misses_are_counted(
     plan: Callable[..., Plan], serve: Callable[[], Server]
 ) -> None:
@@ -298,6 +300,7 @@ def test_records_that_a_stopped_viewer_misses_are_counted(
         assert 0 < int(log.metadata["pycram.end.viewer_dropped"]) <= missed
 
 
+@pytest.mark.costly
 def test_a_viewer_that_lives_gets_all_of_many_records(
     plan: Callable[..., Plan], serve: Callable[[], Server], until
 ) -> None:

@@ -79,6 +79,7 @@ def stranger(log: Path) -> Stranger:
     return Stranger(log)
 
 
+@pytest.mark.costly
 def test_every_message_is_decoded_with_the_file_s_own_definitions(stranger: Stranger) -> None:
     topics = {channel.topic for channel, _, _ in stranger.messages}
     assert {"/run", "/task", "/mutation", "/query", "/output", "/tf", "/log"} <= topics <= {*RECORDS, "/tf", "/log"}

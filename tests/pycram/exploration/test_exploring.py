@@ -67,7 +67,7 @@ def test_a_plan_without_a_race_is_said_to_have_none(tmp_path: Path) -> None:
     assert explore(partial(colored, 1), 12).orders == 1
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_what_decides_is_the_line_that_ran_too_early(tmp_path: Path) -> None:
     result = explore(races.a_count_loses_one, 16, seed=1, folder=tmp_path)
     good, bad = result.found
@@ -149,7 +149,7 @@ def test_runs_differ_in_their_order_alone() -> None:
     assert explore(plan, 6).alike
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_a_run_that_hangs_or_dies_is_an_ending() -> None:
     (deadlock,) = [each for each in explore(races.knife_and_fork, 16, seed=1).found if each.ending.kind == DEADLOCK]
     assert deadlock.ending.failure.count("races.py:") == 2

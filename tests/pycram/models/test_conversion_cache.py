@@ -115,6 +115,7 @@ def test_what_was_converted_is_not_read_again(cache: Path, ball: Path, monkeypat
     assert pieces(ball) == before
 
 
+@pytest.mark.slow
 def test_textures_materials_and_meshes_that_change_are_converted_anew(cache: Path, ball: Path) -> None:
     (_, _, red), *_ = pieces(ball)
     paint(ball.parent, (0, 0, 255))
@@ -142,6 +143,7 @@ def test_a_damaged_entry_is_replaced(cache: Path, ball: Path) -> None:
         assert entry.read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_the_oldest_go_when_there_are_too_many(cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pieces(ball)
     (oldest,) = cache.iterdir()

@@ -41,6 +41,7 @@ def nearest(engine: Engine, probe: object, bodies: list[object]) -> float:
     return min((p.distance for body in bodies for p in engine.closest_points(probe, body, NEAR)), default=math.inf)
 
 
+@pytest.mark.slow
 def test_rigid_parts_and_single_links_are_where_the_whole_is(world: BulletWorld, row: Object, engine: Engine) -> None:
     def loaded(path: Path, link: str) -> object:
         return engine.load(path, row.get_link_position_and_orientation(link), fixed=True)

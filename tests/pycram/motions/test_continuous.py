@@ -90,7 +90,7 @@ def test_what_is_picked_up_is_carried_in_the_hand_and_placed(shared_scene: Bulle
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_a_drawer_opens_with_the_hand_and_takes_along_what_lies_in_it(shared_scene: BulletWorld) -> None:
     kitchen, spoon = shared_scene.get_object("kitchen"), shared_scene.get_object("spoon")
     lay = spoon.get_position()
@@ -119,6 +119,7 @@ def test_branches_move_at_the_same_time(shared_scene: BulletWorld) -> None:
         assert [robot.get_joint_position(name) for name in joints] == pytest.approx(posture, abs=0.01)
 
 
+@pytest.mark.slow
 def test_time_stands_still_while_nobody_moves(shared_scene: BulletWorld) -> None:
     begun = shared_scene.sim_step
     assert perform(type="world-state-detecting", object_type="milk").name == "milk"
@@ -127,7 +128,7 @@ def test_time_stands_still_while_nobody_moves(shared_scene: BulletWorld) -> None
     assert shared_scene.sim_step > begun
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_fingers_close_as_far_as_they_get_and_what_is_let_go_falls(shared_scene: BulletWorld) -> None:
     robot, milk = shared_scene.robot, shared_scene.get_object("milk")
     assert perform(type="closing-gripper", gripper="left").share == pytest.approx(0, abs=0.01)
@@ -234,6 +235,7 @@ def park_raised(arm: str) -> list[float]:
     return posture
 
 
+@pytest.mark.slow
 def test_a_limit_of_simulated_time_stops_a_motion(shared_scene: BulletWorld, sink: MemorySink) -> None:
     begun = shared_scene.sim_step
     with pytest.raises(TimedOut, match="of simulated time"), timeout(0.5, simulated=True):
@@ -247,6 +249,7 @@ def test_a_limit_of_simulated_time_stops_a_motion(shared_scene: BulletWorld, sin
     perform(type="move-arm-joints", left_arm="park")  # it goes on from where it stands
 
 
+@pytest.mark.slow
 def test_ctrl_c_stops_a_motion_and_leaves_the_world_consistent(shared_scene: BulletWorld) -> None:
     robot, wrist = shared_scene.robot, "l_wrist_flex_joint"
     (moving,) = [joint(robot, wrist) < robot.get_joint_position(wrist) - 0.2]

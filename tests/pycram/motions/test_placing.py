@@ -172,6 +172,7 @@ def test_what_leans_on_the_hand_is_judged_without_it(table: BulletWorld, tmp_pat
         placing.remove()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["spoon", "fork"])
 def test_what_sticks_out_on_both_sides_of_something_narrow_is_put_there(
     table: BulletWorld, tmp_path: Path, kind: str

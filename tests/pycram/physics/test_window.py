@@ -134,7 +134,7 @@ def test_what_somebody_drags_with_the_mouse_is_marked(
 
 
 @pytest.mark.needs("Xvfb", "OpenGL")
-@pytest.mark.slow
+@pytest.mark.costly
 def test_a_window_opens_and_simulates_as_without_one(display: str) -> None:
     output = run(PLAN, display=display)
     assert "PyBullet has one window" in output

@@ -52,6 +52,7 @@ def test_where_nothing_is_in_the_way_the_path_is_straight(arm: Object) -> None:
     assert lifts == pytest.approx([RIGHT["elbow_joint"]] * len(lifts))
 
 
+@pytest.mark.slow
 def test_it_goes_around_what_is_in_the_way(pillar: Object, arm: Object, sink: MemorySink) -> None:
     before = [take_snapshot(body) for body in arm.world.objects]
     planned = joint_motion(arm, LEFT)

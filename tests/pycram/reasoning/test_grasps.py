@@ -47,6 +47,7 @@ def perform(**slots: object) -> object:
     return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "degrees"),
     [pytest.param(*case, marks=[] if case in QUICK else [pytest.mark.slow]) for case in CASES],

@@ -121,6 +121,7 @@ def test_arms_with_a_spherical_shoulder_and_wrist_have_a_closed_form() -> None:
     assert not has_closed_form([Z, Y, X, Y, X, Y, Y], PR2[1])  # axes 6 and 7 are one
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(units, units, vectors, angles, angles)
 def test_two_turns_bring_a_vector_where_two_turns_brought_it(

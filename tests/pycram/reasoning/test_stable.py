@@ -264,6 +264,7 @@ def test_what_is_at_rest_may_be_about_to_fall_or_to_roll(
     assert bool(verdict) == stays(body)
 
 
+@pytest.mark.slow
 def test_what_stands_firmly_is_stable_after_a_few_steps(world: BulletWorld, floor: Object) -> None:
     pile = settled("pot", "pot.stl", [1, 0, 0.08]), settled("plate", "plate.stl", [1, 0, 0.17])
     for body in (settled("milk", "milk.stl", [0, 0, MILK + 0.001]), settled("bowl", "bowl.stl", [0.4, 0, 0.04]), *pile):

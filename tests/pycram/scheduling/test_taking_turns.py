@@ -139,6 +139,7 @@ def contents(sink: MemorySink) -> list[tuple[object, ...]]:
     return entries
 
 
+@pytest.mark.slow
 def test_the_same_plan_makes_the_same_records_in_the_same_order() -> None:
     runs = []
     for _ in range(3):

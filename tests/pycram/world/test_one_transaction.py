@@ -166,6 +166,7 @@ def run(seed: int, world: BulletWorld, steps: int) -> None:
         plan.step()
 
 
+@pytest.mark.slow
 def test_no_engine_changes_outside_of_mutations(observer: Observer) -> None:
     for seed in range(2):
         with BulletWorld() as world:

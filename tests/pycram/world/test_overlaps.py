@@ -45,6 +45,7 @@ def test_what_touches_or_is_built_in_is_not_warned_of(scene: BulletWorld, sink: 
     assert [list(r.load_body.overlaps) for r in sink.of(Mutation) if r.HasField("load_body")] == [[], []]
 
 
+@pytest.mark.slow
 def test_settling_lifts_the_later_one_out_and_both_come_to_rest(tmp_path: Path) -> None:
     file = tmp_path / "overlap.mcap"
     with recorder.record(file), BulletWorld() as world:

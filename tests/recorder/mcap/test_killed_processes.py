@@ -116,6 +116,7 @@ def test_a_killed_process_loses_at_most_50_records_and_no_failure(
     assert max(own_ages, default=0) <= 100
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_at_once_leaves_a_readable_file(tmp_path: Path) -> None:
     file = tmp_path / "short.mcap"
     program = """

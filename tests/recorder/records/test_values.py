@@ -22,6 +22,7 @@ values = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(values)
 def test_plain_values_survive_json_bit_for_bit(value: object) -> None:
     text = to_json(value)

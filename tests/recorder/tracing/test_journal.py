@@ -6,6 +6,8 @@ import contextvars
 import threading
 from typing import TYPE_CHECKING
 
+import pytest
+
 import recorder
 import replay
 from recorder.records import Event, Task
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from recorder.records.asset import AssetFile
 
 
+@pytest.mark.slow
 def test_records_of_eight_threads_have_no_gap_and_keep_each_thread_s_order(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
 

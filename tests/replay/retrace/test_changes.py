@@ -126,7 +126,7 @@ def test_what_is_set_the_plan_finds(log: Recording, tmp_path: Path, capsys: pyte
     assert f"second step {here(log) + 2}: move body milk [0.000, 1.000, 0.900], by the fork" in said
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_a_fork_of_a_fork_keeps_what_was_changed_before(log: Recording, tmp_path: Path) -> None:
     first, same, other = (tmp_path / f"{name}.mcap" for name in ("first", "same", "other"))
     forked(log, first, settings=["battery=20"])
@@ -166,7 +166,7 @@ def test_an_answer_is_given_to_the_next_query_that_fits(
     assert "stable(object=milk): no, by the fork; else yes" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_another_seed_takes_another_order_from_the_step_on(log: Recording, tmp_path: Path) -> None:
     outputs = set()
     for seed in (7, 8):

@@ -165,6 +165,7 @@ def test_a_program_that_projects_runs_again(tmp_path: Path) -> None:
     assert_same_bits(log, tmp_path / "on.mcap")
 
 
+@pytest.mark.costly
 def test_of_a_program_that_records_twice_the_one_in_question_is_forked(tmp_path: Path) -> None:
     file = tmp_path / "program.py"
     file.write_text(

@@ -49,6 +49,7 @@ milk.set_position([random.random(), 0, 0.3])
 """
 
 
+@pytest.mark.costly
 def test_recorded_answers_are_taken_and_all_else_is_compared(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
