@@ -57,7 +57,7 @@ def _items(values: list[Plain], indent: str) -> Iterator[str]:
         yield from (f"{indent}{line}" for line in _numbers([json.dumps(item) for item in values]))
         return
     for item in values:
-        if isinstance(item, dict):
+        if isinstance(item, dict) and item:
             first, *rest = _lines(item, indent + "  ")
             yield f"{indent}- {first.strip()}"
             yield from rest

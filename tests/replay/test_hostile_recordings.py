@@ -660,6 +660,19 @@ def test_the_bounds_are_those_of_the_page() -> None:
 # --- anything ---------------------------------------------------------------------------------------------------------
 
 
+def test_empty_parts_are_shown(tmp_path: Path) -> None:
+    """What a mutation leaves of a state in a long list of them."""
+
+    def change(records: list[Record], _: object) -> None:
+        mutation = next(record for record in records if isinstance(record, Mutation) and record.effect.bodies)
+        mutation.effect.bodies.extend([BodyState(), BodyState()])
+
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+    with replay.open(file) as log:
+        step = next(record.seq for record in log if isinstance(record, Mutation) and len(record.effect.bodies) > 2)
+    check(file, tmp_path, ["show", str(step)], damaged=False, says="- {}")
+
+
 def test_the_corpus_has_every_kind_of_record() -> None:
     kinds, parts = set(), set()
     for file in CORPUS:
