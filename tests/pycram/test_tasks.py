@@ -268,6 +268,7 @@ def test_states_print_their_names() -> None:
     assert [str(State.FAILED), f"{State.FAILED}"] == ["State.FAILED"] * 2
 
 
+@pytest.mark.slow
 def test_a_recorded_tree_is_read_without_the_physics_engine(log: Path) -> None:
     program = f"""
 import sys

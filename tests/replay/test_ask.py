@@ -114,6 +114,7 @@ def test_changed_conditions_change_the_answer(demo_log: Path) -> None:
         assert log.ask(blocked.seq, moves=[Move("bowl", (-2, 0, 1))]).answer == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("question", "answer"),
     [

@@ -85,6 +85,7 @@ def test_every_changed_bit_and_zeroed_block_is_found(
     record_property("copies", len(seeds))
 
 
+@pytest.mark.slow
 def test_a_zeroed_chunk_is_damage_to_every_verb_that_reads_it(sound: Sound) -> None:
     """What a power cut leaves, in each of the file's chunks, one after the other."""
     with replay.open(sound.file) as log:

@@ -176,6 +176,7 @@ def test_impossible_pictures_are_refused(file: Path, scene_log: Path) -> None:
         log.render(-3, camera="wide_stereo_optical")
 
 
+@pytest.mark.slow
 def test_render_writes_a_picture(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "x.png"
     asked = ["render", str(file), "2", "-o", str(target), "--from", "-1,0,0.3", "--to", "-.1,0,0", "--size", "80x60"]

@@ -95,6 +95,7 @@ def test_follow_ends_when_the_writer_is_killed(writer: subprocess.Popen, tmp_pat
     assert "killed" in said
 
 
+@pytest.mark.slow
 def test_a_live_and_a_cut_recording_report_it(writer: subprocess.Popen, tmp_path: Path) -> None:
     write(writer, 120)
     with replay.open(tmp_path / "x.mcap") as log:
@@ -211,6 +212,7 @@ def test_reading_verbs_work_without_engine_viewer_and_meshes(small_log: Path) ->
     assert exit_codes_without(f"{ENGINE_AND_VIEWER},pycram,trimesh,collada,PIL", small_log, *verbs) == ["0"] * 8
 
 
+@pytest.mark.slow
 def test_most_verbs_need_no_numpy_which_takes_longer_to_load_than_they_do(small_log: Path) -> None:
     verbs = ["info", "log", "show 9", "state last", "blame milk"]
     assert exit_codes_without("numpy", small_log, *verbs) == ["0"] * 5

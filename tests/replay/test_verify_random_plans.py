@@ -61,6 +61,7 @@ def facts_of(world: replay.World) -> dict[str, object]:
     return facts | {"gravity": world.gravity, "sim_step": world.sim_step, "robot": world.robot or None}
 
 
+@pytest.mark.slow
 def test_random_plans_are_verified(tmp_path: Path) -> None:
     for seed in range(2):
         check_random_plan(seed, tmp_path)

@@ -147,6 +147,7 @@ def test_restoring_does_not_affect_a_running_plan(planned: Path, file: Path) -> 
         assert again.get_object("apple").carrier is again.get_object("cup")
 
 
+@pytest.mark.slow
 def test_two_restored_worlds_have_different_names(planned: Path) -> None:
     with replay.open(planned) as log:
         worlds_made = [log.world_at(20) for _ in range(3)]

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING
 
+import pytest
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -15,6 +17,7 @@ def made_files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for kind in kinds for path in folder.glob(kind)}
 
 
+@pytest.mark.slow
 def test_generating_again_gives_the_same_bytes(resources: Path, tmp_path: Path) -> None:
     subprocess.run([sys.executable, str(resources / "make_resources.py"), "--into", str(tmp_path)], check=True)
 

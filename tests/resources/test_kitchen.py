@@ -200,6 +200,7 @@ def test_drawers_open_by_48_centimetres_towards_the_room(resources: Path, bench:
         assert moved[0] == pytest.approx(inwards * 0.48, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_spoon_rests_inside_the_drawer(resources: Path, bench: Bench) -> None:
     kitchen = bench.fixed(resources / "kitchen.urdf")
     joints, links = bench.names(kitchen)

@@ -60,6 +60,7 @@ def test_the_first_tab_is_the_world_that_is_looked_at(tmp_path: Path, two_worlds
     assert in_front(file) == {"kitchen"}, "a step before all worlds"
 
 
+@pytest.mark.slow
 def test_a_cached_file_opens_with_the_recording_s_first_world(two_worlds: Path) -> None:
     from replay.view.rrd import cached  # noqa: PLC0415
 

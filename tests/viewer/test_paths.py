@@ -70,6 +70,7 @@ def to_line(point: tuple[float, ...], points: list[tuple[float, ...]]) -> float:
     return min(math.dist(point, each) for each in points)
 
 
+@pytest.mark.slow
 def test_a_motion_is_animated_on_simulated_time(log: Recording, shown: Shown) -> None:
     begin, end = begins(log)[2], log[ends(log)[2]]
     start, stop = (round(step * 1e9 / STEPS_PER_SECOND) for step in (begin.sim_step, end.sim_step))

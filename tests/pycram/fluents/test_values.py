@@ -166,6 +166,7 @@ def expected(tree: object, values: dict[str, int]) -> object:
     return (True if made else None) if is_condition else made
 
 
+@pytest.mark.slow
 @given(trees, st.lists(st.tuples(st.sampled_from("abc"), numbers), max_size=5))
 def test_a_networks_value_is_the_function_of_its_operands_values(tree: object, sets: list[tuple[str, int]]) -> None:
     values = {"a": 0, "b": 1, "c": 2}

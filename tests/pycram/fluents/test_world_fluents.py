@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tests.conftest import MemorySink
 
 
+@pytest.mark.slow
 def test_fluents_follow_every_change_of_a_world(scene: BulletWorld) -> None:
     robot, milk, kitchen = scene.robot, scene.get_object("milk"), scene.get_object("kitchen")
     tool = "l_gripper_tool_frame"

@@ -133,6 +133,7 @@ def test_textures_materials_and_meshes_that_change_are_converted_anew(cache: Pat
     assert len(list(cache.iterdir())) == 4
 
 
+@pytest.mark.slow
 def test_a_damaged_entry_is_replaced(cache: Path, ball: Path) -> None:
     before = pieces(ball)
     (entry,) = cache.iterdir()

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 ALL = {"one jaw": hands.ONE_JAW, "three fingers": hands.THREE_FINGERS, "four fingers": hands.FOUR_FINGERS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jaws", ALL.values(), ids=ALL)
 def test_such_a_hand_takes_things_and_puts_them_down(
     world: BulletWorld, tmp_path: Path, jaws: Mapping[str, tuple[float, bool]]

@@ -95,6 +95,7 @@ def test_an_arm_without_gripper_moves_and_takes_nothing() -> None:
         assert raised.value.data["part"] == "gripper"
 
 
+@pytest.mark.slow
 def test_each_finger_of_a_gripper_has_values_of_its_own(world: BulletWorld) -> None:
     """The UR5's fingers don't mimic each other."""
     ur5 = (Path(pycram.models.robots.__file__).parent / "ur5.toml").read_text()

@@ -190,6 +190,7 @@ def test_an_arm_that_gets_no_further_says_how_far_it_gets(scene: BulletWorld) ->
     assert scene.get_object("kitchen").get_joint_position(joint) == pytest.approx(reached)
 
 
+@pytest.mark.slow
 def test_what_is_in_the_way_is_named_with_the_links_that_would_touch(scene: BulletWorld) -> None:
     joint, handle = "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle"
     x, y, z = scene.get_object("kitchen").get_link_position(handle)

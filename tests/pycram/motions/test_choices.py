@@ -40,6 +40,7 @@ def reasons(choice: Query) -> dict[str, dict[str, Any]]:
     return {each.reason: argument_values(each.data) for each in choice.candidates if each.reason}
 
 
+@pytest.mark.slow
 def test_each_process_module_says_what_it_chose(scene: BulletWorld, sink: MemorySink) -> None:
     milk, kitchen = scene.get_object("milk"), scene.get_object("kitchen")
     perform(type="move-arm-joints", **PARK)

@@ -287,6 +287,7 @@ def test_an_arm_that_was_moved_while_its_gripper_opened_goes_on_from_there(share
     assert shared_scene.robot.attachments[milk].carrier is shared_scene.robot
 
 
+@pytest.mark.slow
 def test_fingers_that_were_moved_during_a_motion_are_named_with_what_to_do(shared_scene: BulletWorld) -> None:
     robot, finger = shared_scene.robot, "l_gripper_l_finger_joint"
     now = robot.get_joint_position(finger)
@@ -300,6 +301,7 @@ def test_fingers_that_were_moved_during_a_motion_are_named_with_what_to_do(share
     assert not shared_scene.trajectories.active
 
 
+@pytest.mark.slow
 def test_a_hand_around_an_object_is_drawn_straight_back_where_no_other_way_is_found(
     shared_scene: BulletWorld, sink: MemorySink, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -61,6 +61,7 @@ def test_fingers_that_close_stop_at_what_is_between_them(scene: BulletWorld) -> 
     assert closed.released is None
 
 
+@pytest.mark.slow
 def test_a_gripper_that_opens_lets_go(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
     stood = milk.get_position()

@@ -145,6 +145,7 @@ def test_move_tcp_reaches_position_and_orientation(scene: BulletWorld) -> None:
     assert math.degrees(geometry.angle(orientation, turn)) < 2
 
 
+@pytest.mark.slow
 def test_place_sets_down_upright_at_the_target(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
     perform(type="pick-up", object=milk, arm="left")
@@ -161,6 +162,7 @@ def test_place_sets_down_upright_at_the_target(scene: BulletWorld) -> None:
     assert milk.carrier is scene.robot
 
 
+@pytest.mark.slow
 def test_accessing_moves_the_gripper_with_the_handle_and_the_spoon_with_the_drawer(scene: BulletWorld) -> None:
     kitchen, spoon, robot = scene.get_object("kitchen"), scene.get_object("spoon"), scene.robot
     before = snapshot(scene)
@@ -304,6 +306,7 @@ def test_the_name_of_an_execution_environment_is_checked() -> None:
             pytest.fail("it was entered")
 
 
+@pytest.mark.slow
 def test_accessing_refuses_obstacles_and_a_full_gripper(scene: BulletWorld) -> None:
     kitchen, milk, robot = scene.get_object("kitchen"), scene.get_object("milk"), scene.robot
     slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}
@@ -321,6 +324,7 @@ def test_accessing_refuses_obstacles_and_a_full_gripper(scene: BulletWorld) -> N
     assert snapshot(scene) == before
 
 
+@pytest.mark.slow
 def test_the_palm_does_not_penetrate_the_handle(scene: BulletWorld) -> None:
     kitchen, robot = scene.get_object("kitchen"), scene.robot
     slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}

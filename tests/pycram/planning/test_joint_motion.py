@@ -69,6 +69,7 @@ def test_it_goes_around_what_is_in_the_way(pillar: Object, arm: Object, sink: Me
     assert deepest(arm, planned, 240) < 5e-3
 
 
+@pytest.mark.slow
 def test_what_it_holds_has_to_get_around_too(arm: Object, tmp_path: Path) -> None:
     tool = arm.get_link_position_and_orientation("gripper_tool")
     reach = math.hypot(*tool[0][:2]) + 0.1

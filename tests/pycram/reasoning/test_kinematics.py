@@ -90,6 +90,7 @@ def test_tools_are_where_the_description_says(arm: tuple[list[str], list[float]]
         assert np.allclose(pose[:3, :3], geometry.to_matrix(turn), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_searching_finds_almost_all_that_arms_without_closed_form_reach() -> None:
     for arm in (SIX, SLIDING, PLANAR):
         solver = chain(*arm)

@@ -115,6 +115,7 @@ def test_one_worlds_queries_leave_others_alone() -> None:
         assert bits(first) == before[0]
 
 
+@pytest.mark.slow
 def test_threads_that_ask_at_once_get_the_same_answers() -> None:
     with build(9, robot=False) as world:
         before = bits(world)

@@ -34,6 +34,7 @@ def by_rays(triangles: np.ndarray) -> np.ndarray:
     return depth
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 40), spread=st.sampled_from([0.05, 0.5, 5.0]))
 def test_the_triangle_that_is_seen_is_the_one_that_a_ray_hits(seed: int, count: int, spread: float) -> None:
@@ -65,6 +66,7 @@ def test_the_nearest_wins_among_large_and_small_triangles() -> None:
     assert len(np.unique(seen[seen >= 2])) > 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flat", [False, True])
 def test_large_triangles_drawn_in_bands_are_complete(flat: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(3)

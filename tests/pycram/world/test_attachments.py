@@ -110,6 +110,7 @@ def test_a_thing_is_attached_to_a_robot_or_furniture_from_either_side(scene: Bul
     assert math.dist(milk.get_position(), there) == pytest.approx(0.2, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_drawer_moves_the_bodies_that_it_supports(scene: BulletWorld) -> None:
     kitchen, spoon, milk = scene.get_object("kitchen"), scene.get_object("spoon"), scene.get_object("milk")
     kitchen.set_joint_position(DRAWER, 0.4)

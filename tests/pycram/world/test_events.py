@@ -45,6 +45,7 @@ def test_handlers_may_read_and_change_the_world(scene: BulletWorld) -> None:
     assert calls[-1] == ("manipulated", "kitchen")
 
 
+@pytest.mark.slow
 def test_handlers_run_only_when_the_lock_is_released(scene: BulletWorld) -> None:
     robot, kitchen = scene.robot, scene.get_object("kitchen")
     assert robot is not None

@@ -154,6 +154,7 @@ def test_a_drawer_follows_and_takes_along_what_lies_in_it(world: BulletWorld) ->
     assert cabinet in moved
 
 
+@pytest.mark.slow
 def test_joints_that_mimic_one_follow_too(world: BulletWorld) -> None:
     robot = Object("panda", "robot", "panda.urdf", [0, 0, 1])
     (follower, mimic), *_ = robot.urdf.mimics.items()

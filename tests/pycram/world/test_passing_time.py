@@ -79,6 +79,7 @@ def test_time_waits_for_a_branch_that_has_something_to_do(ur5: Object) -> None:
     assert world.sim_step == 96
 
 
+@pytest.mark.slow
 def test_the_seed_decides_the_order(tmp_path: Path, seeded: Callable[..., None]) -> None:
     def run(name: str, seed: int) -> list[object]:
         seeded(seed)
@@ -229,6 +230,7 @@ def test_when_real_time_ends_the_plan_drives_on(ur5: Object) -> None:
     assert ur5.get_joint_position(PAN) == pytest.approx(0.3, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_threads_of_a_plan_move_at_the_same_time(tmp_path: Path) -> None:
     with recorder.record(tmp_path / "run.mcap"), BulletWorld(name="w") as world:
         robot = Object("ur5", "robot", "ur5.urdf", [0, 0, 1])
@@ -292,6 +294,7 @@ def test_orders_that_are_asked_for(ur5: Object, seeded: Callable[..., None], ord
     assert ur5.world.sim_step == 48
 
 
+@pytest.mark.slow
 def test_a_projection_sees_what_goes_on_meanwhile(ur5: Object) -> None:
     """In the child the other branch's arm moves on, though that branch isn't there."""
     world = ur5.world
@@ -307,6 +310,7 @@ def test_a_projection_sees_what_goes_on_meanwhile(ur5: Object) -> None:
     assert world.sim_step == 120
 
 
+@pytest.mark.slow
 def test_a_projection_that_ends_in_the_middle_of_a_motion_has_no_state_to_restore(ur5: Object) -> None:
     number = ur5.world.begin_trajectory(ur5, to(ur5, {PAN: 0.5}, 1.0))
     found = project(lambda: [ur5.world.simulate(0.5), ur5.get_joint_position(PAN)][1])

@@ -52,6 +52,7 @@ def disturb(world: BulletWorld, dice: random.Random) -> None:
     world.simulate(dice.uniform(0, 0.2))
 
 
+@pytest.mark.slow
 def test_a_restored_state_is_the_saved_one_to_the_last_bit(scene: BulletWorld, sink: MemorySink) -> None:
     dice = random.Random(4)
     states = []

@@ -113,6 +113,7 @@ def test_a_swallowed_failure_explains_the_later_one(robot: Recording) -> None:
     assert robot.step("task:place#1@start") < cause.steps[-1] <= robot.step("task:place#1@end")
 
 
+@pytest.mark.slow
 def test_what_no_longer_held_is_told_with_the_change(robot: Recording) -> None:
     (cause,) = robot.why("task:pick-up#2@end").causes
     assert cause.kind == "no-longer-true"

@@ -221,6 +221,7 @@ def test_what_cant_be_changed_is_said_before_it_runs(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_nothing_comes_after_the_last_step(log: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["fork", str(log.path), "--at", "last", "--set", "battery=1", "-o", str(tmp_path / "on.mcap")]
     assert main(command) == 2
