@@ -54,13 +54,14 @@ def restart_early(words: Sequence[str]) -> None:
         words: The command's, as they were typed.
     """
     done = os.environ.get(_RESTARTED, "").startswith(f"{os.getpid()}:")
-    if done or words[:1] not in (["run"], ["demo"]):
+    if done or words[:1] not in (["run"], ["demo"], ["sweep"]):
         return
     own = words[: words.index("--")] if "--" in words else words
     parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
     parser.add_argument("--seed")
     with suppress(argparse.ArgumentError):
         text = parser.parse_known_args(own)[0].seed
+        text = "0" if text is None and words[0] == "sweep" else text  # its default
         if text is None or (text.isdecimal() and int(text) <= MAX_SEED):
             restart(chosen_seed(None if text is None else int(text)))
 
