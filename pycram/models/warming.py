@@ -44,7 +44,7 @@ class Notes:
         libraries = tuple(sysconfig.get_path(each) for each in ("stdlib", "platstdlib", "purelib", "platlib"))
         imported = [
             name
-            for name, module in list(sys.modules.items())
+            for name, module in sys.modules.copy().items()  # a garbage collection may import something
             if name not in self.before
             and (name.partition(".")[0] in _OURS or str(getattr(module, "__file__", "")).startswith(libraries))
         ]
@@ -67,7 +67,7 @@ def notable(function: Callable[P, R]) -> Callable[P, R]:
 def noted() -> Iterator[Notes]:
     """Take notes while the block runs."""
     global _noted  # noqa: PLW0603  of the process, as the caches are
-    notes = Notes(before=frozenset(sys.modules))
+    notes = Notes(before=frozenset(sys.modules.copy()))
     _noted = notes.calls
     try:
         yield notes

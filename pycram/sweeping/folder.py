@@ -30,6 +30,7 @@ _UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # in names of files, on any
 _LONGEST: Final = 120  # characters of a name
 _PART: Final = re.compile(r"\.(\d{5,}.*\.mcap|models-.*\.mcap|sweep\.json)\.part")
 _MAY_CHANGE: Final = frozenset({"runs", "plan"})  # when it is started again
+_held: Final[set[Path]] = set()  # folders into which this process sweeps
 
 
 class SweepRefused(UsageError):
@@ -65,6 +66,10 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         SweepRefused: One runs into it, or it can't be made.
     """
+    held = folder.resolve()
+    who = f"process {os.getpid()} on {platform.node()} (since {time.strftime('%Y-%m-%d %H:%M:%S')})"
+    if held in _held:  # to open the file again and close it would release the lock
+        raise _in_use(folder, who.partition(" (")[0])
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
@@ -72,23 +77,28 @@ def locked(folder: Path) -> Iterator[None]:
         raise SweepRefused(f"{folder}: {error.strerror or error}") from error
     with os.fdopen(lock, "r+", encoding="utf-8", errors="replace") as file:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            who = file.read(200).strip() or "another process"
-            raise SweepRefused(f"{folder}: {who} is sweeping into it; wait for it, or name another folder") from None
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # of this process only: forks may outlive it for a moment
+        except (BlockingIOError, PermissionError):
+            raise _in_use(folder, file.read(200).strip() or "another process") from None
         except OSError:  # a file system without locks
             pass
         file.truncate(0)
-        file.write(f"process {os.getpid()} on {platform.node()} (since {time.strftime('%Y-%m-%d %H:%M:%S')})\n")
+        file.write(f"{who}\n")
         file.flush()
+        _held.add(held)
         for part in folder.iterdir():
             if _PART.fullmatch(part.name):  # of a sweep that was killed
                 part.unlink(missing_ok=True)
         try:
             yield
         finally:
+            _held.discard(held)
             with suppress(OSError):
                 file.truncate(0)
+
+
+def _in_use(folder: Path, who: str) -> SweepRefused:
+    return SweepRefused(f"{folder}: {who} is sweeping into it; wait for it, or name another folder")
 
 
 def begin(folder: Path, facts: Mapping[str, Any]) -> Mapping[str, Any]:

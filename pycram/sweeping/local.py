@@ -6,6 +6,7 @@ A run whose process crashes, hangs or is killed is tried once more; when that fa
 from __future__ import annotations
 
 import json
+import time
 from collections import deque
 from contextlib import closing
 from functools import partial
@@ -17,6 +18,7 @@ from pycram.projection.child import usable_cores
 from pycram.projection.limited import Several
 from pycram.sweeping.one_run import Outcome, hooks, run_once
 from recorder.mcap.shared_models import SharedModels, share_models
+from recorder.packages import versions
 from recorder.recording import look_up_revisions
 
 if TYPE_CHECKING:
@@ -57,6 +59,7 @@ class Local:
         self._warm = False
         store.folder()  # all share it
         hooks()
+        versions()
         look_up_revisions(Path(spec.plan))
 
     @property
@@ -82,9 +85,9 @@ class Local:
                 self._spec.part(number).unlink(missing_ok=True)
 
     def _answer_of(self, job: _Job) -> Callable[[], bytes]:
-        return partial(
-            run_once, self._spec, job.number, job.attempt, self._models, noting=not self._warm, lost=job.lost
-        )
+        began = time.monotonic()  # of its time limit, which a process can't begin later than it counts
+        noting = not self._warm
+        return partial(run_once, self._spec, job.number, job.attempt, self._models, began, noting=noting, lost=job.lost)
 
     def _again(self, job: _Job, process: LimitedChild) -> _Job | None:
         """Return what is to be done about a run that hasn't ended by itself; None if it has, or nothing can be."""

@@ -19,6 +19,7 @@ from pycram.projection.child import limit_memory
 from pycram.seeding import MAX_SEED
 from pycram.sweeping.folder import name_of
 from pycram.sweeping.values import Variations
+from recorder.errors import RecordingError
 from recorder.mcap.sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import record, redirected
@@ -131,7 +132,14 @@ class _RunSink(McapSink):
 
 
 def run_once(
-    spec: Spec, number: int, attempt: int, models: SharedModels | None, *, noting: bool = False, lost: str = ""
+    spec: Spec,
+    number: int,
+    attempt: int,
+    models: SharedModels | None,
+    began: float,
+    *,
+    noting: bool = False,
+    lost: str = "",
 ) -> bytes:
     """Run the plan once, in a child of the sweep; return the outcome, and what the next runs had better find done.
 
@@ -140,15 +148,16 @@ def run_once(
         number: Of the run.
         attempt: Which one it is, from 1.
         models: Files that the recording refers to.
+        began: When that was, by the system's monotonic clock, in s.
         noting: Whether the next runs could still find something done.
         lost: Why the run's process ended each time; then only that is recorded.
     """
-    began = time.monotonic()
     process, plan, part = os.getpid(), Path(spec.plan), spec.part(number)
     values, seed = spec.values(number), spec.seed_of(number)
     if spec.memory and not lost:
         limit_memory(spec.memory)
     sinks: list[_RunSink] = []
+    refused: list[str] = []
 
     def late() -> str:
         over = time.monotonic() - began >= spec.limit
@@ -160,7 +169,11 @@ def run_once(
         if sinks:  # what a plan records itself, all runs would write to the same file
             return NullSink()
         run.sweep.number, run.sweep.seed, run.sweep.attempt = number, spec.seed, attempt
-        sinks.append(_RunSink(part, metadata(run), models=models))
+        try:
+            sinks.append(_RunSink(part, metadata(run), models=models))
+        except RecordingError as error:
+            refused.append(error.cause)
+            raise
         sinks[0].late = late
         return sinks[0]
 
@@ -183,13 +196,21 @@ def run_once(
     name = spec.name(number)
     if sink is None or sink.lost or sink.end is None:
         part.unlink(missing_ok=True)
-        why = "it couldn't be begun" if sink is None else sink.lost or "its end is missing"
-        return _answer(Outcome(number, name, succeeded=False, unrecorded=why), None)
+        why = "".join(refused) if sink is None else sink.lost
+        return _answer(Outcome(number, name, succeeded=False, unrecorded=why or "its end is missing"), None)
     path = part.replace(Path(spec.folder) / name)
     failure = "" if sink.end.succeeded else format_failure(sink.end.failure)
     remark = _call_hooks(path)
-    seconds = time.monotonic() - began
-    outcome = Outcome(number, name, sink.end.succeeded, failure, seconds, sink.started, bool(lost), "", remark)
+    outcome = Outcome(
+        number,
+        name,
+        sink.end.succeeded,
+        failure,
+        seconds=time.monotonic() - began,
+        started=sink.started,
+        lost=bool(lost),
+        remark=remark,
+    )
     return _answer(outcome, notes)
 
 
