@@ -104,9 +104,10 @@ def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
     left = result.runs - result.before - result.done
     if left and not result.stopped:
         yield f"{left} are missing; the same command makes them"
-    causes = Counter(_short(each.failure) for each in result.failures)
+    failures = sorted(result.failures, key=lambda each: each.number)  # they came as they ended
+    causes = Counter(_short(each.failure) for each in failures)
     for cause, count in causes.most_common(_SHOWN):
-        first = next(each.name for each in result.failures if _short(each.failure) == cause)
+        first = next(each.name for each in failures if _short(each.failure) == cause)
         yield f"  {count:4}  {cause}  pycram-replay why {shlex.quote(f'{folder}/{first}')}"
     if len(causes) > _SHOWN:
         yield f"        and {len(causes) - _SHOWN} others"

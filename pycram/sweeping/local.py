@@ -5,6 +5,7 @@ A run whose process crashes, hangs or is killed is tried once more; when that fa
 
 from __future__ import annotations
 
+import glob
 import json
 import time
 from collections import deque
@@ -95,7 +96,9 @@ class Local:
         if job.lost or (received and not process.late):
             return None
         if job.attempt < _ATTEMPTS:
-            (Path(self._spec.folder) / self._spec.name(job.number)).unlink(missing_ok=True)
+            recording = Path(self._spec.folder) / self._spec.name(job.number)
+            for left in (recording, *recording.parent.glob(f"{glob.escape(recording.stem)}.projection-*")):
+                left.unlink(missing_ok=True)
             return _Job(job.number, job.attempt + 1)
         if received:  # it was interrupted, and its recording says so
             return None

@@ -175,6 +175,7 @@ def run_once(
             refused.append(error.cause)
             raise
         sinks[0].late = late
+        sinks[0].path = Path(spec.folder) / spec.name(number)  # beside which projections are recorded
         return sinks[0]
 
     with redirected(sink_of), ExitStack() as within:

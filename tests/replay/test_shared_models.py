@@ -29,14 +29,12 @@ import pycram
 from pycram.bullet_world import BulletWorld, Object
 
 given = pycram.parameters(also="")
-with BulletWorld() as world:
-    Object("floor", "environment", "plane.urdf")
-    cup = Object("cup", "cup", "cup.stl", [0, 0, 0.2])
-    if given.also:
-        Object("other", "other", given.also, [1, 0, 0.2])
-    world.simulate(0.1)
 world = BulletWorld()  # which stays open
+Object("floor", "environment", "plane.urdf")
 Object("cup", "cup", "cup.stl", [0, 0, 0.2])
+if given.also:
+    Object("other", "other", given.also, [1, 0, 0.2])
+world.simulate(0.1)
 """
 
 

@@ -143,6 +143,22 @@ def test_main_gets_its_arguments(tmp_path: Path) -> None:
     assert printed == ["rightright", "upup"]
 
 
+@pytest.mark.slow
+def test_projections_lie_beside_their_runs(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.py"
+    plan.write_text(
+        "from pycram.bullet_world import BulletWorld, Object\nfrom pycram.projection import project\n"
+        "with BulletWorld():\n    cup = Object('cup', 'cup', 'cup.stl')\n"
+        "    assert project(cup.set_position, [1, 0, 1]).succeeded\n"
+    )
+    assert pycram.sweep(plan, 2, tmp_path / "runs").failed == 0
+    names = ["00000.mcap", "00000.projection-1.mcap", "00001.mcap", "00001.projection-1.mcap"]
+    assert [file.name for file in recordings(tmp_path / "runs")] == names
+    assert not list((tmp_path / "runs").glob(".*"))
+    with Recording(tmp_path / "runs" / "00001.mcap") as log:
+        assert retrace(log).difference is None
+
+
 def test_what_a_run_draws_depends_on_seed_and_number_only() -> None:
     few = Variations({"a": [1, 2], "b": ["x", "y", "z"]}, {"c": "uniform(0, 1)"})
     more = Variations({"a": [1, 2], "b": ["x", "y", "z"]}, {"d": "integers(1, 6)", "c": "uniform(0, 1)"})
