@@ -33,6 +33,9 @@ _EXTRAS: Final = {
     "rerun": "viewer",
     "rerun_cli": "viewer",
     "rerun_sdk": "viewer",
+    "rich": "executor",
+    "ray": "ray",
+    "fsspec": "ray",
 }
 
 
