@@ -169,6 +169,7 @@ def _explore(
         options.explore,
         seed=seed,
         motion=options.motion,
+        values=options.set,
         depth=options.depth or exploration.DEPTH,
         limit=options.limit or exploration.LIMIT,
         file=log,

@@ -205,7 +205,7 @@ def _begin(
             sink = McapSink(file, provenance.metadata(began), final_metadata, durable=durable)
             undoing.callback(sink.close)
         log = Journal([each for each in (other, sink, viewer) if each is not None], local_variables=local_variables)
-        _leave_to_parent(sink, log)
+        _leave_to_parent(other if isinstance(other, McapSink) else sink, log)
         log.append(began)
         if program is not None and program.is_file():
             log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])

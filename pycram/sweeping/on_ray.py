@@ -7,6 +7,7 @@ of batches. PyCRAM and the plan are at the same paths on all nodes.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import os
@@ -62,6 +63,7 @@ def sweep_on_ray(
         store.fetch(folders.SWEEP, Path(here))
         models = (folders.begin(Path(here), facts).get("models") or {}).get("file")
         there = store.names()
+        models = models if models in there else None
         missing = [number for number in range(runs) if spec.name(number) not in there]
         result = Sweep(url, runs, before=runs - len(missing))
         store.put(Path(here) / folders.SWEEP)
@@ -69,7 +71,10 @@ def sweep_on_ray(
         batches = _batches(missing)
         try:
             for outcome in _made(spec, url, [next(batches, [])], models, 1):
-                if not result.take(outcome) or result.has_not_begun():
+                if not result.take(outcome):
+                    return result
+                if result.has_not_begun():
+                    store.set_aside(outcome.name)
                     return result
                 progress(result, outcome)
             models = models or next(filter(NAME.fullmatch, sorted(store.names())), None)
@@ -86,8 +91,8 @@ def sweep_on_ray(
 
 
 def _cores() -> int:
-    resources: dict[str, float] = ray.cluster_resources()  # type: ignore[no-untyped-call]
-    return int(resources.get("CPU", 1))
+    resources: Callable[[], dict[str, float]] = ray.cluster_resources
+    return int(resources().get("CPU", 1))
 
 
 def _batches(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
@@ -147,10 +152,13 @@ class _Store:
         if self._files.exists(f"{self.root}/{name}") and not (folder / name).exists():
             self._files.get_file(f"{self.root}/{name}", str(folder / name))
 
-    def described(self, name: str) -> dict[str, str]:
-        """Return name and hash of a file of models, which its name begins with."""
-        import hashlib  # noqa: PLC0415
+    def set_aside(self, name: str) -> None:
+        """Keep the recording of a plan that can't start, so that it can be mended and swept into the same folder."""
+        self._files.mv(f"{self.root}/{name}", f"{self.root}/{name}.failed")
+        self._files.rm(f"{self.root}/{folders.SWEEP}")
 
+    def described(self, name: str) -> dict[str, str]:
+        """Return name and hash of a file of models."""
         return {"file": name, "sha256": hashlib.sha256(self._files.cat_file(f"{self.root}/{name}")).hexdigest()}
 
 
@@ -201,7 +209,7 @@ def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str 
     try:
         for outcome in _worker.run(spec, missing, models):
             if not outcome.unrecorded:
-                for made in folder.glob(f"{outcome.name}*"):
+                for made in folder.glob(f"{outcome.number:05}.*"):  # and what lies beside it
                     store.put(made)
                     made.unlink()
             outcomes.append(asdict(outcome))

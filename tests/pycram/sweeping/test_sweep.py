@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pycram
+from pycram.cli import main as pycram_command
 from pycram.failures import UsageError
 from pycram.sweeping import Outcome, Sweep, SweepRefused
 from pycram.sweeping.values import Variations
@@ -362,3 +363,16 @@ def test_secret_parameters_are_left_out(tmp_path: Path) -> None:
     assert "xyzzy" not in file.name
     assert b"xyzzy" not in file.read_bytes().replace(plan.read_bytes(), b"")
     assert "xyzzy" not in str(ends(file)[0])
+
+
+@pytest.mark.slow
+def test_one_run_is_given_parameters_too(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "one.mcap"
+    assert pycram_command(["run", str(plan), "--seed", "1", "--set", "x=2", "--log", str(log)]) == 0
+    began, _ = ends(log)
+    assert [(each.name, each.value_json) for each in began.parameters] == [("x", "2")]
+    with Recording(log) as one:
+        assert one.state_at(one.final_step()).world().bodies["cup"].position[0] == 2
+    with pytest.raises(SystemExit):
+        pycram_command(["run", str(plan), "--set", "y=2", "--log", str(log)])
+    assert "plan.py has no parameter 'y'" in capsys.readouterr().err
