@@ -13,3 +13,24 @@
 #
 # bullet_world, bullet_world_reasoning, designator, motion_designators, process_module, fluent, event, failures, tasks:
 # the names of the thesis, from which plans import. cli: the commands "pycram demo" and "pycram run".
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pycram.plan_parameters import UnknownParameter, parameters
+    from pycram.sweeping import sweep
+
+__all__ = ["UnknownParameter", "parameters", "sweep"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what plans call by ``pycram.NAME`` when they do: commands start before that is worth its time."""
+    if name == "sweep":
+        from pycram.sweeping import sweep  # noqa: PLC0415
+
+        return sweep
+    if name in __all__:
+        from pycram import plan_parameters  # noqa: PLC0415
+
+        return getattr(plan_parameters, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

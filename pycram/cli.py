@@ -6,34 +6,27 @@ The command starts itself again (:mod:`pycram.seeding`), so whatever takes long 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import os
-import runpy
-import shlex
 import signal
-import subprocess
 import sys
 import threading
 import time
-import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import recorder
-from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
+from pycram.running import INTERRUPTED, SUCCEEDED, WRONG_USAGE, run, tell
+from pycram.seeding import MAX_SEED, chosen_seed, restart
 from recorder.closed_output import discard, until_closed
 from recorder.errors import RecordingError
 from recorder.packages import NotInstalled, needed, versions
-from recorder.tracing.interrupts import Terminated
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from recorder import Recording
-
-_PAGE = "serve"  # of --rerun
+_SWEEP = (
+    "Runs a plan many times, with other seeds and parameters, and records each run into a folder. Started again, it "
+    "does what is missing. Arguments after -- go to the plan."
+)
 _WITH_ROBOTS = "set_the_table"  # the demo that any of the robots in the box runs
-_SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
 def demos() -> Path:
@@ -52,18 +45,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is not None:
         return _run_command(argv)
-    code = _SUCCEEDED
+    code = SUCCEEDED
     try:
         with until_closed():
             code = _run_command(argv)
-        if code == _INTERRUPTED:  # another one ends the process at once, and leaves no traceback of tidying up
+        if code == INTERRUPTED:  # another one ends the process at once, and leaves no traceback of tidying up
             signal.signal(signal.SIGINT, signal.SIG_DFL)
     except OSError as error:
         discard(sys.stdout)
-        _tell(f"pycram: {error}")  # such as a full disk
-        return _WRONG_USAGE
+        tell(f"pycram: {error}")  # such as a full disk
+        return WRONG_USAGE
     except KeyboardInterrupt:
-        return _INTERRUPTED
+        return INTERRUPTED
     return code
 
 
@@ -75,16 +68,19 @@ def _run_command(argv: Sequence[str] | None) -> int:
     given = ["--rerun=spawn" if word == "--rerun" else word for word in given]  # and the plan as the option's value
     if given == ["--version"]:
         print(f"pycram {versions()['pycram']}")
-        return _SUCCEEDED
+        return SUCCEEDED
     options, unknown = parser.parse_known_args(given)
     if unknown:
         parser.error(f"unrecognized arguments: {' '.join(unknown)}; the plan's own arguments come after --")
     if options.command == "describe":
         return _describe(options)
+    if options.command == "sweep":
+        return _sweep(options, arguments, again=argv is None)
     plan = demos() / f"{options.name}.py" if options.command == "demo" else Path(options.plan)
     if not plan.is_file():
         parser.error(f"{plan}: no such plan")
     _check_together(parser, options)
+    values = _values(parser, plan, options.set)
     if options.command == "demo" and options.robot:
         arguments = ["--robot", options.robot, *arguments]
     seeded = options.seed is not None or options.explore is not None or argv is None
@@ -96,7 +92,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
     except ValueError as error:
         parser.error(str(error))
     if options.explore is not None and seed is not None:
-        return _explore(options, plan, log, arguments, seed)
+        return _explore(options, plan, log, arguments, values, seed)
     return run(
         plan,
         log,
@@ -109,6 +105,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
         overwrite=options.overwrite,
         durable=options.durable,
         debug=options.debug_on_failure,
+        parameters=values,
     )
 
 
@@ -125,13 +122,45 @@ def _check_together(parser: argparse.ArgumentParser, options: argparse.Namespace
         parser.error("--debug-on-failure is for one run; --explore tells the --order of those that fail")
 
 
-def _explore(options: argparse.Namespace, plan: Path, log: Path, arguments: Sequence[str], seed: int) -> int:
+def _values(parser: argparse.ArgumentParser, plan: Path, given: Sequence[str]) -> dict[str, Any]:
+    """Return the values of a plan's parameters, if it has them."""
+    if not given:
+        return {}
+    from pycram.foundation.failures import UsageError  # noqa: PLC0415  heavy
+    from pycram.plan_parameters import check, value_of  # noqa: PLC0415  as above
+
+    try:
+        values = dict(map(value_of, given))
+        check(plan, values)
+    except (UsageError, SyntaxError) as error:
+        parser.error(str(error))
+    return values
+
+
+def _explore(
+    options: argparse.Namespace,
+    plan: Path,
+    log: Path,
+    arguments: Sequence[str],
+    values: Mapping[str, Any],
+    seed: int,
+) -> int:
     from pycram import exploration  # noqa: PLC0415  needs the engine
     from pycram.exploration import command  # noqa: PLC0415  as above
 
     def run_once(order: str, file: Path) -> None:
         kept = not options.no_locals
-        run(plan, file, arguments, seed=seed, order=order, motion=options.motion, local_variables=kept, overwrite=True)
+        run(
+            plan,
+            file,
+            arguments,
+            seed=seed,
+            order=order,
+            motion=options.motion,
+            local_variables=kept,
+            overwrite=True,
+            parameters=values,
+        )
 
     return command.run(
         run_once,
@@ -140,6 +169,7 @@ def _explore(options: argparse.Namespace, plan: Path, log: Path, arguments: Sequ
         options.explore,
         seed=seed,
         motion=options.motion,
+        values=options.set,
         depth=options.depth or exploration.DEPTH,
         limit=options.limit or exploration.LIMIT,
         file=log,
@@ -194,6 +224,9 @@ def _parser() -> argparse.ArgumentParser:
             help="seed of random, NumPy and the order of sets, 0 to 4294967295 (default: drawn; info tells it)",
         )
         recorded.add_argument(
+            "--set", metavar="NAME=VALUE", action="append", default=[], help="the value of a parameter of the plan"
+        )
+        recorded.add_argument(
             "--order",
             metavar="ORDER",
             type=_order,
@@ -236,6 +269,7 @@ def _parser() -> argparse.ArgumentParser:
             action="store_true",
             help="when the plan fails, open the debugger at the failure: its frames, and the way back from there",
         )
+    _add_sweep(commands.add_parser("sweep", help="run a plan many times", description=_SWEEP))
     describe = commands.add_parser(
         "describe",
         help="describe a robot",
@@ -247,6 +281,51 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_sweep(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("plan", metavar="PLAN.py", help="the plan")
+    parser.add_argument("--runs", metavar="N", type=_count, required=True, help="how many, numbered from 0")
+    parser.add_argument("-o", "--output", metavar="FOLDER", required=True, help="where the recordings go")
+    parser.add_argument("--seed", metavar="N", type=_seed, default=0, help="run I has the seed N + I (default: 0)")
+    parser.add_argument("-j", "--jobs", metavar="N", type=_count, default=0, help="at once (default: one on each core)")
+    parser.add_argument(
+        "--set", metavar="NAME=VALUES", action="append", default=[], help="values of a parameter, as arm=left,right"
+    )
+    parser.add_argument(
+        "--sample",
+        metavar="NAME=DISTRIBUTION",
+        action="append",
+        default=[],
+        help="a parameter that is drawn: uniform(a,b), normal(mean,deviation), integers(a,b), choice(a,b,...)",
+    )
+    parser.add_argument(
+        "--limit", metavar="SECONDS", type=_seconds, default=300.0, help="that a run may take (default: 300)"
+    )
+    parser.add_argument("--memory", metavar="MB", type=_count, default=0, help="that a run may take (default: any)")
+    parser.add_argument("--motion", choices=("simulated", "continuous"), default="", help="as for run")
+    parser.add_argument("--no-locals", action="store_true", help="as for run")
+    parser.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        nargs="?",
+        const="",
+        help="run on the Ray cluster at an address, or on one of this machine; FOLDER is shared by all nodes, or a URL "
+        "that fsspec knows",
+    )
+
+
+def _sweep(options: argparse.Namespace, arguments: Sequence[str], *, again: bool) -> int:
+    if again:
+        restart(options.seed)
+    try:
+        with needed():
+            from pycram.sweeping import command  # noqa: PLC0415  needs the engine
+
+        return command.run(options, arguments)
+    except NotInstalled as error:
+        tell(f"pycram: {error}")
+        return WRONG_USAGE
+
+
 def _describe(options: argparse.Namespace) -> int:
     try:
         from pycram.describing import command  # noqa: PLC0415  needs the engine
@@ -254,7 +333,7 @@ def _describe(options: argparse.Namespace) -> int:
         return command.run(options)
     except NotInstalled as error:
         print(f"pycram: {error}", file=sys.stderr)
-        return _WRONG_USAGE
+        return WRONG_USAGE
 
 
 def _seed(text: str) -> int:
@@ -298,152 +377,6 @@ def _viewer(text: str) -> str:
     except RecordingError as error:
         raise argparse.ArgumentTypeError(f"{text!r} {error.cause}") from error
     return text
-
-
-def run(
-    plan: Path,
-    log: Path,
-    arguments: Sequence[str] = (),
-    live: str | None = None,
-    *,
-    seed: int | None = None,
-    order: str = "",
-    motion: str = "",
-    local_variables: bool = True,
-    overwrite: bool = False,
-    durable: bool = False,
-    debug: bool = False,
-) -> int:
-    """Run a plan as a main program, record it, and return the exit code, as :func:`main` does.
-
-    Args:
-        plan: The Python file.
-        log: The recording; one that is there stays, and the next free name is taken.
-        arguments: Of the plan.
-        live: The live viewer; see :func:`recorder.record`.
-        seed: Of random numbers; None to leave them as they are.
-        order: Of branches; "" for the one that the seed draws.
-        motion: The execution environment where the plan names none; "" for "simulated".
-        local_variables: Whether failures hold the plan's local variables.
-        overwrite: Whether a recording that is there is replaced.
-        durable: Whether records survive the loss of power.
-        debug: Whether the debugger opens where the plan has failed.
-    """
-    before = sys.argv, list(sys.path)
-    sys.argv = [str(plan), *arguments]
-    sys.path.insert(0, str(plan.parent.resolve()))
-    folder, file = Path.cwd(), log.absolute()  # a plan may change the working directory
-    recording: Recording | None = None
-    code = _SUCCEEDED
-    error: BaseException | None = None
-    seed_random_numbers(seed)
-    try:
-        with needed():
-            from pycram.motions.environments import set_default  # noqa: PLC0415  --version and --help need no executor
-            from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
-        seed_order(seed, order)
-        set_default(motion)
-        recorded = recorder.record(
-            file,
-            live,
-            name=plan.stem,
-            arguments=arguments,
-            source=plan,
-            seed=seed,
-            order=order,
-            environment=motion,
-            output=True,
-            locals=local_variables,
-            overwrite=overwrite,
-            durable=durable,
-        )
-        with recorded as recording:
-            try:
-                runpy.run_path(str(plan.absolute()), run_name="__main__")
-            finally:
-                _wait_for_threads()
-    except BaseException as raised:  # noqa: BLE001  whatever the plan's own code raises
-        error = raised
-        code = _report(raised)
-    finally:
-        sys.argv, sys.path[:] = before
-    if recording is not None and recording.path.is_file() and not (_was_lost(error) or isinstance(error, NotInstalled)):
-        _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
-        if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
-            _keep_page(recording)
-        if debug and code == _FAILED:
-            _debug(recording.path)
-    return code
-
-
-def _report(error: BaseException) -> int:
-    """Print how a plan ended, and return the exit code."""
-    from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
-    from recorder.records import format_error  # noqa: PLC0415  heavy
-
-    match error:
-        case RecordingError() | NotInstalled():
-            _tell(f"pycram: {error}")
-            return _WRONG_USAGE
-        case Terminated():
-            _tell(f"\npycram: interrupted by {error.signal}")
-            return int(error.code or 0)
-        case SystemExit():
-            if isinstance(error.code, int | None):
-                return error.code or _SUCCEEDED
-            _tell(str(error.code))
-            return _FAILED
-        case KeyboardInterrupt():
-            _tell("\npycram: interrupted")
-            return _INTERRUPTED
-    _tell("".join(traceback.format_exception(error)).rstrip())
-    kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
-    how = "failed" if isinstance(error, PlanFailure) else kind
-    _tell(f"\npycram: the plan {how}: {format_error(error)}")
-    return _FAILED
-
-
-def _tell(text: str) -> None:
-    """Print a message, if anybody reads it: how a plan ended doesn't depend on that."""
-    with until_closed():
-        print(text, file=sys.stderr)
-
-
-def _was_lost(error: BaseException | None) -> bool:
-    """Whether the recording failed, before the plan did or when it was closed after that."""
-    return isinstance(error, RecordingError) or (error is not None and isinstance(error.__context__, RecordingError))
-
-
-def _shown(file: Path, folder: Path, log: Path) -> Path:
-    """Return the path of a recording as the user wrote it."""
-    return file if log.is_absolute() else Path(os.path.relpath(file, folder))
-
-
-def _keep_page(recording: Recording) -> None:
-    """Serve the viewer's page until Ctrl-C, if the plan was started from a terminal."""
-    if recording.viewer is None or not sys.stdin.isatty():
-        return
-    _tell("pycram: the page stays until Ctrl-C")
-    with contextlib.suppress(KeyboardInterrupt):
-        recording.viewer.wait()
-
-
-def _debug(log: Path) -> None:
-    """Open the debugger, which runs the plan again to its failure: it is above all that runs plans."""
-    subprocess.run([sys.executable, "-P", "-m", "replay", "debug", str(log)], check=False)  # noqa: S603  ours
-
-
-def _wait_for_threads() -> None:
-    """Wait for threads that the plan has left running, as Python does at its end: they are part of the plan."""
-    for thread in threading.enumerate():
-        if thread is not threading.current_thread() and not thread.daemon:
-            thread.join()
-
-
-def _print_next_steps(log: Path, size: float, code: int) -> None:
-    _tell(f"pycram: recorded to {log} ({size:.1f} MB). Next:")
-    for verb in ("info", "tree", "view") if code == _SUCCEEDED else ("why", "tree", "view"):
-        _tell(f"  pycram-replay {verb} {shlex.quote(str(log))}")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import platform
 import sys
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from recorder.secrets import without_secrets
@@ -32,6 +33,9 @@ _EXTRAS: Final = {
     "rerun": "viewer",
     "rerun_cli": "viewer",
     "rerun_sdk": "viewer",
+    "rich": "executor",
+    "ray": "ray",
+    "fsspec": "ray",
 }
 
 
@@ -89,8 +93,8 @@ def needed(extra: str | None = None) -> Iterator[None]:
         raise NotInstalled(name, extra or _EXTRAS[name]) from error
 
 
-def versions() -> dict[str, str]:
-    """Versions of what a recording depends on, the platform and the arguments of the process."""
+@cache
+def _installed() -> dict[str, str]:
     from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import, and readers need none
 
     installed = {}
@@ -99,7 +103,12 @@ def versions() -> dict[str, str]:
             installed[package] = version(package)
         except PackageNotFoundError:
             installed[package] = "not installed"
-    return installed | {
+    return installed
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a recording depends on, the platform and the arguments of the process."""
+    return _installed() | {
         "python": platform.python_version(),
         "platform": platform.platform(),
         "machine": platform.machine(),

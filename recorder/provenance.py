@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import os
 import platform
 import subprocess
@@ -10,13 +11,13 @@ import sys
 import time
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import Revision, escaped
-from recorder.secrets import without_secrets
+from recorder.secrets import LEFT_OUT, is_secret, without_secrets
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from recorder.records import Run
 
@@ -24,7 +25,14 @@ _TIMEOUT: Final = 2.0  # s for git
 _PACKAGES: Final = ("pycram", "recorder")  # folders that make PyCRAM; reading has no part in a run
 
 
-def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int | None, order: str) -> None:
+def describe(
+    run: Run,
+    arguments: Sequence[str],
+    program: Path | None,
+    seed: int | None,
+    order: str,
+    parameters: Mapping[str, Any],
+) -> None:
     """Adds to the record of a run's start what it is given.
 
     Args:
@@ -33,8 +41,12 @@ def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int
         program: the plan's file.
         seed: of random numbers, where it is known.
         order: of branches, where it isn't drawn from the seed.
+        parameters: that the plan was given by name.
     """
     run.arguments.extend(without_secrets([escaped(str(text)) for text in arguments]))
+    for name, value in parameters.items():
+        text = json.dumps(LEFT_OUT if is_secret(name) else value, default=str)
+        run.parameters.add(name=escaped(name), value_json=text)
     run.directory = _directory()
     if seed is not None:
         run.seed = str(seed)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from recorder import provenance
 from recorder.errors import RecordingError
@@ -33,7 +33,7 @@ from recorder.tracing.process_identity import process
 from recorder.viewer.live_sink import RerunSink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from recorder.tracing.journal import Sink
 
@@ -73,6 +73,7 @@ def record(
     locals: bool = True,  # noqa: A002  as they are called in Python
     overwrite: bool = False,
     durable: bool = False,
+    parameters: Mapping[str, Any] | None = None,
 ) -> Iterator[Recording]:
     """Records all worlds and plans of this process while its block runs.
 
@@ -96,6 +97,7 @@ def record(
         locals: whether failures hold the local variables of the plan's functions.
         overwrite: whether a recording that is there is replaced.
         durable: whether records survive the loss of power, too: each chunk of the file waits for the disk.
+        parameters: that the plan was given by name, for the record.
 
     Raises:
         RecordingError: the file can't be written, at the start or later, or others have deleted, replaced or changed
@@ -108,7 +110,7 @@ def record(
     program = _program() if source is None else Path(source)
     title = escaped(name or (program.stem if program else "plan"))
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
-    provenance.describe(began, given, program, seed, order)
+    provenance.describe(began, given, program, seed, order, parameters or {})
     began.environment = environment
     began.by_program = program is not None and _is_program(program)
     if began.by_program:
@@ -169,7 +171,8 @@ def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
     """Has recordings that begin in its block write to other sinks than files and viewers.
 
     Args:
-        sink_of: gives the sink by the record of a run's start; None for a recording that is made as ever.
+        sink_of: gives the sink by the record of a run's start, to which it may add; None for a recording that is made
+            as ever.
     """
     global _redirect  # noqa: PLW0603  recordings are the process's
     before, _redirect = _redirect, sink_of
@@ -202,7 +205,7 @@ def _begin(
             sink = McapSink(file, provenance.metadata(began), final_metadata, durable=durable)
             undoing.callback(sink.close)
         log = Journal([each for each in (other, sink, viewer) if each is not None], local_variables=local_variables)
-        _leave_to_parent(sink, log)
+        _leave_to_parent(other if isinstance(other, McapSink) else sink, log)
         log.append(began)
         if program is not None and program.is_file():
             log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])

@@ -50,6 +50,21 @@ class Damaged(ReplayError):
         self.cause = cause
 
 
+class MissingModels(Damaged):
+    """The file of models that recordings of a sweep share isn't beside one of them, or isn't what it was.
+
+    Attributes:
+        path: the recording.
+        where: the part: its models.
+        cause: what is wrong with the file.
+    """
+
+    def __init__(self, path: str | Path, cause: str) -> None:
+        super().__init__(path, "its models", cause)
+        hint = "put that file beside it, or pack recordings before they are moved"
+        self.args = (f"{path}: its models are missing: {cause}; {hint}",)
+
+
 class LogClosed(ReplayError):
     """A recording was read after it was closed, as after the ``with`` that opened it.
 

@@ -35,6 +35,7 @@ def run(
     *,
     seed: int,
     motion: str = "",
+    values: Sequence[str] = (),
     depth: int,
     limit: float,
     file: Path,
@@ -50,6 +51,7 @@ def run(
         count: How many orders.
         seed: The runs'.
         motion: Their execution environment, where one was asked for.
+        values: Of the plan's parameters, as NAME=VALUE.
         depth: Of the races.
         limit: Seconds that a run may take.
         file: What recordings are named after.
@@ -78,7 +80,8 @@ def run(
     except (NotExplorable, RecordingError) as error:
         print(f"pycram: {error}", file=sys.stderr)
         return _WRONG_USAGE
-    command = ["pycram", "run", *(["--motion", motion] if motion else []), "--seed", str(seed)]
+    given = [word for value in values for word in ("--set", value)]
+    command = ["pycram", "run", *(["--motion", motion] if motion else []), *given, "--seed", str(seed)]
     rest = [plan, *(["--", *arguments] if arguments else [])]
     if as_json:
         print(json.dumps(_data(result, command, rest), indent=2))

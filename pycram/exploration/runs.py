@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import time
+from collections import deque
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy.random  # noqa: F401  to be seeded in each run, which else would import it again
 
 from pycram.exploration.ending import DIED, TIME_LIMIT, Ending, EndingSink
-from pycram.projection.child import Child, usable_cores, wait
+from pycram.projection.child import usable_cores
+from pycram.projection.limited import Several
 from pycram.scheduling.order import Made, Precedence, Standing
 from pycram.scheduling.schedule import scheduler
 from recorder.mcap.sink import McapSink
@@ -27,13 +29,12 @@ from recorder.recording import redirected
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping
 
+    from pycram.projection.limited import LimitedChild
     from recorder.records import Run as RunRecord
     from recorder.tracing.journal import Sink
 
 #: Runs the plan in an order, given as text, and records it; raises nothing.
 Runner: TypeAlias = "Callable[[str, Path], object]"
-
-_GRACE: Final = 5.0  # s that a plan has to end after it was interrupted
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,64 +71,29 @@ class Runs:
 
     def __init__(self, run: Runner, limit: float) -> None:
         self._run = run
-        self._limit = limit
         self.cores = usable_cores()
+        self._several: Several[tuple[int, str]] = Several(self.cores, limit)
 
     def all(self, orders: Iterable[str], file: Path | None = None) -> Generator[tuple[int, Attempt], None, None]:
         """Run it in several orders at once; yield each with its index, as they end. None outlives the iteration."""
-        waiting = list(enumerate(orders))[::-1]
-        running: dict[int, _Process] = {}
-        try:
-            while waiting or running:
-                while waiting and len(running) < self.cores:
-                    index, order = waiting.pop()
-                    running[index] = _Process(partial(_attempt, self._run, order, file), order, self._limit)
-                wait([each.child for each in running.values()], min(each.time_left() for each in running.values()))
-                for index, process in list(running.items()):
-                    if process.ended():
-                        del running[index]
-                        yield index, process.attempt()
-        finally:
-            for process in running.values():
-                process.child.kill()
 
+        def answer_of(job: tuple[int, str]) -> Callable[[], bytes]:
+            return partial(_attempt, self._run, job[1], file)
 
-class _Process:
-    """A run that goes on."""
+        with closing(self._several.run(deque(enumerate(orders)), answer_of)) as ended:
+            for (index, order), process in ended:
+                yield index, self._attempt_of(order, process)
 
-    def __init__(self, answer: Callable[[], bytes], order: str, limit: float) -> None:
-        self._order = order
-        self._limit = limit
-        self._interrupted = 0.0  # when
-        self.child = Child(answer)
-
-    def time_left(self) -> float:
-        """Return the seconds until something has to be done about it."""
-        end = self._interrupted + _GRACE if self._interrupted else self.child.began + self._limit
-        return max(0.0, end - time.monotonic())
-
-    def ended(self) -> bool:
-        """Return whether it has; one that takes too long is interrupted, and then killed."""
-        if not self.child.ended and self.time_left() <= 0:
-            if self._interrupted:
-                self.child.kill()
-            else:
-                self._interrupted = time.monotonic()
-                os.kill(self.child.pid, signal.SIGTERM)
-        return self.child.ended
-
-    def attempt(self) -> Attempt:
-        """Return what has come of it."""
-        seconds = time.monotonic() - self.child.began
-        late = Ending(TIME_LIMIT, f"it still ran after {self._limit:g} s")
-        if not self.child.received:
-            signalled, code = self.child.signal, os.waitstatus_to_exitcode(self.child.status)
-            how = f"its process was ended by {signalled}" if signalled else f"its process ended with {code}"
-            return Attempt(self._order, late if self._interrupted else Ending(DIED, how), 0, (), seconds)
-        answer: Mapping[str, Any] = json.loads(self.child.received)
+    def _attempt_of(self, order: str, process: LimitedChild) -> Attempt:
+        """Return what has come of a run."""
+        seconds = time.monotonic() - process.child.began
+        late = Ending(TIME_LIMIT, f"it still ran after {self._several.limit:g} s")
+        if not process.child.received:
+            return Attempt(order, late if process.late else Ending(DIED, process.how), 0, (), seconds)
+        answer: Mapping[str, Any] = json.loads(process.child.received)
         return Attempt(
-            self._order,
-            late if self._interrupted else Ending(**answer["ending"]),
+            order,
+            late if process.late else Ending(**answer["ending"]),
             answer["turns"],
             tuple(
                 Made(Precedence(*own), Standing(*first), Standing(*second), [Precedence(*each) for each in passed])

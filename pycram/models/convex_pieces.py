@@ -14,6 +14,7 @@ import numpy as np
 
 from pycram.models import visual
 from pycram.models.lazy_module import LazyModule
+from pycram.models.warming import notable
 from recorder.packages import needed
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class Solids:
 
 
 @lru_cache(maxsize=256)
+@notable
 def solids_of(path: Path) -> Solids:
     """Return the convex pieces of the model with a canonical URDF."""
     found = list(visual.pieces_of(path))

@@ -27,6 +27,7 @@ from pycram.models import (
 )
 from pycram.models.files import read_bytes
 from pycram.models.texture import warn_of_missing
+from pycram.models.warming import notable
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
@@ -153,6 +154,7 @@ def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ..
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
+@notable
 def _file_names(source: Path, content: bytes) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Check a URDF's links and return the file names of its meshes, and those of its textures."""
     root = canonical_urdf.read(source, content)
@@ -172,6 +174,7 @@ class _FileVersion(NamedTuple):
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
+@notable
 def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...]) -> Model:
     """Return the model of a URDF with these versions of its files; most of a world's loading time would be this."""
     root = canonical_urdf.read(source, content)
@@ -247,6 +250,7 @@ class _Painted(NamedTuple):
 
 
 @cache
+@notable
 def _collision_mesh(version: _FileVersion) -> AssetFile:
     """Write a mesh into the store as the engine reads it; checked once per version of the file."""
     file = version.file
@@ -255,6 +259,7 @@ def _collision_mesh(version: _FileVersion) -> AssetFile:
 
 
 @cache
+@notable
 def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple[_Painted, ...]:
     """Write what is seen of a mesh into the store, by colour; checked once per version of the files."""
     file, cover = version.file, None if picture is None else read_bytes(picture.file)

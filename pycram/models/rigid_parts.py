@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.models import store
+from pycram.models.warming import notable
 from recorder import geometry
 from recorder.geometry.urdf import Urdf
 
@@ -43,6 +44,7 @@ class Part:
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
+@notable
 def divided(path: Path) -> tuple[Part, ...]:
     """Return the rigid parts of the model with a canonical URDF that have collision shapes.
 
@@ -68,6 +70,7 @@ def divided(path: Path) -> tuple[Part, ...]:
 
 
 @lru_cache(maxsize=_CACHED_LINKS)
+@notable
 def single_link(path: Path, link: str) -> Path:
     """Return a link, which has collision shapes, of the model with a canonical URDF as a model of its own."""
     elements = store.document(path).findall("link")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Final
@@ -11,6 +12,7 @@ from typing import Final
 from pycram.foundation.failures import AssetError
 from pycram.models import packages, store
 from pycram.models.files import read_text
+from pycram.models.warming import notable
 from recorder.packages import hint
 from recorder.records.asset import AssetFile
 
@@ -42,6 +44,8 @@ def robot_urdf(name: str, resources: Path) -> Path:
     return _with_gripper(name, file, resources / "two_finger_gripper.urdf") if name == "ur5.urdf" else file
 
 
+@cache
+@notable
 def _installed(name: str) -> Path:
     try:
         files = metadata.files(_DISTRIBUTION) or []

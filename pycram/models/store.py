@@ -88,7 +88,7 @@ def write(name: str, content: bytes) -> Path:
     target = folder() / name
     if not target.exists():
         target.parent.mkdir(parents=True, exist_ok=True)
-        partial = target.with_name(f"{target.name}.{threading.get_ident()}")
+        partial = target.with_name(f"{target.name}.{os.getpid()}.{threading.get_ident()}")  # also forks write here
         partial.write_bytes(content)
         partial.replace(target)
     return target

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar, overload
 import numpy as np
 
 from pycram.models import mesh, store
+from pycram.models.warming import notable
 from recorder import geometry
 from recorder.geometry.shapes import shapes_in
 
@@ -84,6 +85,7 @@ class Shapes:
 
 
 @lru_cache(maxsize=256)
+@notable
 def shapes_of(path: Path, role: str = "visual") -> Shapes:
     """Return the "visual" or "collision" shapes of the model with a canonical URDF."""
     links = _read(path, role)
@@ -94,6 +96,7 @@ def shapes_of(path: Path, role: str = "visual") -> Shapes:
 
 
 @lru_cache(maxsize=256)
+@notable
 def _read(path: Path, role: str) -> dict[str, list[Shape]]:
     return shapes_in(store.document(path), role)
 
@@ -237,6 +240,7 @@ def _revolved(profile: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=1024)
+@notable
 def _mesh_ends(file: Path) -> NDArray[np.float64]:
     """Return lowest and highest corner (2, 3) of a mesh."""
     if file.suffix.lower() == ".stl":  # as its numbers are, which is exact too
@@ -245,6 +249,7 @@ def _mesh_ends(file: Path) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=256)
+@notable
 def _mesh(file: Path) -> NDArray[np.float64]:
     if file.suffix.lower() == ".stl":  # binary: ASCII ones were converted
         return np.array(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:], dtype=np.float64)

@@ -19,6 +19,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from recorder.errors import RecordingError
 from recorder.mcap.output_file import CHANGED_HINT, HINT, Changed, Watched, open_output, reason
+from recorder.mcap.shared_models import METADATA, SharedModels
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task, escaped
@@ -58,6 +59,7 @@ class McapSink:
         path: the file; an MCAP file that is there is replaced, anything else is not.
         metadata: of the run.
         final_metadata: gives more when the file ends.
+        models: files that it refers to instead of holding them; they lie beside it.
         durable: whether each chunk waits until it is on the disk.
 
     Raises:
@@ -70,10 +72,12 @@ class McapSink:
         metadata: Mapping[str, str],
         final_metadata: Callable[[], Mapping[str, str]] = dict,
         *,
+        models: SharedModels | None = None,
         durable: bool = False,
     ) -> None:
         self.path = path
         self._final_metadata = final_metadata
+        self._models = models
         raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
         self._watched = Watched(path, raw)
@@ -115,6 +119,8 @@ class McapSink:
                     self._register(topic)
             facts = software | {"format": str(format_number())} | dict(metadata)
             self._writer.add_metadata("pycram", {name: escaped(text) for name, text in facts.items()})
+            if self._models is not None:
+                self._writer.add_metadata(METADATA, {"file": self._models.file, "sha256": self._models.sha256})
             self._writer.flush()
             if self._durable:
                 self._watched.sync()
@@ -203,9 +209,10 @@ class McapSink:
     def attach(self, asset: AssetFile) -> None:
         """Takes a file; see :class:`recorder.tracing.journal.Sink`."""
         with self._lock, self._guarded():
-            self._flush()
-            self._writer.add_attachment(self._now, asset.key, asset.media_type, asset.content)
-            self._writer.flush()
+            if self._models is None or asset.key not in self._models.keys:
+                self._flush()
+                self._writer.add_attachment(self._now, asset.key, asset.media_type, asset.content)
+                self._writer.flush()
             if asset.name.endswith(".urdf"):
                 self._frames.add_urdf(asset.sha256, asset.content)
 
@@ -241,6 +248,11 @@ class McapSink:
     def lock(self) -> threading.Lock:
         """Held while anything changes in it; for a fork, see :mod:`recorder.tracing.forking`."""
         return self._lock
+
+    @property
+    def lost(self) -> str:
+        """Why records could not be kept; "" if all were."""
+        return "" if self._failed is None else self._failed[0]
 
     def abandon(self) -> None:
         """Stops writing, for a forked child: the file is its parent's."""

@@ -926,7 +926,7 @@ class Change(_message.Message):
     def __init__(self, step: _Optional[int] = ..., set: _Optional[str] = ..., world: _Optional[str] = ..., answer: _Optional[str] = ..., seed: _Optional[str] = ...) -> None: ...
 
 class Run(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "phase", "name", "succeeded", "failure", "duration_ns", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program", "origin", "by_program", "called_as", "number", "order", "environment", "looks", "interrupted_by", "checkpoint")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "phase", "name", "succeeded", "failure", "duration_ns", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program", "origin", "by_program", "called_as", "number", "order", "environment", "looks", "interrupted_by", "checkpoint", "parameters", "sweep")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PHASE_UNSPECIFIED: _ClassVar[Run.Phase]
@@ -969,6 +969,8 @@ class Run(_message.Message):
     LOOKS_FIELD_NUMBER: _ClassVar[int]
     INTERRUPTED_BY_FIELD_NUMBER: _ClassVar[int]
     CHECKPOINT_FIELD_NUMBER: _ClassVar[int]
+    PARAMETERS_FIELD_NUMBER: _ClassVar[int]
+    SWEEP_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
     sim_step: int
@@ -1001,4 +1003,24 @@ class Run(_message.Message):
     looks: int
     interrupted_by: str
     checkpoint: int
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., strikes: _Optional[_Iterable[_Union[Strike, _Mapping]]] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., arguments: _Optional[_Iterable[str]] = ..., directory: _Optional[str] = ..., seed: _Optional[str] = ..., hash_seed: _Optional[str] = ..., plan: _Optional[_Union[Revision, _Mapping]] = ..., pycram: _Optional[_Union[Revision, _Mapping]] = ..., host: _Optional[str] = ..., cpu: _Optional[str] = ..., program: _Optional[str] = ..., origin: _Optional[_Union[Origin, _Mapping]] = ..., by_program: bool = ..., called_as: _Optional[str] = ..., number: _Optional[int] = ..., order: _Optional[str] = ..., environment: _Optional[str] = ..., looks: _Optional[int] = ..., interrupted_by: _Optional[str] = ..., checkpoint: _Optional[int] = ...) -> None: ...
+    parameters: _containers.RepeatedCompositeFieldContainer[Parameter]
+    sweep: Sweep
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., strikes: _Optional[_Iterable[_Union[Strike, _Mapping]]] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., arguments: _Optional[_Iterable[str]] = ..., directory: _Optional[str] = ..., seed: _Optional[str] = ..., hash_seed: _Optional[str] = ..., plan: _Optional[_Union[Revision, _Mapping]] = ..., pycram: _Optional[_Union[Revision, _Mapping]] = ..., host: _Optional[str] = ..., cpu: _Optional[str] = ..., program: _Optional[str] = ..., origin: _Optional[_Union[Origin, _Mapping]] = ..., by_program: bool = ..., called_as: _Optional[str] = ..., number: _Optional[int] = ..., order: _Optional[str] = ..., environment: _Optional[str] = ..., looks: _Optional[int] = ..., interrupted_by: _Optional[str] = ..., checkpoint: _Optional[int] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., sweep: _Optional[_Union[Sweep, _Mapping]] = ...) -> None: ...
+
+class Parameter(_message.Message):
+    __slots__ = ("name", "value_json")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VALUE_JSON_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    value_json: str
+    def __init__(self, name: _Optional[str] = ..., value_json: _Optional[str] = ...) -> None: ...
+
+class Sweep(_message.Message):
+    __slots__ = ("number", "seed", "attempt")
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    seed: int
+    attempt: int
+    def __init__(self, number: _Optional[int] = ..., seed: _Optional[int] = ..., attempt: _Optional[int] = ...) -> None: ...

@@ -50,6 +50,8 @@ def _lines(log: Recording, info: Summary) -> list[tuple[str, str]]:
     return [
         ("file", f"{log.path} ({_size(info.size)})"),
         ("plan", _plan(info)),
+        ("parameters", _parameters(info.start)),
+        ("sweep", _sweep(info.start)),
         ("origin", _origin(info.start)),
         ("directory", info.start.directory if info.start else ""),
         ("seed", _seed(info.start)),
@@ -62,7 +64,7 @@ def _lines(log: Recording, info: Summary) -> list[tuple[str, str]]:
         *(("", f"thread {thread} failed: {one_line(failure)}") for thread, failure in info.threads),
         ("steps", f"0 to {info.records - 1}: {counts}"),
         ("worlds", _worlds(info)),
-        ("files", f"{info.attachments} attached"),
+        ("files", f"{info.attachments} attached{_shared(log)}"),
         ("computer", _computer(info.start)),
         ("versions", ", ".join(f"{key} {info.metadata[key]}" for key in _VERSIONS if key in info.metadata)),
         ("repaired", _repair(info)),
@@ -78,6 +80,23 @@ def _repair(info: Summary) -> str:
 def _plan(info: Summary) -> str:
     given = info.start.arguments if info.start else ()  # older recordings have them as one text
     return " ".join((info.plan, shlex.join(given) or info.metadata.get("plan_arguments", ""))).strip()
+
+
+def _parameters(start: Run | None) -> str:
+    given = start.parameters if start is not None else ()
+    return ", ".join(f"{each.name}={each.value_json}" for each in given)
+
+
+def _sweep(start: Run | None) -> str:
+    if start is None or not start.HasField("sweep"):
+        return ""
+    again = f", at attempt {start.sweep.attempt}" if start.sweep.attempt > 1 else ""
+    return f"run {start.sweep.number} of one with seed {start.sweep.seed}{again}"
+
+
+def _shared(log: Recording) -> str:
+    shared = log.assets.shared
+    return f", or in {shared.name} beside it" if shared is not None else ""
 
 
 def _origin(start: Run | None) -> str:

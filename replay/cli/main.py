@@ -48,6 +48,7 @@ VERBS: Final = {
     "resume": "a plan whose process was killed goes on where it was",
     "export": "where joints and bases were to be and were, as a table (CSV, Parquet)",
     "repair": "a sound copy of what can be read of a damaged recording, and what is lost",
+    "pack": "a copy of a sweep's recording that holds its models itself",
     "restore": "a live world as it was: for a script, in a shell, in a window",
 }
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.mcap.output_file import open_output
-from recorder.mcap.writer import MAGIC
-from replay.cli.console import print_message, print_result
-from replay.errors import ReplayError
-from replay.file.file_checks import is_locked
+from replay.cli.console import print_result
+from replay.cli.copies import add_output, write_copy
 from replay.file.repair import range_text
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
+    from pathlib import Path
 
     from replay.file.repair import Losses
     from replay.recording import Recording
@@ -23,46 +20,19 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the copy's path."""
-    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="the copy; by default LOG's name.sound.mcap")
-    parser.add_argument("--overwrite", action="store_true", help="replace a recording that is there")
+    add_output(parser, "sound")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Write the copy, and print what it lacks."""
     target: Path = options.output or log.path.with_name(f"{log.path.stem}.sound.mcap")
-    _check(log, target, overwrite=options.overwrite)
-    part = target.with_name(f"{target.name}.part")  # whole or not at all
-    try:
-        with open_output(part) as file:
-            losses = log.write_sound(file)
-        if target.exists():
-            print_message(f"{target} is replaced")
-        part.replace(target)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    losses = write_copy(log, target, log.write_sound, overwrite=options.overwrite)
     print_result(
         lambda: _data(losses) | {"file": str(target), "files": len(log.assets) - len(losses.files)},
         _lines(log, target, losses),
         as_json=options.json,
     )
     return 0
-
-
-def _check(log: Recording, target: Path, *, overwrite: bool) -> None:
-    if log.live:
-        raise ReplayError(f"{log.path}: it is still being written; repair it when its process has ended")
-    if not target.exists():
-        return
-    if target.samefile(log.path):
-        raise ReplayError(f"{target}: that is the recording itself, which is kept as it is; name another file")
-    if not overwrite:
-        raise ReplayError(f"{target}: it is there already; name another file, or add --overwrite")
-    with target.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
-            raise ReplayError(f"{target}: there is a file that is no recording; move it away or name another file")
-        if is_locked(file):
-            raise ReplayError(f"{target}: another recording is writing it; name another file")
 
 
 def _data(losses: Losses) -> dict[str, object]:

@@ -39,7 +39,7 @@ _INCIDENTAL: Final = (
 #: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
 _GIVEN: Final = (
     "name", "arguments", "directory", "seed", "order", "hash_seed", "plan", "pycram", "host", "cpu", "program",
-    "by_program", "called_as", "number", "origin", "looks",
+    "by_program", "called_as", "number", "origin", "looks", "parameters", "sweep",
 )  # fmt: skip
 _REQUESTS: Final = ("reference", "next_solution")
 

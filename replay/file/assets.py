@@ -1,4 +1,4 @@
-"""The files that are attached to a recording: models, meshes, the plan's source."""
+"""The files of a recording: models, meshes, the plan's source; attached to it, or in a file that several share."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
 
-from replay.errors import Damaged, NoSuchName
+from replay.errors import Damaged, MissingModels, NoSuchName
 from replay.file.mcap_format import DAMAGE, describe
+from replay.file.shared_models import shared_by
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,6 +28,7 @@ class Assets(Mapping[str, bytes]):
 
     Attributes:
         damaged: what is wrong with the damaged ones that were read, by name.
+        shared: the file of models that the recording names; None if it holds all itself.
     """
 
     def __init__(self, path: Path, index: Index) -> None:
@@ -34,6 +36,8 @@ class Assets(Mapping[str, bytes]):
         self._index = index
         self._models: dict[str, Urdf] = {}
         self.damaged: dict[str, str] = {}
+        self.shared = shared_by(path, index)
+        self._looked = False  # into the shared file
 
     def __getitem__(self, name: str) -> bytes:
         """Return the content of a file.
@@ -41,28 +45,59 @@ class Assets(Mapping[str, bytes]):
         Raises:
             KeyError: there is none of that name.
             Damaged: it isn't what was attached.
+            MissingModels: it is in none of the files that can be read.
         """
-        extent = self._index.attachments[name]
+        data: bytes = self.attachment(name).data
+        return data
+
+    def attachment(self, name: str) -> Attachment:
+        """Return a file with what the recorder said of it; raises as :meth:`__getitem__`."""
         try:
-            content = self._index.read(extent)
-            data: bytes = Attachment.read(ReadDataStream(io.BytesIO(content))).data
+            content = self._content(name)
+            found: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
+            data = found.data
+        except KeyError:
+            raise
         except DAMAGE as error:
             raise self._damaged(name, describe(error)) from error
         sha256, slash, _ = name.partition("/")
         corrupt = zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little")
         if corrupt or (slash and len(sha256) == 64 and hashlib.sha256(data).hexdigest() != sha256):
             raise self._damaged(name, "its checksum differs")
-        return data
+        return found
+
+    def _content(self, name: str) -> bytes:
+        extent = self._index.attachments.get(name)
+        if extent is not None:
+            return self._index.read(extent)
+        if self.shared is None:
+            raise KeyError(name)
+        if cause := self.missing(look=True):
+            raise MissingModels(self._path, cause)
+        return self.shared.read(name)
+
+    def missing(self, *, look: bool = False) -> str:
+        """Return why files are missing that the recording shares, in words; "" if none are, or nobody has looked."""
+        self._looked = self._looked or look
+        return self.shared.cause if self.shared is not None and self._looked else ""
+
+    def close(self) -> None:
+        """Close the shared file, which is opened again when it is needed: a fork has one of its own."""
+        if self.shared is not None:
+            self.shared.close()
 
     def _damaged(self, name: str, cause: str) -> Damaged:
         self.damaged[name] = cause
         return Damaged(self._path, f"the attached file {name}", cause)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._index.attachments)
+        own = self._index.attachments
+        yield from own
+        if self.shared is not None and not self.missing(look=True):
+            yield from (name for name in self.shared.files if name not in own)
 
     def __len__(self) -> int:
-        return len(self._index.attachments)
+        return sum(1 for _ in self)
 
     def urdf(self, name: str) -> Urdf:
         """Return an attached model, ``<sha256>/<file name>``, parsed; once for all who ask.

@@ -6,6 +6,7 @@ import os
 import stat
 from typing import TYPE_CHECKING, BinaryIO, Final
 
+from recorder.mcap.shared_models import LIBRARY as SHARED
 from replay.errors import NotALog, Unreadable
 from replay.file.chunks import kinds_of
 from replay.file.mcap_format import MAGIC
@@ -71,6 +72,8 @@ def check_ours(path: Path, index: Index) -> None:
     names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
     if names:
         raise Unreadable(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
+    if index.library == SHARED:
+        raise NotALog(path, "has the models that recordings of a sweep share; it is no recording itself")
     if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
         raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
     raise Unreadable(path, "has no record that can be read")

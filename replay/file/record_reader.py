@@ -26,7 +26,7 @@ from recorder.records import (
     Subscription,
     Task,
 )
-from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, Unreadable
+from replay.errors import Damaged, LogClosed, MissingModels, NoSuchName, NoSuchStep, ReplayError, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
 from replay.file.file_checks import check_ours, is_locked, open_file
@@ -89,10 +89,12 @@ class RecordReader:
 
     def close(self) -> None:
         """Close the file."""
+        self.assets.close()
         self._index.close()
 
     def after_fork(self) -> None:
         """Go on reading, in a forked child, from a file position of its own: the parent's would move."""
+        self.assets.close()
         descriptor = self._file.fileno()
         own = os.open(self.path, os.O_RDONLY)
         os.lseek(own, os.lseek(descriptor, 0, os.SEEK_CUR), os.SEEK_SET)
@@ -154,6 +156,7 @@ class RecordReader:
         problems += self._index.damage
         problems += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
         problems += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.damaged.items()]
+        problems += [f"its models are missing ({cause})"] if (cause := self.assets.missing()) else []
         lost = self._lost - sum(map(len, self.lost_before))
         if lost > 0 and not self._chunks.damaged:
             problems.append(f"{lost} records are lost")
@@ -322,6 +325,19 @@ class RecordReader:
         """Write a sound copy of what can be read; see :func:`replay.file.repair.write_sound`."""
         self.check()
         return write_sound(file, self._index, self._chunks, self.assets, self.problems, self.missing())
+
+    def write_packed(self, file: BinaryIO) -> None:
+        """Write a copy that holds its models itself.
+
+        Raises:
+            MissingModels: they aren't there.
+            ReplayError: the recording isn't sound.
+        """
+        if cause := self.assets.missing(look=True):
+            raise MissingModels(self.path, cause)
+        if problems := self.check():
+            raise ReplayError(f"{self.path}: it isn't sound ({problems}); repair it, which packs what can be read")
+        write_sound(file, self._index, self._chunks, self.assets, None, [])
 
     def missing(self) -> list[range]:
         """Return the ranges of steps that are missing, also those after the last one if their number is known.

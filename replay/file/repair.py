@@ -6,7 +6,6 @@ keep their numbers; which of them are missing is said in the copy's metadata, an
 
 from __future__ import annotations
 
-import io
 import re
 import struct
 from dataclasses import dataclass
@@ -14,10 +13,9 @@ from itertools import islice
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from google.protobuf.message import DecodeError
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment
 
+from recorder.mcap.shared_models import METADATA as MODELS
 from replay.errors import Damaged, LogClosed
 from replay.file.chunks import kinds_of
 from replay.file.mcap_format import HEADER, LENGTH, describe
@@ -61,16 +59,16 @@ class Losses:
 
 
 def write_sound(
-    file: BinaryIO, index: Index, chunks: Chunks, assets: Assets, problems: str, missing: list[range]
+    file: BinaryIO, index: Index, chunks: Chunks, assets: Assets, problems: str | None, missing: list[range]
 ) -> Losses:
-    """Write a sound copy of what can be read.
+    """Write a sound copy of what can be read, which holds the models that the original shares with others.
 
     Args:
         file: where to; empty.
         index: of the original.
         chunks: of the original.
         assets: of the original.
-        problems: of the original, in words.
+        problems: of the original, in words; None if it is only packed, which nobody needs to know.
         missing: the steps that are missing in it.
     """
     from recorder.mcap.writer import McapWriter  # noqa: PLC0415  readers don't need it
@@ -79,15 +77,17 @@ def write_sound(
     release = versions()["pycram"]
     writer = McapWriter(file, f"pycram {release}")
     ids = _define(writer, index)
-    repair = {"problems": problems, "by": release, "lost": ", ".join(map(range_text, missing))}
-    for name, values in (index.metadata | {_METADATA: repair}).items():
+    repair = {"problems": problems or "", "by": release, "lost": ", ".join(map(range_text, missing))}
+    metadata = index.metadata | ({} if problems is None else {_METADATA: repair})
+    if not assets.missing(look=True):
+        metadata.pop(MODELS, None)
+    for name, values in metadata.items():
         writer.add_metadata(name, values)
     for name in assets:
         try:
-            _ = assets[name]
+            kept = assets.attachment(name)
         except Damaged:  # which is kept in assets.damaged
             continue
-        kept = Attachment.read(ReadDataStream(io.BytesIO(index.read(index.attachments[name]))))
         writer.add_attachment(kept.log_time, name, kept.media_type, kept.data)
     kinds = kinds_of(index)
     lost: dict[int, str] = {}
@@ -111,7 +111,7 @@ def write_sound(
         except struct.error as error:
             lost[number] = describe(error)
     writer.finish()
-    return Losses(problems, tuple(missing), records, lost, unread, dict(assets.damaged))
+    return Losses(problems or "", tuple(missing), records, lost, unread, dict(assets.damaged))
 
 
 def _define(writer: McapWriter, index: Index) -> dict[int, int]:

@@ -104,6 +104,8 @@ class PlanProcess:
         else:
             self.program = _program(log, began, plan)
         self._arguments = list(began.arguments) if arguments is None else list(arguments)
+        if any(LEFT_OUT in each.value_json for each in began.parameters):
+            raise CantRetrace(f"{log.path}: secret parameters were left out of it, so the plan can't have them again")
         if any(LEFT_OUT in text for text in self._arguments):
             raise CantRetrace(f"{log.path}: secret arguments were left out of it; give all with --arguments, last")
         self._folder = Path(began.directory) if Path(began.directory).is_dir() else Path.cwd()

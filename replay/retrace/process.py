@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from pycram import cli
+from pycram import running
 from pycram.projection.child import die_with
 from pycram.reasoning.queries.query import answered_by
 from pycram.scheduling.cancellation import uninterruptible
@@ -285,7 +285,8 @@ def run_plan(
                 _run_program(plan)
         else:
             order, motion = getattr(began, "order", ""), getattr(began, "environment", "")
-            cli.run(Path(plan), file, arguments, seed=seed, order=order, motion=motion)
+            given = {each.name: json.loads(each.value_json) for each in getattr(began, "parameters", ())}
+            running.run(Path(plan), file, arguments, seed=seed, order=order, motion=motion, parameters=given)
 
 
 def _run_program(plan: str) -> None:

@@ -63,7 +63,7 @@ NOT_DETERMINED: Final = {
     r"(Event|Subscription|Refusal|Output)\.(?!seq|task|cause).*": _PLAN,
     r"Fluent\.(?!seq|task|cause).*": _PLAN,
     r"Query\.(?!seq|task|cause).*": _ASKED,
-    r"Run\.(arguments|directory|seed|order|environment|hash_seed|plan\..*|pycram\..*|host|cpu|program|by_program|called_as|number|origin\..*|interrupted_by)": _DAEMON,
+    r"Run\.(arguments|directory|seed|order|environment|hash_seed|plan\..*|pycram\..*|host|cpu|program|parameters\..*|sweep\..*|by_program|called_as|number|origin\..*|interrupted_by)": _DAEMON,
 }
 
 

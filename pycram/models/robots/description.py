@@ -19,6 +19,7 @@ from pycram.models.robots.arm import Arm, read_arm
 from pycram.models.robots.gripper import Gripper
 from pycram.models.robots.limits import MotionLimits, read_limits
 from pycram.models.robots.sensors import CameraDescription, Head, read_camera, read_head
+from pycram.models.warming import notable
 from recorder.geometry.joints import UrdfError
 
 if TYPE_CHECKING:
@@ -192,6 +193,7 @@ def why_none(urdf: Urdf) -> str:
 
 
 @cache
+@notable
 def _own() -> tuple[RobotDescription, ...]:
     return tuple(RobotDescription.load(file) for file in sorted(Path(__file__).parent.glob("*.toml")))
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models import visual
+from pycram.models.warming import notable
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -90,6 +91,7 @@ class Boxes:
 
 
 @lru_cache(maxsize=256)
+@notable
 def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     """Return links, and lowest and highest corners (k, 3) in their frames: of each piece, or of all if many."""
     pieces: dict[str, list[visual.Ends]] = {}

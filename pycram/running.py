@@ -1,0 +1,183 @@
+"""Running a plan as a main program, recorded; a process does it once, or is forked for each time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import runpy
+import shlex
+import subprocess
+import sys
+import threading
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import recorder
+from pycram.seeding import seed_random_numbers
+from recorder.closed_output import until_closed
+from recorder.errors import RecordingError
+from recorder.packages import NotInstalled, needed
+from recorder.tracing.interrupts import Terminated
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from recorder import Recording
+
+_PAGE = "serve"  # of --rerun
+SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
+
+
+def run(
+    plan: Path,
+    log: Path,
+    arguments: Sequence[str] = (),
+    live: str | None = None,
+    *,
+    seed: int | None = None,
+    order: str = "",
+    motion: str = "",
+    local_variables: bool = True,
+    overwrite: bool = False,
+    durable: bool = False,
+    debug: bool = False,
+    parameters: Mapping[str, Any] | None = None,
+) -> int:
+    """Run a plan as a main program, record it, and return the exit code, as :func:`pycram.cli.main` does.
+
+    Args:
+        plan: The Python file.
+        log: The recording; one that is there stays, and the next free name is taken.
+        arguments: Of the plan.
+        live: The live viewer; see :func:`recorder.record`.
+        seed: Of random numbers; None to leave them as they are.
+        order: Of branches; "" for the one that the seed draws.
+        motion: The execution environment where the plan names none; "" for "simulated".
+        local_variables: Whether failures hold the plan's local variables.
+        overwrite: Whether a recording that is there is replaced.
+        durable: Whether records survive the loss of power.
+        debug: Whether the debugger opens where the plan has failed.
+        parameters: Values of the plan's parameters; of others it has the defaults.
+    """
+    before = sys.argv, list(sys.path)
+    sys.argv = [str(plan), *arguments]
+    sys.path.insert(0, str(plan.parent.resolve()))
+    folder, file = Path.cwd(), log.absolute()  # a plan may change the working directory
+    recording: Recording | None = None
+    code = SUCCEEDED
+    error: BaseException | None = None
+    given = dict(parameters or {})
+    seed_random_numbers(seed)
+    try:
+        with needed():
+            from pycram.motions.environments import set_default  # noqa: PLC0415  --version and --help need no executor
+            from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  --version needs no executor
+            from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
+        seed_order(seed, order)
+        set_default(motion)
+        recorded = recorder.record(
+            file,
+            live,
+            name=plan.stem,
+            arguments=arguments,
+            source=plan,
+            seed=seed,
+            order=order,
+            environment=motion,
+            output=True,
+            locals=local_variables,
+            overwrite=overwrite,
+            durable=durable,
+            parameters=given,
+        )
+        with recorded as recording, giving(given):
+            try:
+                arguments_for_main = arguments_of_main(plan, given)
+                names = runpy.run_path(str(plan.absolute()), run_name=plan.stem if arguments_for_main else "__main__")
+                if arguments_for_main:
+                    names["main"](**arguments_for_main)
+            finally:
+                _wait_for_threads()
+    except BaseException as raised:  # noqa: BLE001  whatever the plan's own code raises
+        error = raised
+        code = _report(raised)
+    finally:
+        sys.argv, sys.path[:] = before
+    if recording is not None and recording.path.is_file() and not (_was_lost(error) or isinstance(error, NotInstalled)):
+        _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
+        if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
+            _keep_page(recording)
+        if debug and code == FAILED:
+            _debug(recording.path)
+    return code
+
+
+def _report(error: BaseException) -> int:
+    """Print how a plan ended, and return the exit code."""
+    from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
+    from recorder.records import format_error  # noqa: PLC0415  heavy
+
+    match error:
+        case RecordingError() | NotInstalled():
+            tell(f"pycram: {error}")
+            return WRONG_USAGE
+        case Terminated():
+            tell(f"\npycram: interrupted by {error.signal}")
+            return int(error.code or 0)
+        case SystemExit():
+            if isinstance(error.code, int | None):
+                return error.code or SUCCEEDED
+            tell(str(error.code))
+            return FAILED
+        case KeyboardInterrupt():
+            tell("\npycram: interrupted")
+            return INTERRUPTED
+    tell("".join(traceback.format_exception(error)).rstrip())
+    kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
+    how = "failed" if isinstance(error, PlanFailure) else kind
+    tell(f"\npycram: the plan {how}: {format_error(error)}")
+    return FAILED
+
+
+def tell(text: str) -> None:
+    """Print a message, if anybody reads it: how a plan ended doesn't depend on that."""
+    with until_closed():
+        print(text, file=sys.stderr)
+
+
+def _was_lost(error: BaseException | None) -> bool:
+    """Whether the recording failed, before the plan did or when it was closed after that."""
+    return isinstance(error, RecordingError) or (error is not None and isinstance(error.__context__, RecordingError))
+
+
+def _shown(file: Path, folder: Path, log: Path) -> Path:
+    """Return the path of a recording as the user wrote it."""
+    return file if log.is_absolute() else Path(os.path.relpath(file, folder))
+
+
+def _keep_page(recording: Recording) -> None:
+    """Serve the viewer's page until Ctrl-C, if the plan was started from a terminal."""
+    if recording.viewer is None or not sys.stdin.isatty():
+        return
+    tell("pycram: the page stays until Ctrl-C")
+    with contextlib.suppress(KeyboardInterrupt):
+        recording.viewer.wait()
+
+
+def _debug(log: Path) -> None:
+    """Open the debugger, which runs the plan again to its failure: it is above all that runs plans."""
+    subprocess.run([sys.executable, "-P", "-m", "replay", "debug", str(log)], check=False)  # noqa: S603  ours
+
+
+def _wait_for_threads() -> None:
+    """Wait for threads that the plan has left running, as Python does at its end: they are part of the plan."""
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join()
+
+
+def _print_next_steps(log: Path, size: float, code: int) -> None:
+    tell(f"pycram: recorded to {log} ({size:.1f} MB). Next:")
+    for verb in ("info", "tree", "view") if code == SUCCEEDED else ("why", "tree", "view"):
+        tell(f"  pycram-replay {verb} {shlex.quote(str(log))}")

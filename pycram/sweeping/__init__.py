@@ -1,0 +1,178 @@
+"""Sweeps: a plan runs many times, with other seeds and parameters, and each run is recorded.
+
+Each run is a fork of a process that has imported and parsed what runs need, and executes the whole plan from its start,
+with its own seed: so each recording is complete, and can be verified and retraced. What is done stays done: a sweep
+that is started again makes the runs that are missing.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import threading
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram import plan_parameters
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument
+from pycram.scheduling.locks import refuse_held
+from pycram.seeding import MAX_SEED
+from pycram.sweeping import folder as folders
+from pycram.sweeping.folder import SweepRefused
+from pycram.sweeping.local import Local
+from pycram.sweeping.one_run import Outcome, RunLost, Spec
+from pycram.sweeping.result import Sweep, facts_of
+from pycram.sweeping.values import Variations
+from pycram.world.current import open_worlds
+from recorder.tracing import forking
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+__all__ = ["LIMIT", "Outcome", "RunLost", "Sweep", "SweepRefused", "sweep"]
+
+LIMIT: Final = 300.0  # s
+
+
+def sweep(
+    plan: str | Path,
+    runs: int,
+    folder: str | Path,
+    *,
+    seed: int = 0,
+    set: Mapping[str, Sequence[Any]] | None = None,  # noqa: A002  as the command has it
+    sample: Mapping[str, str] | None = None,
+    cores: int = 0,
+    limit: float = LIMIT,
+    memory: int = 0,
+    arguments: Sequence[str] = (),
+    motion: str = "",
+    locals: bool = True,  # noqa: A002  as they are called in Python
+    ray: str | None = None,
+    progress: Callable[[Sweep, Outcome | None], None] = lambda _, __: None,
+) -> Sweep:
+    """Run a plan many times; each run's recording is a file of a folder.
+
+    Args:
+        plan: Its file.
+        runs: How many, numbered from 0.
+        folder: Where the recordings go; one that has a part of this sweep gets the rest. With ``ray`` it is one that
+            all nodes share, or any URL that fsspec knows.
+        seed: Run N has the seed ``seed + N``, and draws its parameters from it.
+        set: Values of parameters that the runs take in turn, all combinations of them.
+        sample: Distributions of parameters, as ``"uniform(0,1)"``; also normal, integers, choice.
+        cores: How many run at once; 0 for one on each core.
+        limit: Seconds by the clock that a run may take.
+        memory: Bytes that a run may take beside what it begins with; 0 for any number.
+        arguments: Of the plan.
+        motion: The execution environment where the plan names none.
+        locals: Whether failures hold the local variables of the plan's functions.
+        ray: The address of a Ray cluster, or "" for one on this machine; None to use none.
+        progress: Called at the start and after each run.
+
+    Raises:
+        SweepRefused: The folder has another sweep or one is running into it, or this process can't fork.
+        UnknownParameter: The plan doesn't declare a parameter.
+        BadArgument: An argument is wrong.
+        LockHeld: The caller holds a lock.
+    """
+    refuse_held()
+    spec = _spec(plan, folder, seed, set or {}, sample or {}, limit, memory, arguments, motion, local_variables=locals)
+    for name, number, least in (("runs", runs, 1), ("cores", cores, 0)):
+        if checks.number(name, number) != int(number) or number < least:
+            raise BadArgument(name, number, f"a whole number from {least}")
+    if ray is not None:
+        from pycram.sweeping.on_ray import sweep_on_ray  # noqa: PLC0415  needs an extra
+
+        return sweep_on_ray(spec, runs, str(folder), ray, cores, progress)
+    _refuse_impossible()
+    with folders.locked(Path(spec.folder)):
+        return _sweep(spec, runs, cores, progress)
+
+
+def _spec(
+    plan: str | Path,
+    folder: str | Path,
+    seed: int,
+    listed: Mapping[str, Sequence[Any]],
+    sampled: Mapping[str, str],
+    limit: float,
+    memory: int,
+    arguments: Sequence[str],
+    motion: str,
+    *,
+    local_variables: bool,
+) -> Spec:
+    """Check what is given; nothing has changed by then."""
+    file = Path(plan)
+    if not file.is_file():
+        raise BadArgument("plan", str(plan), "the file of a plan")
+    if checks.number("limit", limit) <= 0 or limit > threading.TIMEOUT_MAX:
+        raise BadArgument("limit", limit, "seconds, more than 0")
+    if checks.number("memory", memory) < 0:
+        raise BadArgument("memory", memory, "bytes, 0 for any number")
+    if checks.number("seed", seed) != int(seed) or not 0 <= seed <= MAX_SEED:
+        raise BadArgument("seed", seed, f"a whole number from 0 to {MAX_SEED}")
+    variations = Variations(listed, sampled)
+    try:
+        for values in variations.every():
+            plan_parameters.check(file, values)
+    except SyntaxError as error:
+        raise SweepRefused(f"{plan}: {error}") from error
+    return Spec(
+        str(file.absolute()),
+        str(Path(folder).absolute()),
+        int(seed),
+        tuple(arguments),
+        {name: list(values) for name, values in listed.items()},
+        dict(sampled),
+        motion,
+        local_variables,
+        float(limit),
+        int(memory),
+    )
+
+
+def _refuse_impossible() -> None:
+    if not hasattr(os, "fork"):
+        raise SweepRefused("this system can't copy a process (os.fork)")
+    if worlds := [world.name for world in open_worlds()]:
+        raise SweepRefused(f"{', '.join(worlds)} is open, which the runs would begin with; close it before")
+    if threads := [thread.name for thread in forking.others()]:
+        raise SweepRefused(f"the runs would lack the threads {', '.join(threads)}; sweep before they are started")
+
+
+def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, Outcome | None], None]) -> Sweep:
+    folder = Path(spec.folder)
+    facts = facts_of(spec, runs)
+    models = (folders.begin(folder, facts).get("models") or {}).get("file")
+    there = {each.name for each in folder.iterdir()}
+    missing = [number for number in range(runs) if spec.name(number) not in there]
+    result = Sweep(spec.folder, runs, before=runs - len(missing))
+    progress(result, None)
+    local = Local(spec, cores, models if models in there else None)
+    try:
+        for first in (True, False):
+            with closing(local.run(missing[:1] if first else missing[1:])) as outcomes:
+                for outcome in outcomes:
+                    if not result.take(outcome):
+                        return result
+                    if result.has_not_begun():
+                        _set_aside(result, outcome)
+                        return result
+                    if first:
+                        folders.write(folder, {**facts, "models": local.models})
+                    progress(result, outcome)
+    except KeyboardInterrupt:
+        result.interrupted = True
+    return result
+
+
+def _set_aside(result: Sweep, outcome: Outcome) -> None:
+    """Keep the recording of a plan that can't start, so that it can be mended and swept into the same folder."""
+    folder = Path(result.folder)
+    kept = (folder / outcome.name).replace(folder / f"{outcome.name}.failed")
+    (folder / folders.SWEEP).unlink(missing_ok=True)
+    result.stopped += f"; pycram-replay why {shlex.quote(str(kept))}"

@@ -1,0 +1,120 @@
+"""``pycram sweep PLAN``: progress on stderr while it runs, and in the end what has come of it."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections import Counter
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Final
+
+from pycram.foundation.failures import UsageError
+from pycram.running import FAILED, INTERRUPTED, SUCCEEDED, WRONG_USAGE, tell
+from pycram.sweeping import sweep
+from pycram.sweeping.values import listed, sampled
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator, Sequence
+
+    from rich.progress import Progress
+
+    from pycram.sweeping import Outcome, Sweep
+
+_SHOWN: Final = 5  # failures
+_WIDTH: Final = 160  # characters of a failure
+
+
+def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
+    """Sweep as the options say, and return the exit code: 0 if all runs succeeded, 1 if some failed."""
+    shown = _Shown(options.runs)
+    try:
+        with shown.bar or nullcontext():
+            result = sweep(
+                options.plan,
+                options.runs,
+                options.output,
+                seed=options.seed,
+                set=dict(map(listed, options.set)),
+                sample=dict(map(sampled, options.sample)),
+                cores=options.jobs,
+                limit=options.limit,
+                memory=options.memory * 10**6,
+                arguments=arguments,
+                motion=options.motion,
+                locals=not options.no_locals,
+                ray=options.ray,
+                progress=shown.update,
+            )
+    except UsageError as error:
+        tell(f"pycram: {error}")
+        return WRONG_USAGE
+    print(*_lines(result, options.output, shown.seconds), sep="\n")
+    if result.stopped:
+        tell(f"pycram: stopped: {result.stopped}")
+        return WRONG_USAGE
+    if result.interrupted:
+        return INTERRUPTED
+    return FAILED if result.failed else SUCCEEDED
+
+
+class _Shown:
+    """The progress, as a bar where somebody looks."""
+
+    def __init__(self, runs: int) -> None:
+        self.bar: Progress | None = _bar() if sys.stderr.isatty() else None
+        self._runs = runs
+        self._began = time.monotonic()
+        self.seconds = 0.0
+
+    def update(self, result: Sweep, outcome: Outcome | None) -> None:
+        """Show how far it has come."""
+        now = time.monotonic()
+        self._began = now if outcome is None else self._began
+        self.seconds = now - self._began
+        if self.bar is None:
+            return
+        if not self.bar.task_ids:
+            self.bar.add_task("", total=self._runs, failed=0, rate="", completed=result.before)
+        rate = f"{result.done / self.seconds:.1f} runs/s" if self.seconds else ""
+        done = result.before + result.done
+        self.bar.update(self.bar.task_ids[0], completed=done, failed=result.failed, rate=rate)
+        self.bar.refresh()
+
+
+def _bar() -> Progress:
+    from rich.console import Console  # noqa: PLC0415  where nobody looks, it isn't needed
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+
+    return Progress(
+        MofNCompleteColumn(),
+        BarColumn(),
+        TextColumn("{task.fields[rate]}, {task.fields[failed]} failed"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        auto_refresh=False,  # by a thread, which forks would lack
+    )
+
+
+def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
+    there = f", {result.before} were there already" if result.before else ""
+    rate = f" in {seconds:.0f} s, {result.done / seconds:.1f} a second" if result.done and seconds else ""
+    yield f"{folder}: {result.done} runs{rate}{there}; {result.failed} failed"
+    left = result.runs - result.before - result.done
+    if left and not result.stopped:
+        yield f"{left} are missing; the same command makes them"
+    failures = sorted(result.failures, key=lambda each: each.number)  # they came as they ended
+    causes = Counter(_short(each.failure) for each in failures)
+    for cause, count in causes.most_common(_SHOWN):
+        first = next(each.name for each in failures if _short(each.failure) == cause)
+        yield f"  {count:4}  {cause}  pycram-replay why {shlex.quote(f'{folder}/{first}')}"
+    if len(causes) > _SHOWN:
+        yield f"        and {len(causes) - _SHOWN} others"
+    for remark in result.remarks[:_SHOWN]:
+        yield f"note: {remark}"
+
+
+def _short(failure: str) -> str:
+    line = " ".join(failure.split())
+    return line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..."

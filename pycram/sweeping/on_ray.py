@@ -1,0 +1,238 @@
+"""Sweeps on a Ray cluster: batches of runs are tasks, and results are files of a folder that all nodes can write to.
+
+Ray does a lost node's batches again; of such a batch the runs that are in the folder already aren't made twice. Ray's
+processes are kept, each with a warm process of ours that forks (:mod:`pycram.sweeping.worker`), and end after a number
+of batches. PyCRAM and the plan are at the same paths on all nodes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.sweeping import folder as folders
+from pycram.sweeping.one_run import Outcome, Spec
+from pycram.sweeping.result import Sweep, facts_of
+from recorder.mcap.shared_models import NAME
+from recorder.packages import needed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+with needed():
+    import fsspec
+    import ray
+
+_BATCH: Final = 10  # runs of a task: its start costs some ms, and a lost node costs no more than these
+_CALLS: Final = 50  # batches of a process of Ray's
+_AHEAD: Final = 3  # batches that wait for each core
+
+
+def sweep_on_ray(
+    spec: Spec, runs: int, url: str, address: str, cores: int, progress: Callable[[Sweep, Outcome | None], None]
+) -> Sweep:
+    """Sweep on a cluster; see :func:`pycram.sweeping.sweep`.
+
+    Args:
+        spec: The sweep's.
+        runs: How many.
+        url: Of the folder.
+        address: Of the cluster; "" for one on this machine.
+        cores: How many runs at once; 0 for one on each of the cluster's.
+        progress: Called at the start and after each run.
+    """
+    store = _Store(url)
+    with ExitStack() as within, tempfile.TemporaryDirectory(prefix="pycram-sweep-") as here:
+        if store.is_local:
+            within.enter_context(folders.locked(Path(store.root)))
+        if not ray.is_initialized():
+            ray.init(
+                address=address or None, num_cpus=(cores or None) if not address else None, logging_level=logging.ERROR
+            )
+            within.callback(ray.shutdown)
+        facts = facts_of(spec, runs)
+        store.fetch(folders.SWEEP, Path(here))
+        models = (folders.begin(Path(here), facts).get("models") or {}).get("file")
+        there = store.names()
+        models = models if models in there else None
+        missing = [number for number in range(runs) if spec.name(number) not in there]
+        result = Sweep(url, runs, before=runs - len(missing))
+        store.put(Path(here) / folders.SWEEP)
+        progress(result, None)
+        batches = _batches(missing)
+        try:
+            for outcome in _made(spec, url, [next(batches, [])], models, 1):
+                if not result.take(outcome):
+                    return result
+                if result.has_not_begun():
+                    store.set_aside(outcome.name)
+                    return result
+                progress(result, outcome)
+            models = models or next(filter(NAME.fullmatch, sorted(store.names())), None)
+            folders.write(Path(here), {**facts, "models": None if models is None else store.described(models)})
+            store.put(Path(here) / folders.SWEEP)
+            at_once = cores or _cores()
+            for outcome in _made(spec, url, batches, models, at_once):
+                if not result.take(outcome):
+                    return result
+                progress(result, outcome)
+        except KeyboardInterrupt:
+            result.interrupted = True
+    return result
+
+
+def _cores() -> int:
+    resources: Callable[[], dict[str, float]] = ray.cluster_resources
+    return int(resources().get("CPU", 1))
+
+
+def _batches(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
+    """Yield the runs of each task: the first run alone, as it shows whether the plan can start."""
+    if numbers:
+        yield numbers[:1]
+    for start in range(1, len(numbers), _BATCH):
+        yield numbers[start : start + _BATCH]
+
+
+def _made(spec: Spec, url: str, batches: Any, models: str | None, cores: int) -> Iterator[Outcome]:
+    """Have batches made, a few more than there are cores at a time; yield the outcomes as they come."""
+    task = ray.remote(num_cpus=1, max_calls=_CALLS, max_retries=-1)(_make)
+    waiting = iter(batches)
+    running: list[Any] = []
+    try:
+        while True:
+            while len(running) < cores * _AHEAD and (batch := next(waiting, None)) is not None:
+                if batch:
+                    running.append(task.remote(asdict(spec), url, list(batch), models))
+            if not running:
+                return
+            ended, running = ray.wait(running)
+            for each in ended:
+                yield from (Outcome(**outcome) for outcome in ray.get(each))
+    finally:
+        for each in running:
+            ray.cancel(each, force=True)
+
+
+class _Store:
+    """A folder by its URL; a plain path is one that all nodes share."""
+
+    def __init__(self, url: str) -> None:
+        given = url if "://" in url else str(Path(url).absolute())
+        self._files, self.root = fsspec.core.url_to_fs(given)
+        self.is_local = "file" in (self._files.protocol, *self._files.protocol)
+        self._files.makedirs(self.root, exist_ok=True)
+
+    def names(self) -> set[str]:
+        """Return the names of the files in it."""
+        self._files.invalidate_cache()
+        return {Path(each).name for each in self._files.ls(self.root, detail=False)}
+
+    def put(self, file: Path) -> None:
+        """Put a file there, whole or not at all."""
+        target = f"{self.root}/{file.name}"
+        if self.is_local:  # storage of objects does it by itself
+            part = f"{self.root}/.{file.name}.part"
+            self._files.put_file(str(file), part)
+            os.replace(part, target)  # noqa: PTH105  as texts
+        else:
+            self._files.put_file(str(file), target)
+
+    def fetch(self, name: str, folder: Path) -> None:
+        """Get a file from there, if it is there."""
+        if self._files.exists(f"{self.root}/{name}") and not (folder / name).exists():
+            self._files.get_file(f"{self.root}/{name}", str(folder / name))
+
+    def set_aside(self, name: str) -> None:
+        """Keep the recording of a plan that can't start, so that it can be mended and swept into the same folder."""
+        self._files.mv(f"{self.root}/{name}", f"{self.root}/{name}.failed")
+        self._files.rm(f"{self.root}/{folders.SWEEP}")
+
+    def described(self, name: str) -> dict[str, str]:
+        """Return name and hash of a file of models."""
+        return {"file": name, "sha256": hashlib.sha256(self._files.cat_file(f"{self.root}/{name}")).hexdigest()}
+
+
+class _Worker:
+    """The process of ours that a process of Ray's keeps."""
+
+    def __init__(self, seed: int) -> None:
+        self.folder = tempfile.TemporaryDirectory(prefix="pycram-sweep-", ignore_cleanup_errors=True)
+        self._process = subprocess.Popen(  # noqa: S603  ours
+            [sys.executable, "-P", "-m", "pycram.sweeping.worker", str(os.getpid())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=os.environ | {"PYTHONHASHSEED": str(seed)},
+            text=True,
+            encoding="utf-8",
+        )
+
+    def run(self, spec: Spec, numbers: Sequence[int], models: str | None) -> Iterator[Outcome]:
+        """Make runs."""
+        batch = {"spec": asdict(replace(spec, folder=self.folder.name)), "numbers": numbers, "models": models}
+        sent, received = self._process.stdin, self._process.stdout
+        if sent is None or received is None:
+            return
+        sent.write(json.dumps(batch) + "\n")
+        sent.flush()
+        while line := received.readline().strip():
+            yield Outcome(**json.loads(line))
+        if self._process.poll() is not None:
+            raise RuntimeError(f"the process that makes runs has ended with {self._process.returncode}")
+
+
+_worker: _Worker | None = None
+
+
+def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str | None) -> list[dict[str, Any]]:
+    """Make those runs of a batch that aren't there yet; a task of Ray's."""
+    global _worker  # noqa: PLW0603  of this process of Ray's
+    spec, store = Spec(**spec_facts), _Store(url)
+    there = store.names()
+    if _worker is None:
+        _worker = _Worker(spec.seed)
+    folder = Path(_worker.folder.name)
+    if models is not None:
+        store.fetch(models, folder)
+    missing = [number for number in numbers if spec.name(number) not in there]
+    # of a lost node's batch, whose outcomes went with it
+    outcomes = [_known(store, spec, number, folder) for number in numbers if number not in missing]
+    try:
+        for outcome in _worker.run(spec, missing, models):
+            if not outcome.unrecorded:
+                for made in folder.glob(f"{outcome.number:05}.*"):  # and what lies beside it
+                    store.put(made)
+                    made.unlink()
+            outcomes.append(asdict(outcome))
+    except BaseException:
+        _worker = None
+        raise
+    for made in folder.glob("models-*.mcap"):
+        if made.name not in there:
+            store.put(made)
+    return outcomes
+
+
+def _known(store: _Store, spec: Spec, number: int, folder: Path) -> dict[str, Any]:
+    """Return the outcome of a run that is there, by its recording."""
+    from mcap.reader import make_reader  # noqa: PLC0415
+
+    from recorder.records import Run, format_failure  # noqa: PLC0415
+
+    name = spec.name(number)
+    store.fetch(name, folder)
+    with (folder / name).open("rb") as file:
+        runs = [Run.FromString(each.data) for _, _, each in make_reader(file).iter_messages(topics=["/run"])]
+    (folder / name).unlink()
+    ends = [run for run in runs if run.phase == Run.FINISHED]
+    succeeded = bool(ends) and ends[-1].succeeded
+    return asdict(Outcome(number, name, succeeded, "" if succeeded or not ends else format_failure(ends[-1].failure)))
