@@ -48,6 +48,7 @@ FOLDER: Final = "tables"
 NEW: Final = "new"
 """Where the rows of recordings lie in it until they are merged."""
 
+_NO_TEXTS: Final = pa.array([], pa.string())  # here pyarrow imports pandas where that is: once, before a process forks
 _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
 _OPTION: Final = re.compile(r"--([A-Za-z][\w-]*)(?:=(.*))?", re.DOTALL)
 _MAX_NAMED: Final = 3  # objects in a label

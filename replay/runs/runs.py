@@ -174,11 +174,6 @@ class Runs:
             raise NotRead(self.path, f"{again}: {_first_line(error)}") from error
 
 
-def open_runs(path: str | Path) -> Runs:
-    """Open a folder of recordings as tables, and bring these up to date."""
-    return Runs(path)
-
-
 def _quoted(text: str) -> str:
     return "'" + text.replace("'", "''") + "'"
 

@@ -80,7 +80,7 @@ class Cause:
         if kind == "grasp":
             grasp = dice.choice(GRASPS)
             return cls(kind, thing, grasp, (f"what grasp({thing}) chose={grasp}",), strength)
-        return cls("race", "", None, ("pour before", "before pour", "the start of pour", "the start of fetch"), strength)
+        return cls("race", "", None, ("before fluent filled", "before the end of fetch", "before the start of fetch"), strength)
 
 
 @dataclass
