@@ -9,7 +9,7 @@ Liblit et al. 2005, "Scalable statistical bug isolation").
 from __future__ import annotations
 
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, Final
@@ -152,7 +152,9 @@ class _Sites:
             known[task] = f"{branch}/{task}" if kind == "branch" else branch
             if step > self.cases[number].end:
                 continue
-            self.add("reached", f"{label} {kind}" if kind in _STRUCTURE else label, number, True, step)
+            if not self.cases[number].failed or (last is not None and last < self.cases[number].end):
+                # that the failure came where it came is no news: not the tasks that it ended
+                self.add("reached", f"{label} {kind}" if kind in _STRUCTURE else label, number, True, step)
             if kind not in _STRUCTURE:
                 self.mark(number, f"the start of {label}", step, task)
                 self._slots(number, label, told, step)
@@ -214,16 +216,15 @@ class _Sites:
         """Add which of two things of different branches came first.
 
         Where only one of them happened before the failure, it was first, as the other one came later or never. Pairs
-        that are known of some failures only would be chosen by the failures themselves: these don't count.
+        that are known of some failures only would be chosen by the failures themselves: these don't count, nor does what
+        seldom happens in runs that succeed.
         """
-        branched = {
-            name
-            for marks in self.marks
-            for name, (_, branch) in marks.items()
-            if branch
-        }
-        names = sorted(branched)[:_MAX_MARKS]
         failures = sum(case.failed for case in self.cases)
+        usual: Counter[str] = Counter()
+        for case, marks in zip(self.cases, self.marks, strict=True):
+            usual.update(name for name, (_, branch) in marks.items() if branch and not case.failed)
+        successes = len(self.cases) - failures
+        names = sorted(name for name, count in usual.most_common(_MAX_MARKS) if 2 * count >= successes)
         for first, second in combinations(names, 2):
             site = Site("order", f"{first} before {second}")
             known = 0

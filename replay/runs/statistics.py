@@ -52,6 +52,7 @@ class FailureCause:
         step: where its failure began; None if that isn't known.
         message: of that one's failure.
         runs: names of all.
+        steps: where the failures of these began.
     """
 
     cause: str
@@ -61,6 +62,7 @@ class FailureCause:
     step: int | None
     message: str
     runs: tuple[str, ...]
+    steps: tuple[int | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +182,7 @@ def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureC
         found.setdefault(cause, []).append((run, step, message))
     by_count = sorted(found.items(), key=lambda each: (-len(each[1]), each[1][0][0]))
     return tuple(
-        FailureCause(cause, len(of), len(of) / len(failed), *of[0], tuple(run for run, _, _ in of))
+        FailureCause(cause, len(of), len(of) / len(failed), *of[0], tuple(run for run, _, _ in of), tuple(step for _, step, _ in of))
         for cause, of in by_count
     )
 
