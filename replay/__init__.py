@@ -29,6 +29,7 @@ def open_runs(path: "str | Path") -> "Runs":
 
         return Runs(path)
 
+
 __all__ = [
     "Attachment",
     "Body",

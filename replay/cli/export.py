@@ -35,7 +35,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar=("FORMAT", "OUT"),
         help="of a folder of recordings, a data set for training policies: lerobot, and the folder that it gets",
     )
-    parser.add_argument("--plan", metavar="NAME", help="of a folder, this plan's runs (default: of the plan that most are of)")
+    parser.add_argument(
+        "--plan", metavar="NAME", help="of a folder, this plan's runs (default: of the plan that most are of)"
+    )
     parser.add_argument("--succeeded", action="store_true", help="of a folder, only runs that succeeded")
     parser.add_argument("-o", dest="file", metavar="FILE", help="the table (default: CSV to standard output)")
     parser.add_argument("--format", choices=_FORMATS, help="of the file (default: by its name's end, else csv)")

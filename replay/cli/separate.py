@@ -26,9 +26,13 @@ _MAX_ALSO: Final = 5
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the cause, and how much to print."""
-    parser.epilog = "Claims are made where chance alone would make any in less than one of twenty folders (Fisher, Holm)."
+    parser.epilog = (
+        "Claims are made where chance alone would make any in less than one of twenty folders (Fisher, Holm)."
+    )
     parser.add_argument("--plan", metavar="NAME", help="of this plan's runs (default: of the plan that most are of)")
-    parser.add_argument("--cause", metavar="N", type=int, help="only failures of this cause, as stats numbers them, from 1")
+    parser.add_argument(
+        "--cause", metavar="N", type=int, help="only failures of this cause, as stats numbers them, from 1"
+    )
     parser.add_argument("--all", action="store_true", help=f"print all claims (default: {_MAX_CLAIMS})")
 
 
@@ -65,8 +69,11 @@ def _lines(runs: Runs, found: Separation, shown: tuple[Claim, ...]) -> Iterator[
     for number, claim in enumerate(shown, 1):
         yield from ("", f"{number}. {sentence(claim, found)}")
         low, high = claim.fact.interval
-        scores = f"Ochiai {claim.ochiai:.2f}, Tarantula {claim.fact.tarantula:.2f}, by chance {max(claim.chance, 1e-99):.0e}"
-        yield f"   failures are more by {percent(claim.fact.effect)} of the runs (95 %: {percent(low)} to {percent(high)}); {scores}"
+        scores = (
+            f"Ochiai {claim.ochiai:.2f}, Tarantula {claim.fact.tarantula:.2f}, by chance {max(claim.chance, 1e-99):.0e}"
+        )
+        effect = f"{percent(claim.fact.effect)} of the runs (95 %: {percent(low)} to {percent(high)})"
+        yield f"   failures are more by {effect}; {scores}"
         if claim.also:
             more = f" and {len(claim.also) - _MAX_ALSO} more" if len(claim.also) > _MAX_ALSO else ""
             yield f"   true of the same runs: {'; '.join(claim.also[:_MAX_ALSO])}{more}"

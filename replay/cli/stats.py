@@ -21,7 +21,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, and what else to write."""
     parser.add_argument("--plan", metavar="NAME", help="of this plan's runs (default: of the plan that most are of)")
     parser.add_argument("--html", metavar="FILE", help="write a report with plots and pictures, one file")
-    parser.add_argument("--picture", metavar="FILE", help="write the last moments of the failures of each cause, as PNG")
+    parser.add_argument(
+        "--picture", metavar="FILE", help="write the last moments of the failures of each cause, as PNG"
+    )
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
@@ -32,13 +34,13 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     told = statistics(runs, chosen)
     data, lines = stats_text.data(told), list(stats_text.lines(told))
     if options.picture:
-        from replay.runs.last_moments import contact_sheet  # noqa: PLC0415  rendering is an extra
+        from replay.cli.stats_picture import contact_sheet  # noqa: PLC0415  rendering is an extra
 
         _write(options.picture, contact_sheet(runs.path, told))
         data["picture"] = options.picture
         lines += ["", options.picture]
     if options.html:
-        from replay.runs.report import report  # noqa: PLC0415  rendering is an extra
+        from replay.cli.stats_report import report  # noqa: PLC0415  rendering is an extra
         from replay.runs.separation import separate  # noqa: PLC0415
 
         _write(options.html, report(runs.path, told, separate(runs, told.runs)).encode())

@@ -73,5 +73,6 @@ def _slow(title: str, slow: Sequence[Slow]) -> Iterator[str]:
     yield from ("", title)
     width = max(len(short(each.what)) for each in slow[:_MAX_SLOW])
     for each in slow[:_MAX_SLOW]:
+        total = f"{each.total:.3f} s in {each.count}, {each.median * 1e3:.1f} ms in the middle"
         longest = f"at most {each.longest * 1e3:.1f} ms at step {each.step} of {each.run}"
-        yield f"  {short(each.what):{width}}  {each.total:.3f} s in {each.count}, {each.median * 1e3:.1f} ms in the middle, {longest}"
+        yield f"  {short(each.what):{width}}  {total}, {longest}"

@@ -56,7 +56,10 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         raise ReplayError("a step, and pictures, are of one recording; give that instead of the folder")
     told = statistics(runs)
     failed = sum(cause.count for cause in told.causes)
-    explained, text = [], [f"{failed} of {plural(told.success.of, 'run')} failed, of {plural(len(told.causes), 'cause')}"]
+    explained, text = (
+        [],
+        [f"{failed} of {plural(told.success.of, 'run')} failed, of {plural(len(told.causes), 'cause')}"],
+    )
     for cause in told.causes[:_COMMONEST]:
         with Recording(runs.path / cause.first) as log:
             why = log.why()

@@ -2,8 +2,8 @@
 
 Beside the recordings lies ``tables/``: ``contents.json``, which says what is in the tables, and in folders of their own
 the Parquet files of the tables, called parts: each has the rows of some recordings. What is added is a part of its own;
-small parts are merged. The new contents replace the old ones by one rename, so a reader, or a kill, sees the old tables or the new
-ones. Recordings that can't be read, or of another release, are named and left out.
+small parts are merged. The new contents replace the old ones by one rename, so a kill leaves the old tables or the new
+ones. Recordings that can't be read, or are of a newer release, are named and left out.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ class Folder:
                 raise NotRead(path, log.damage)
             return tables
 
-    # --- parts -----------------------------------------------------------------------------------------------------------
+    # --- parts -------------------------------------------------------------------------------------------------------
 
     def _drop(self, names: Iterable[str]) -> list[str]:
         """Leave recordings out that changed or are gone; return the parts that are obsolete."""
@@ -217,7 +217,7 @@ class Folder:
             facts = self._contents.files.pop(name)
             if "part" in facts:
                 gone[facts["part"]].add(name)
-        for part, out in gone.items():
+        for part in gone:
             rest = [name for name, facts in self._contents.files.items() if facts.get("part") == part]
             if rest:
                 self._rewrite([part], rest)
@@ -259,7 +259,7 @@ class Folder:
             raise
         return part
 
-    # --- contents --------------------------------------------------------------------------------------------------------
+    # --- contents ----------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:

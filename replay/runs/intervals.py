@@ -32,7 +32,7 @@ def difference(a: int, of_a: int, b: int, of_b: int) -> tuple[float, float]:
 
 
 def fisher(a: int, of_a: int, b: int, of_b: int) -> float:
-    """Return how likely a share at least as much larger than the other one is by chance (Fisher's exact test, one-sided)."""
+    """Return how likely it is by chance that one share is larger than the other by so much (Fisher's exact test)."""
     hits, all_of = a + b, of_a + of_b
     total = _log_choose(all_of, hits)
     terms = (
@@ -51,7 +51,7 @@ def _log_choose(n: int, k: int) -> float:
 def holm(chances: list[float]) -> list[float]:
     """Return chances corrected for how many comparisons were made (Holm 1979), in the same order.
 
-    The chance that any of those below 0.05 is there by chance alone stays below 0.05, however they depend on each other.
+    That any of those below 0.05 is there by chance alone has a chance below 0.05, however they depend on each other.
     """
     corrected, largest = [1.0] * len(chances), 0.0
     for rank, at in enumerate(sorted(range(len(chances)), key=chances.__getitem__)):

@@ -1,9 +1,9 @@
 """Runs as a data set of LeRobot's format v3.0: an episode a run, 30 frames a second of simulated time.
 
-A frame has where the robot's base and joints are (``observation.state``), where they are in the next frame (``action``), and
-where the bodies are that move in any run (``observation.environment_state``). Between two changes everything is where it was, so
-runs whose motions take time (execution environment ``continuous``) have trajectories, others jump. Camera images aren't exported:
-recordings have none, only the answers of queries.
+A frame has where the robot's base and joints are (``observation.state``), where they are in the next frame
+(``action``), and where the bodies are that move in any run (``observation.environment_state``). Between two changes
+everything is where it was, so runs whose motions take time (execution environment ``continuous``) have trajectories,
+others jump. Camera images aren't exported: recordings have none, only the answers of queries.
 
 The folder is written under another name first, and renamed when it is whole.
 """
@@ -137,7 +137,11 @@ class _Writer:
                     "meta/episodes/chunk_index": 0,
                     "meta/episodes/file_index": 0,
                     "run": name,
-                    **{f"stats/{key}/{what}": value for key, of in _statistics(frames).items() for what, value in of.items()},
+                    **{
+                        f"stats/{key}/{what}": value
+                        for key, of in _statistics(frames).items()
+                        for what, value in of.items()
+                    },
                 }
             )
             index += length
@@ -182,7 +186,9 @@ class _Writer:
         times = [time for moments, _ in [*poses.values(), *joints.values()] for time in (moments[0], moments[-1])]
         start, end = min(times), max(times)
         moments = np.arange(math.floor((end - start) * FPS + 1e-6) + 1) / FPS + start
-        state = np.concatenate([_at(poses[self.robot], moments), *(_at(joints[name], moments) for name in self.joints)], 1)
+        state = np.concatenate(
+            [_at(poses[self.robot], moments), *(_at(joints[name], moments) for name in self.joints)], 1
+        )
         around = [_at(poses[body], moments) for body in self.bodies]
         last = np.arange(len(moments)) == len(moments) - 1
         (succeeded,) = self.runs.sql("SELECT succeeded FROM runs WHERE run = ?", [run]).rows()[0]
@@ -210,7 +216,7 @@ class _Writer:
         arrays = {name: np.array(values) for name, values in found.items()}
         return {name: (np.maximum.accumulate(array[:, 0]), array[:, 1:]) for name, array in arrays.items()}
 
-    # --- files -----------------------------------------------------------------------------------------------------------
+    # --- files -------------------------------------------------------------------------------------------------------
 
     def _write_data(self, tables: Sequence[pa.Table], file: int) -> None:
         path = self.folder / _DATA.format(chunk_index=file // _FILES, file_index=file % _FILES)
@@ -271,8 +277,8 @@ class _Writer:
 def _array(column: pa.Array) -> np.ndarray:
     """Return a column as rows of numbers."""
     if pa.types.is_fixed_size_list(column.type):
-        return column.flatten().to_numpy().reshape(len(column), -1)
-    return column.to_numpy(zero_copy_only=False)
+        return np.asarray(column.flatten()).reshape(len(column), -1)
+    return np.asarray(column)
 
 
 def _at(series: tuple[np.ndarray, np.ndarray], moments: np.ndarray) -> np.ndarray:

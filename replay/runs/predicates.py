@@ -1,9 +1,9 @@
 """Facts about runs that may separate failures from successes, read from the tables.
 
-A fact is a *site* - a parameter, a slot of a motion's solution, a query's answer, a choice, an event, which of two things
-came first - and its value in each run. Only what came before the failure counts: what follows it is no cause of it. Where a
-run didn't get to a site, nothing is known there of it (statistical debugging speaks of predicates that are observed or not:
-Liblit et al. 2005, "Scalable statistical bug isolation").
+A fact is a *site* - a parameter, a slot of a motion's solution, a query's answer, a choice, an event, which of two
+things came first - and its value in each run. Only what came before the failure counts: what follows it is no cause of
+it. Where a run didn't get to a site, nothing is known there of it (statistical debugging speaks of predicates that are
+observed or not: Liblit et al. 2005, "Scalable statistical bug isolation").
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class _Sites:
             for axis, value in zip(_AXES, place, strict=True):
                 self.add("pose", f"{axis} of {body}, where it was {how}", number, value, step)
 
-    def tasks(self, runs: Runs) -> None:
+    def tasks(self, runs: Runs) -> None:  # noqa: C901  one step after the other
         """Add which tasks runs got to, and how these were decided."""
         rows = runs.sql(
             "SELECT run, step, task, parent, kind, name, label, parameters, solution, resolver, module, status, "
@@ -216,8 +216,8 @@ class _Sites:
         """Add which of two things of different branches came first.
 
         Where only one of them happened before the failure, it was first, as the other one came later or never. Pairs
-        that are known of some failures only would be chosen by the failures themselves: these don't count, nor does what
-        seldom happens in runs that succeed.
+        that are known of some failures only would be chosen by the failures themselves: these don't count, nor does
+        what seldom happens in runs that succeed.
         """
         failures = sum(case.failed for case in self.cases)
         usual: Counter[str] = Counter()

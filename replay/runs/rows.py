@@ -11,7 +11,6 @@ import os
 import re
 from collections import defaultdict
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import pyarrow as pa
@@ -39,6 +38,7 @@ from replay.runs.schema import TABLES, VERSION, arrow_schema
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from recorder.records import Argument, BodyState, Failure, Record
     from replay.explain.root_cause import RootCause
@@ -65,7 +65,7 @@ def write_rows(path: Path) -> None:
     """
     with RecordReader(path) as log:
         tables = tables_of(log)
-        state = os.stat(path)
+        state = path.stat()
     folder = path.parent / FOLDER / NEW
     folder.mkdir(parents=True, exist_ok=True)
     partial = folder / f".{path.name}.{os.getpid()}"
@@ -186,7 +186,7 @@ class _Rows:
             return record.monotonic_ns / 1e9
         return (record.wall_time_ns - first.wall_time_ns) / 1e9  # early recordings
 
-    # --- records ---------------------------------------------------------------------------------------------------
+    # --- records -----------------------------------------------------------------------------------------------------
 
     def _run(self, record: Run) -> None:
         if record.phase == Run.STARTED:
@@ -324,20 +324,20 @@ class _Rows:
             self._state(record.seq, record.world, record.sim_step, state)
 
     def _event(self, record: Event | Fluent) -> None:
-        of_event = isinstance(record, Event)
+        event = record if isinstance(record, Event) else Event()
         self._append(
             "events",
             record.seq,
             record.task,
             self._paths[record.task],
-            "event" if of_event else "fluent",
+            "fluent" if isinstance(record, Fluent) else "event",
             record.name,
-            _label(record.name, record.arguments) if of_event else record.name,
+            _label(record.name, event.arguments),
             record.world,
-            record.sender if of_event else "",
-            _json_of(record.arguments) if of_event else "",
-            "" if of_event else record.after_json,
-            len(record.handlers) if of_event else 0,
+            event.sender,
+            _json_of(event.arguments),
+            record.after_json if isinstance(record, Fluent) else "",
+            len(event.handlers),
             self._seconds(record),
             record.sim_step / STEPS_PER_SECOND,
             _source(record),
@@ -440,7 +440,7 @@ class _Rows:
 
 def _number(start: Run) -> int | None:
     """Return which run of its sweep it is."""
-    known = "sweep" in start.DESCRIPTOR.fields_by_name and start.HasField("sweep")  # type: ignore[arg-type]
+    known = "sweep" in start.DESCRIPTOR.fields_by_name and start.HasField("sweep")
     return int(start.sweep.number) if known else None  # type: ignore[attr-defined]
 
 

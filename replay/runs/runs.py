@@ -1,7 +1,7 @@
 """Many runs: a folder of recordings that SQL is asked of, which only reads.
 
-DuckDB answers, in memory, from the Parquet files beside the recordings. It is kept from everything else: it takes single
-statements that select, opens no files but these, and its settings are locked.
+DuckDB answers, in memory, from the Parquet files beside the recordings. It is kept from everything else: it takes
+single statements that select, opens no files but these, and its settings are locked.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Answer:
         self._table = table
 
     def __len__(self) -> int:
-        return self._table.num_rows
+        rows: int = self._table.num_rows
+        return rows
 
     def __repr__(self) -> str:
         return f"<Answer: {len(self)} rows of {', '.join(self.columns)}>"
@@ -75,9 +76,9 @@ class Answer:
 
     def to_polars(self) -> pl.DataFrame:
         """Return the rows as a frame of polars, which has to be installed."""
-        import polars  # noqa: PLC0415  who doesn't use it need not have it
+        import polars as pl  # noqa: PLC0415  who doesn't use it need not have it
 
-        return polars.DataFrame(self._table)
+        return pl.DataFrame(self._table)
 
 
 class Runs:
@@ -92,9 +93,7 @@ class Runs:
         NotRead: its tables can't be written beside the recordings.
     """
 
-    def __init__(
-        self, path: str | Path, progress: Callable[[int, int], object] = lambda _done, _all: None
-    ) -> None:
+    def __init__(self, path: str | Path, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
         self.folder = Folder(path)
         self.folder.update(progress)
         self._database = duckdb.connect(":memory:")

@@ -74,7 +74,11 @@ TABLES: Final = (
         "a recording",
         ("plan", "text", "name of the plan"),
         ("number", "whole", "of the run in its sweep; null without one"),
-        ("parameters", "map", "what the run was given, values as JSON: of a sweep, else `--name value` of its arguments"),
+        (
+            "parameters",
+            "map",
+            "what the run was given, values as JSON: of a sweep, else `--name value` of its arguments",
+        ),
         ("arguments", "texts", "of the plan"),
         ("seed", "text", "of random numbers and of the order of branches"),
         ("branch_order", "text", "which order of branches was asked for; empty: drawn from the seed"),

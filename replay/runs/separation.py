@@ -2,9 +2,9 @@
 
 Each fact that is true of some runs and false of others is scored as in spectrum-based fault localisation: Ochiai and
 Tarantula (Abreu et al. 2007; Jones and Harrold 2005). Facts are compared with the other runs that got to the same
-site, so that what merely comes before a failure has no score (Liblit et al. 2005: "context"). A claim is made only where
-Fisher's exact test, corrected by Holm for all facts that were compared, leaves less than one chance in twenty that there is
-any claim without a cause. Facts that are true of the same runs are one claim.
+site, so that what merely comes before a failure has no score (Liblit et al. 2005: "context"). A claim is made only
+where Fisher's exact test, corrected by Holm for all facts that were compared, leaves less than one chance in twenty
+that there is any claim without a cause. Facts that are true of the same runs are one claim.
 """
 
 from __future__ import annotations
@@ -157,7 +157,9 @@ def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None =
 
 def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[Case, ...]:
     wanted = None if names is None else set(names)
-    rows = runs.sql("SELECT run, succeeded, cause, cause_step, records FROM runs WHERE succeeded IS NOT NULL ORDER BY run")
+    rows = runs.sql(
+        "SELECT run, succeeded, cause, cause_step, records FROM runs WHERE succeeded IS NOT NULL ORDER BY run"
+    )
     return tuple(
         Case(run, not succeeded, records if succeeded or step is None else step)
         for run, succeeded, why, step, records in rows.rows()
@@ -262,7 +264,13 @@ def _value_text(site: Site, value: str | float | bool) -> str:
     if site.kind == "order":
         first, _, second = site.name.partition(" before ")
         return site.name if value else f"{second} before {first}"
-    shown = ("true" if value else "false") if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else value
+    shown = (
+        ("true" if value else "false")
+        if isinstance(value, bool)
+        else f"{value:g}"
+        if isinstance(value, float)
+        else value
+    )
     if site.kind in ("query", "event"):
         return f"{site.name} -> {shown}"
     name, at, where = site.name.partition(" at ")

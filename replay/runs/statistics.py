@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import from_json
@@ -146,7 +147,9 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
         "SELECT run, outcome, succeeded, parameters, cause, cause_step, message FROM runs WHERE plan = ? ORDER BY run",
         [chosen],
     ).rows()
-    told = [(run, succeeded, dict(parameters or ())) for run, _, succeeded, parameters, *_ in rows if succeeded is not None]
+    told = [
+        (run, succeeded, dict(parameters or ())) for run, _, succeeded, parameters, *_ in rows if succeeded is not None
+    ]
     totals = runs.sql(
         "SELECT coalesce(median(seconds), 0), coalesce(max(seconds), 0), coalesce(sum(records), 0)::BIGINT, "
         "coalesce(sum(bytes), 0)::BIGINT FROM runs WHERE plan = ?",
@@ -182,7 +185,14 @@ def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureC
         found.setdefault(cause, []).append((run, step, message))
     by_count = sorted(found.items(), key=lambda each: (-len(each[1]), each[1][0][0]))
     return tuple(
-        FailureCause(cause, len(of), len(of) / len(failed), *of[0], tuple(run for run, _, _ in of), tuple(step for _, step, _ in of))
+        FailureCause(
+            cause,
+            len(of),
+            len(of) / len(failed),
+            *of[0],
+            tuple(run for run, _, _ in of),
+            tuple(step for _, step, _ in of),
+        )
         for cause, of in by_count
     )
 
@@ -207,7 +217,7 @@ def _shares(of: Sequence[tuple[str, bool]]) -> tuple[Share, ...]:
         return ()
     ordered = sorted((float(str(from_json(text))), ok) for text, ok in of)
     cuts = [len(ordered) * quarter // _QUARTERS for quarter in range(_QUARTERS + 1)]
-    parts = [ordered[a:b] for a, b in zip(cuts, cuts[1:], strict=False) if b > a]
+    parts = [ordered[a:b] for a, b in pairwise(cuts) if b > a]
     return tuple(_share(f"{part[0][0]:.3g} to {part[-1][0]:.3g}", [ok for _, ok in part]) for part in parts)
 
 

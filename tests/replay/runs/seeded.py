@@ -80,7 +80,9 @@ class Cause:
         if kind == "grasp":
             grasp = dice.choice(GRASPS)
             return cls(kind, thing, grasp, (f"what grasp({thing}) chose={grasp}",), strength)
-        return cls("race", "", None, ("before fluent filled", "before the end of fetch", "before the start of fetch"), strength)
+        return cls(
+            "race", "", None, ("before fluent filled", "before the end of fetch", "before the start of fetch"), strength
+        )
 
 
 @dataclass

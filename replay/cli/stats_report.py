@@ -11,7 +11,7 @@ from html import escape
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
-from replay.runs.last_moments import picture, png
+from replay.cli.stats_picture import picture, png
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -26,12 +26,19 @@ _WIDE, _BAR = 420, 22  # pixels
 
 _STYLE: Final = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #1c2430; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; border-bottom: 1px solid #d5dbe3; }
-table { border-collapse: collapse; margin: .6rem 0; width: 100%; } td, th { padding: .25rem .6rem; text-align: left; vertical-align: top; }
-tr:nth-child(even) td { background: #f5f7fa; } th { cursor: pointer; background: #e8edf3; user-select: none; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; } code { font-size: .85em; overflow-wrap: anywhere; }
-.big { font-size: 2rem; font-weight: 600; } .gray { color: #66707f; } figure { display: inline-block; margin: .4rem .6rem .4rem 0; width: 320px;
-vertical-align: top; } figure img { width: 320px; border: 1px solid #d5dbe3; } figcaption { font-size: .8rem; overflow-wrap: anywhere; }
+h1 { font-size: 1.5rem; }
+h2 { font-size: 1.15rem; margin-top: 2.2rem; border-bottom: 1px solid #d5dbe3; }
+table { border-collapse: collapse; margin: .6rem 0; width: 100%; }
+td, th { padding: .25rem .6rem; text-align: left; vertical-align: top; }
+tr:nth-child(even) td { background: #f5f7fa; }
+th { cursor: pointer; background: #e8edf3; user-select: none; }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
+code { font-size: .85em; overflow-wrap: anywhere; }
+.big { font-size: 2rem; font-weight: 600; }
+.gray { color: #66707f; }
+figure { display: inline-block; margin: .4rem .6rem .4rem 0; width: 320px; vertical-align: top; }
+figure img { width: 320px; border: 1px solid #d5dbe3; }
+figcaption { font-size: .8rem; overflow-wrap: anywhere; }
 """
 _SCRIPT: Final = """
 document.querySelectorAll("th").forEach(head => head.addEventListener("click", () => {
@@ -75,7 +82,8 @@ def report(folder: Path, told: Statistics, found: Separation) -> str:
     ]
     title = escape(f"{told.plan}: {len(told.runs)} runs")
     return (
-        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style></head>'
+        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f"<style>{_STYLE}</style></head>"
         f"<body>{''.join(parts)}<script>{_SCRIPT}</script></body></html>\n"
     )
 
@@ -86,11 +94,12 @@ def _summary(told: Statistics) -> str:
     outcomes = ", ".join(f"{count} {outcome}" for outcome, count in told.outcomes)
     left_out = [f"{count} of plan {plan}" for plan, count in told.others]
     left_out += [f"{each.name} ({each.reason})" for each in told.skipped]
+    count = f"{told.success.succeeded} of {told.success.of}"
+    size = f"{told.size / 1e6:.1f} MB, {told.records} records"
+    took = f"a run took {told.seconds[0]:.2f} s in the middle, {told.seconds[1]:.2f} s at most"
     lines = [
-        f'<p><span class="big">{rate}</span> succeeded, {told.success.succeeded} of {told.success.of} '
-        f"(95 %: {low:.1%} to {high:.1%})</p>",
-        f'<p class="gray">{escape(told.folder)}: {escape(outcomes)}; {told.size / 1e6:.1f} MB, {told.records} records; '
-        f"a run took {told.seconds[0]:.2f} s in the middle, {told.seconds[1]:.2f} s at most</p>",
+        f'<p><span class="big">{rate}</span> succeeded, {count} (95 %: {low:.1%} to {high:.1%})</p>',
+        f'<p class="gray">{escape(told.folder)}: {escape(outcomes)}; {size}; {took}</p>',
     ]
     if left_out:
         lines.append(f'<p class="gray">Left out: {escape(", ".join(left_out))}</p>')
@@ -108,11 +117,14 @@ def _shares(shares: Sequence[Share]) -> str:
             f'<text x="150" y="{middle + 5}" text-anchor="end">{escape(share.what[:22])}</text>'
             f'<rect x="160" y="{y}" width="{_WIDE}" height="{_BAR}" fill="#e8edf3"/>'
             f'<rect x="160" y="{y}" width="{rate * _WIDE:.1f}" height="{_BAR}" fill="#4f8f6b"/>'
-            f'<line x1="{160 + low * _WIDE:.1f}" x2="{160 + high * _WIDE:.1f}" y1="{middle}" y2="{middle}" stroke="#1c2430" stroke-width="2"/>'
+            f'<line x1="{160 + low * _WIDE:.1f}" x2="{160 + high * _WIDE:.1f}" y1="{middle}" y2="{middle}" '
+            'stroke="#1c2430" stroke-width="2"/>'
             f'<text x="{170 + _WIDE}" y="{middle + 5}">{rate:.0%}, {share.succeeded} of {share.of}</text>'
         )
     height = len(shares) * (_BAR + 8)
-    return f'<svg viewBox="0 0 780 {height}" width="780" height="{height}" font-size="13" role="img">{"".join(rows)}</svg>'
+    return (
+        f'<svg viewBox="0 0 780 {height}" width="780" height="{height}" font-size="13" role="img">{"".join(rows)}</svg>'
+    )
 
 
 def _claims(folder: Path, found: Separation) -> str:
@@ -122,7 +134,11 @@ def _claims(folder: Path, found: Separation) -> str:
     for claim in found.claims[:_CLAIMS]:
         fact = claim.fact
         low, high = fact.interval
-        also = f'<br><span class="gray">true of the same runs: {escape("; ".join(claim.also))}</span>' if claim.also else ""
+        also = (
+            f'<br><span class="gray">true of the same runs: {escape("; ".join(claim.also))}</span>'
+            if claim.also
+            else ""
+        )
         compare = _command("diff", folder / claim.failure, folder / claim.success) if claim.success else ""
         rows.append(
             (
@@ -143,16 +159,12 @@ def _causes(folder: Path, causes: Sequence[FailureCause]) -> str:
     if not causes:
         return "<p>No run failed.</p>"
     most = causes[0].count
-    rows = [
-        (
-            f"{escape(cause.cause)}<br>{_bar(cause.count / most)}",
-            (cause.count, str(cause.count)),
-            (cause.share, f"{cause.share:.0%}"),
-            f"{_link(cause.first)}<br>{escape(cause.message[:300])}<br>{_command('why', folder / cause.first)}"
-            f"<br>{_command('view', folder / cause.first)}",
-        )
-        for cause in causes
-    ]
+    rows: list[Sequence[str | tuple[float, str]]] = []
+    for cause in causes:
+        commands = (_command(verb, folder / cause.first) for verb in ("why", "view"))
+        first = "<br>".join((_link(cause.first), escape(cause.message[:300]), *commands))
+        what = f"{escape(cause.cause)}<br>{_bar(cause.count / most)}"
+        rows.append((what, (cause.count, str(cause.count)), (cause.share, f"{cause.share:.0%}"), first))
     return _table(("cause", "#runs", "#share", "first"), rows)
 
 
@@ -167,7 +179,8 @@ def _figure(folder: Path, cause: FailureCause) -> str:
     data = base64.b64encode(png(drawn)).decode()
     step = f" --at {cause.step}" if cause.step is not None else ""
     return (
-        f'<figure><img src="data:image/png;base64,{data}" alt="{escape(cause.cause)}"><figcaption>{_link(cause.first)}: '
+        f'<figure><img src="data:image/png;base64,{data}" alt="{escape(cause.cause)}">'
+        f"<figcaption>{_link(cause.first)}: "
         f"{escape(cause.cause)}<br>{_command('view', folder / cause.first, step)}</figcaption></figure>"
     )
 
