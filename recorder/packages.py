@@ -30,6 +30,7 @@ _EXTRAS: Final = {
     "toppra": "executor",
     "PIL": "render",
     "pyarrow": "viewer",
+    "duckdb": "runs",
     "rerun": "viewer",
     "rerun_cli": "viewer",
     "rerun_sdk": "viewer",

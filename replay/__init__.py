@@ -1,15 +1,34 @@
 """Opens recordings: any step back, from the file alone.
 
 ``replay.open(path)`` gives a :class:`Recording`: its records by step, and with ``log.state_at(step)`` what was true of
-every world after one. Needs neither the plan nor the physics engine.
+every world after one. Needs neither the plan nor the physics engine. ``replay.open_runs(folder)`` opens a folder of
+recordings as tables.
 """
+
+from typing import TYPE_CHECKING
 
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
 from replay.recording import Recording
 from replay.state.fold import fold
 from replay.state.state import Attachment, Body, State, World
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from replay.runs.runs import Runs
+
 open = Recording  # noqa: A001  replay.open reads well
+
+
+def open_runs(path: "str | Path") -> "Runs":
+    """Open a folder of recordings as tables, which needs the extra ``runs``; see :class:`replay.runs.runs.Runs`."""
+    from recorder.packages import needed  # noqa: PLC0415  who reads one recording need not have it
+
+    with needed("runs"):
+        from replay.runs.runs import Runs  # noqa: PLC0415
+
+        return Runs(path)
+
 
 __all__ = [
     "Attachment",
@@ -27,4 +46,5 @@ __all__ = [
     "World",
     "fold",
     "open",
+    "open_runs",
 ]

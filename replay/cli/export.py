@@ -1,4 +1,4 @@
-"""``export``: what a recording has, as a table for other programs."""
+"""``export``: what a recording has, as a table for other programs; many, as a data set for training."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from replay.recording import Recording
+    from replay.runs.runs import Runs
 
 _FORMATS: Final = ("csv", "parquet")
+_DATA_SETS: Final = ("lerobot",)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -25,15 +27,26 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trajectories",
         action="store_true",
-        required=True,
-        help="where each joint and base was to be, and where it was: a row a moment",
+        help="of a recording, where each joint and base was to be, and where it was: a row a moment",
     )
+    parser.add_argument(
+        "--to",
+        nargs=2,
+        metavar=("FORMAT", "OUT"),
+        help="of a folder of recordings, a data set for training policies: lerobot, and the folder that it gets",
+    )
+    parser.add_argument(
+        "--plan", metavar="NAME", help="of a folder, this plan's runs (default: of the plan that most are of)"
+    )
+    parser.add_argument("--succeeded", action="store_true", help="of a folder, only runs that succeeded")
     parser.add_argument("-o", dest="file", metavar="FILE", help="the table (default: CSV to standard output)")
     parser.add_argument("--format", choices=_FORMATS, help="of the file (default: by its name's end, else csv)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Write the table."""
+    if not options.trajectories or options.to:
+        raise ReplayError("of a recording there are --trajectories; of a folder of recordings a data set: --to lerobot")
     suffix = Path(options.file or "").suffix.removeprefix(".")
     form = options.format or (suffix if suffix in _FORMATS else "csv")
     if form == "parquet" and options.file is None:
@@ -53,6 +66,27 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError(f"{options.file}: can't be written: {error}") from error
     data = {"file": options.file, "format": form, "rows": len(table)}
     print_result(lambda: data, [f"{options.file}: {len(table)} rows"], as_json=options.json)
+    return 0
+
+
+def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+    """Write the data set."""
+    from replay.runs.lerobot import export  # noqa: PLC0415  what it needs is an extra
+    from replay.runs.statistics import names_of, plan_of  # noqa: PLC0415  as above
+
+    form, out = options.to or ("", "")
+    if form not in _DATA_SETS or options.trajectories or options.file:
+        raise ReplayError("of a folder of recordings there is a data set: --to lerobot OUT")
+    plan, _ = plan_of(runs, options.plan)
+    names = names_of(runs, plan)
+    if options.succeeded:
+        good = {run for (run,) in runs.sql("SELECT run FROM runs WHERE succeeded").rows()}
+        names = tuple(name for name in names if name in good)
+    done = export(runs, names, Path(out))
+    if done.left_out:
+        print_message(f"left out: {len(done.left_out)} runs in which no robot moves, as {done.left_out[0]}")
+    data = {"folder": str(done.folder), "format": form, "episodes": list(done.episodes), "frames": done.frames}
+    print_result(lambda: data, [f"{out}: {len(done.episodes)} episodes, {done.frames} frames"], as_json=options.json)
     return 0
 
 

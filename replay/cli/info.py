@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from recorder.records import Change, Revision, Run
     from replay.explain.run_summary import Summary
     from replay.recording import Recording
+    from replay.runs.runs import Runs
 
 _MAX_WORLDS: Final = 8  # that are listed one by one
 _DIGITS: Final = 12  # of a commit or hash
@@ -33,6 +34,16 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     info = summary(log)
     lines = (f"{name:12} {text}" for name, text in _lines(log, info) if text)
     print_result(lambda: _data(log, info), lines, as_json=options.json)
+    return 0
+
+
+def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+    """Print the summary of a folder of recordings."""
+    from replay.cli.stats_text import data, summary_lines  # noqa: PLC0415  what they need is an extra
+    from replay.runs.statistics import statistics  # noqa: PLC0415
+
+    told = statistics(runs)
+    print_result(lambda: data(told), summary_lines(told), as_json=options.json)
     return 0
 
 

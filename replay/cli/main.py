@@ -46,13 +46,21 @@ VERBS: Final = {
     "fork": "the plan run again up to a step, and on from there with another plan, world, answer or seed",
     "debug": "a prompt at a step, in the plan's frame: its variables, forwards and back",
     "resume": "a plan whose process was killed goes on where it was",
-    "export": "where joints and bases were to be and were, as a table (CSV, Parquet)",
+    "export": "where joints and bases were to be and were, as a table (CSV, Parquet); runs as a data set (LeRobot)",
     "repair": "a sound copy of what can be read of a damaged recording, and what is lost",
     "pack": "a copy of a sweep's recording that holds its models itself",
     "restore": "a live world as it was: for a script, in a shell, in a window",
+    "sql": "what a statement selects from the tables of a folder of recordings",
+    "stats": "of a folder of recordings: how often runs succeed, of what they fail, what takes long",
+    "separate": "of a folder of recordings: what separates the runs that failed from those that succeeded",
 }
+_FOLDER: Final = "the folder of recordings"
+_LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.fromkeys(
+    ("info", "why", "export"), "the recording, or a folder of recordings"
+)
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
+_MAX_SKIPPED: Final = 8  # files of a folder that are named
 _POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")
 _NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a step that isn't there, which says so
@@ -156,7 +164,7 @@ def _parser(arguments: Sequence[str], module: ModuleType | None) -> argparse.Arg
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, text in VERBS.items():
         verb = verbs.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        verb.add_argument("log", metavar="LOG", help="the recording")
+        verb.add_argument("log", metavar="LOG", help=_LOG_HELP.get(name, "the recording"))
         if module is not None and name in arguments:
             module.add(verb)
         verb.add_argument("--json", action="store_true", help="print JSON")
@@ -167,6 +175,8 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
     from replay.recording import Recording  # noqa: PLC0415  --help needn't wait for it
 
     try:
+        if not hasattr(verb, "run") or Path(options.log).is_dir():
+            return _run_on_folder(verb, options)
         with Recording(options.log) as log:
             if log.newer is not None:
                 print_message(f"{log.path}: {log.newer}")
@@ -190,6 +200,27 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
     if problems and not getattr(verb, "EXPECTS_INCOMPLETE", False):
         return _report(f"the recording is incomplete: {problems}", code or INCOMPLETE)
     return code
+
+
+def _run_on_folder(verb: ModuleType, options: argparse.Namespace) -> int:
+    """Run a verb on a folder of recordings; say which of its files are left out."""
+    if not hasattr(verb, "run_folder"):
+        takes = ", ".join(name for name in VERBS if name in _LOG_HELP)
+        return _report(f"{options.log}: {options.verb} takes one recording; of a folder there are {takes}", USAGE)
+    try:
+        with needed("runs"):
+            from replay.cli.reading_runs import opened  # noqa: PLC0415  what it needs is an extra
+
+            with opened(options.log) as runs:
+                code: int = verb.run_folder(runs, options)
+                skipped = runs.skipped
+    except NotInstalled as error:
+        return _report(f"{options.verb}: {error}", USAGE)
+    for left_out in skipped[:_MAX_SKIPPED]:
+        print_message(f"left out: {left_out.name}: {left_out.reason}")
+    if len(skipped) > _MAX_SKIPPED:
+        print_message(f"left out: {len(skipped) - _MAX_SKIPPED} more")
+    return code or (INCOMPLETE if skipped else FINE)
 
 
 def _report(text: str, code: int) -> int:

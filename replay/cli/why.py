@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_error
 from replay.cli.console import print_json, print_message, print_text
 from replay.cli.main import FINE, INCOMPLETE, USAGE
 from replay.cli.why_json import facts
 from replay.cli.why_text import lines
-from replay.errors import Damaged
+from replay.errors import Damaged, ReplayError
 from replay.explain.step_names import HINT
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterable, Iterator
 
     from replay.explain.causes.why_data import Why
     from replay.recording import Recording
+    from replay.runs.runs import Runs
+
+
+_COMMONEST: Final = 3  # causes of a folder's failures
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -39,6 +44,41 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         if pictures:
             print_text("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
     return code
+
+
+def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+    """Print the commonest causes of the failures of a folder's recordings, each as its first run tells it."""
+    from replay.cli.reading_runs import percent, plural  # noqa: PLC0415  what they need is an extra
+    from replay.recording import Recording  # noqa: PLC0415  as above
+    from replay.runs.statistics import statistics  # noqa: PLC0415
+
+    if options.step or options.pictures:
+        raise ReplayError("a step, and pictures, are of one recording; give that instead of the folder")
+    told = statistics(runs)
+    failed = sum(cause.count for cause in told.causes)
+    explained, text = (
+        [],
+        [f"{failed} of {plural(told.success.of, 'run')} failed, of {plural(len(told.causes), 'cause')}"],
+    )
+    for cause in told.causes[:_COMMONEST]:
+        with Recording(runs.path / cause.first) as log:
+            why = log.why()
+            explained.append({"cause": cause.cause, "count": cause.count, "first": cause.first, "why": facts(why)})
+            text += ["", f"{plural(cause.count, 'run')}, {percent(cause.share)}: {cause.cause}"]
+            text += [f"first in {cause.first}:", *(f"  {line}".rstrip() for line in _start(lines(why, str(log.path))))]
+    if options.json:
+        print_json({"runs": told.success.of, "failed": failed, "causes": explained})
+    else:
+        print_text("\n".join(text))
+    return FINE
+
+
+def _start(text: Iterable[str]) -> Iterator[str]:
+    """Yield the headline and the section of the causes."""
+    for part, line in enumerate(text):
+        if part and line and not line.startswith((" ", "Why", "Before")):
+            return
+        yield line
 
 
 def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[str]]:

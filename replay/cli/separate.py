@@ -1,0 +1,119 @@
+"""``separate``: what separates the runs of a folder that failed from those that succeeded."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from typing import TYPE_CHECKING, Final
+
+from replay.cli.console import print_message, print_result
+from replay.cli.main import FINE
+from replay.cli.reading_runs import percent, plural
+from replay.errors import ReplayError
+from replay.runs.separation import LEVEL, separate
+from replay.runs.statistics import causes, names_of, plan_of
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from replay.runs.runs import Runs
+    from replay.runs.separation import Claim, Separation
+
+_MAX_CLAIMS: Final = 5
+_MAX_ALSO: Final = 5
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the plan, the cause, and how much to print."""
+    parser.epilog = (
+        "Claims are made where chance alone would make any in less than one of twenty folders (Fisher, Holm)."
+    )
+    parser.add_argument("--plan", metavar="NAME", help="of this plan's runs (default: of the plan that most are of)")
+    parser.add_argument(
+        "--cause", metavar="N", type=int, help="only failures of this cause, as stats numbers them, from 1"
+    )
+    parser.add_argument("--all", action="store_true", help=f"print all claims (default: {_MAX_CLAIMS})")
+
+
+def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+    """Print the claims."""
+    plan, others = plan_of(runs, options.plan)
+    for other, count in others:
+        print_message(f"left out: {count} of another plan, {other}")
+    names = names_of(runs, plan)
+    found = separate(runs, names, _cause(runs, plan, options.cause))
+    shown = found.claims if options.all else found.claims[:_MAX_CLAIMS]
+    print_result(lambda: _data(found), _lines(runs, found, shown), as_json=options.json)
+    return FINE
+
+
+def _cause(runs: Runs, plan: str, number: int | None) -> str | None:
+    if number is None:
+        return None
+    rows = runs.sql(
+        "SELECT run, cause, cause_step, message FROM runs WHERE plan = ? AND succeeded = false ORDER BY run", [plan]
+    )
+    found = causes([(run, cause, step, message) for run, cause, step, message in rows.rows()])
+    if not 1 <= number <= len(found):
+        raise ReplayError(f"there is no cause {number}; the failures are of {plural(len(found), 'cause')}")
+    return found[number - 1].cause
+
+
+def _lines(runs: Runs, found: Separation, shown: tuple[Claim, ...]) -> Iterator[str]:
+    yield f"{found.failures} failures and {found.successes} successes; {plural(found.compared, 'fact')} compared"
+    if not found.failures or not found.successes:
+        yield "nothing can be separated: there have to be failures and successes"
+    elif not found.claims:
+        yield "nothing on record separates them"
+    for number, claim in enumerate(shown, 1):
+        yield from ("", f"{number}. {sentence(claim, found)}")
+        low, high = claim.fact.interval
+        scores = (
+            f"Ochiai {claim.ochiai:.2f}, Tarantula {claim.fact.tarantula:.2f}, by chance {max(claim.chance, 1e-99):.0e}"
+        )
+        effect = f"{percent(claim.fact.effect)} of the runs (95 %: {percent(low)} to {percent(high)})"
+        yield f"   failures are more by {effect}; {scores}"
+        if claim.also:
+            more = f" and {len(claim.also) - _MAX_ALSO} more" if len(claim.also) > _MAX_ALSO else ""
+            yield f"   true of the same runs: {'; '.join(claim.also[:_MAX_ALSO])}{more}"
+        if claim.success:
+            a, b = (shlex.quote(str(runs.path / name)) for name in (claim.failure, claim.success))
+            yield f"   pycram-replay diff {a} {b}"
+    if len(shown) < len(found.claims):
+        yield from ("", f"{plural(len(found.claims) - len(shown), 'weaker claim')}: --all")
+    if found.claims and found.explained < found.failures:
+        yield from ("", f"{plural(found.failures - found.explained, 'failure')} without any of these")
+
+
+def sentence(claim: Claim, found: Separation) -> str:
+    """Return a claim in words, as "arm=right at pick-up(spoon): 31 of 33 failures, 4 of 467 successes"."""
+    fact = claim.fact
+    return f"{fact.text}: {fact.failed} of {found.failures} failures, {fact.succeeded} of {found.successes} successes"
+
+
+def _data(found: Separation) -> dict[str, object]:
+    return {
+        "failures": found.failures,
+        "successes": found.successes,
+        "compared": found.compared,
+        "explained": found.explained,
+        "level": LEVEL,
+        "claims": [_claim(claim, found) for claim in found.claims],
+    }
+
+
+def _claim(claim: Claim, found: Separation) -> dict[str, object]:
+    fact = claim.fact
+    counts = {key: value for key, value in dataclasses.asdict(fact).items() if key not in ("true", "known", "tests")}
+    return counts | {
+        "sentence": sentence(claim, found),
+        "also": list(claim.also),
+        "ochiai": claim.ochiai,
+        "tarantula": fact.tarantula,
+        "effect": fact.effect,
+        "interval": list(fact.interval),
+        "chance": claim.chance,
+        "failure_run": claim.failure,
+        "success_run": claim.success,
+    }

@@ -1,0 +1,111 @@
+"""``sql``: what a statement selects from the tables of a folder of recordings."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from typing import TYPE_CHECKING, Any, Final
+
+from replay.cli.console import print_json_list, print_text, visible
+from replay.cli.main import FINE
+from replay.errors import ReplayError
+from replay.runs.schema import RUN, TABLES
+
+if TYPE_CHECKING:
+    import argparse
+
+    from replay.runs.runs import Answer, Runs
+
+_WIDEST: Final = 60  # characters of a cell in a terminal
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the statement, and the format."""
+    parser.epilog = "It takes one statement that selects (DuckDB's SQL); docs/runs.md explains tables and columns."
+    parser.add_argument(
+        "statement", metavar="SQL", nargs="?", help='as "select outcome, count(*) from runs group by 1"'
+    )
+    parser.add_argument("--schema", action="store_true", help="print the tables and their columns")
+    parser.add_argument("--csv", action="store_true", help="print CSV, with all of each value")
+
+
+def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+    """Print what is selected."""
+    if (options.statement is None) != options.schema:
+        raise ReplayError('give a statement, as "select * from runs"; or --schema for the tables')
+    if options.schema:
+        _print_schema(as_json=options.json)
+        return FINE
+    answer = runs.sql(options.statement)
+    if options.json:
+        print_json_list(dict(zip(answer.columns, map(_plain, row), strict=True)) for row in answer.rows())
+    elif options.csv:
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow(answer.columns)
+        writer.writerows([_text(value) for value in row] for row in answer.rows())
+    else:
+        print_text("\n".join(_lines(answer)))
+    return FINE
+
+
+def _print_schema(*, as_json: bool) -> None:
+    if as_json:
+        print_json_list(
+            {"table": table.name, "column": column.name, "kind": column.kind, "meaning": column.meaning}
+            for table in TABLES
+            for column in (RUN, *table.columns)
+        )
+        return
+    lines = []
+    for table in TABLES:
+        lines += [f"{table.name}: a row is {table.meaning}"]
+        lines += [f"  {column.name:12} {column.kind:7} {column.meaning}".rstrip() for column in (RUN, *table.columns)]
+    print_text("\n".join(lines))
+
+
+def _lines(answer: Answer) -> list[str]:
+    rows = [[visible(_cell(value)) for value in row] for row in answer.rows()]
+    widths = [max([len(name), *(len(row[at]) for row in rows)]) for at, name in enumerate(answer.columns)]
+    numbers = [all(_is_number(row[at]) for row in answer.rows()) and bool(rows) for at in range(len(widths))]
+    lines = [answer.columns, ["-" * width for width in widths], *rows]
+    counted = f"({len(rows)} row{'' if len(rows) == 1 else 's'})"
+    return [*(_line(cells, widths, numbers) for cells in lines), counted]
+
+
+def _line(cells: list[str], widths: list[int], numbers: list[bool]) -> str:
+    aligned = (
+        f"{cell:>{width}}" if number else f"{cell:{width}}"
+        for cell, width, number in zip(cells, widths, numbers, strict=True)
+    )
+    return "  ".join(aligned).rstrip()
+
+
+def _cell(value: Any) -> str:
+    text = _text(value).replace("\n", " ").replace("\t", " ")
+    return text if len(text) <= _WIDEST else text[: _WIDEST - 3] + "..."
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list) and all(isinstance(each, tuple) for each in value):
+        return ", ".join(f"{key}={item}" for key, item in value)
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it; maps as objects."""
+    if isinstance(value, list):
+        pairs = value and all(isinstance(each, tuple) for each in value)
+        return dict(value) if pairs else [_plain(each) for each in value]
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    return value if isinstance(value, bool | int | float | str | None) else str(value)
+
+
+def _is_number(value: Any) -> bool:
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))

@@ -1,0 +1,221 @@
+"""Statistics of many runs as one file of HTML: plots, pictures of last moments, tables that can be sorted.
+
+It needs nothing from elsewhere: pictures are part of it, plots are SVG, and a few lines of script sort the tables.
+"""
+
+from __future__ import annotations
+
+import base64
+import shlex
+from html import escape
+from typing import TYPE_CHECKING, Final
+from urllib.parse import quote
+
+from replay.cli.stats_picture import picture, png
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from replay.runs.separation import Separation
+    from replay.runs.statistics import FailureCause, Share, Slow, Statistics
+
+_PICTURES: Final = 8  # causes with a picture
+_CLAIMS: Final = 10
+_WIDE, _BAR = 420, 22  # pixels
+
+_STYLE: Final = """
+body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #1c2430; }
+h1 { font-size: 1.5rem; }
+h2 { font-size: 1.15rem; margin-top: 2.2rem; border-bottom: 1px solid #d5dbe3; }
+table { border-collapse: collapse; margin: .6rem 0; width: 100%; }
+td, th { padding: .25rem .6rem; text-align: left; vertical-align: top; }
+tr:nth-child(even) td { background: #f5f7fa; }
+th { cursor: pointer; background: #e8edf3; user-select: none; }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
+code { font-size: .85em; overflow-wrap: anywhere; }
+.big { font-size: 2rem; font-weight: 600; }
+.gray { color: #66707f; }
+figure { display: inline-block; margin: .4rem .6rem .4rem 0; width: 320px; vertical-align: top; }
+figure img { width: 320px; border: 1px solid #d5dbe3; }
+figcaption { font-size: .8rem; overflow-wrap: anywhere; }
+"""
+_SCRIPT: Final = """
+document.querySelectorAll("th").forEach(head => head.addEventListener("click", () => {
+  const table = head.closest("table"), at = [...head.parentNode.children].indexOf(head);
+  const down = head.dataset.sorted !== "down";
+  const key = row => row.children[at].dataset.value ?? row.children[at].textContent;
+  const rows = [...table.tBodies[0].rows].sort((a, b) => {
+    const x = key(a), y = key(b), n = Number(x) - Number(y);
+    return (Number.isNaN(n) ? x.localeCompare(y) : n) * (down ? -1 : 1);
+  });
+  table.querySelectorAll("th").forEach(each => delete each.dataset.sorted);
+  head.dataset.sorted = down ? "down" : "up";
+  table.tBodies[0].append(...rows);
+}));
+"""
+
+
+def report(folder: Path, told: Statistics, found: Separation) -> str:
+    """Return the page.
+
+    Args:
+        folder: of the recordings.
+        told: their statistics.
+        found: what separates failures from successes.
+    """
+    parts = [
+        f"<h1>{escape(told.plan)}: {len(told.runs)} runs</h1>",
+        _summary(told),
+        *(f"<h2>Success by {escape(name)}</h2>{_shares(shares)}" for name, shares in told.parameters),
+        "<h2>What separates failures from successes</h2>",
+        _claims(folder, found),
+        "<h2>Failures by cause</h2>",
+        _causes(folder, told.causes),
+        "<h2>Last moments</h2>",
+        "".join(_figure(folder, cause) for cause in told.causes[:_PICTURES]) or "<p>No run failed.</p>",
+        *(
+            f"<h2>{title} that took longest</h2>{_slow(folder, slow)}"
+            for title, slow in (("Queries", told.queries), ("Motions", told.motions), ("Other tasks", told.tasks))
+            if slow
+        ),
+    ]
+    title = escape(f"{told.plan}: {len(told.runs)} runs")
+    return (
+        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f"<style>{_STYLE}</style></head>"
+        f"<body>{''.join(parts)}<script>{_SCRIPT}</script></body></html>\n"
+    )
+
+
+def _summary(told: Statistics) -> str:
+    low, high = told.success.interval
+    rate = f"{told.success.succeeded / told.success.of:.1%}" if told.success.of else "no run ended"
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in told.outcomes)
+    left_out = [f"{count} of plan {plan}" for plan, count in told.others]
+    left_out += [f"{each.name} ({each.reason})" for each in told.skipped]
+    count = f"{told.success.succeeded} of {told.success.of}"
+    size = f"{told.size / 1e6:.1f} MB, {told.records} records"
+    took = f"a run took {told.seconds[0]:.2f} s in the middle, {told.seconds[1]:.2f} s at most"
+    lines = [
+        f'<p><span class="big">{rate}</span> succeeded, {count} (95 %: {low:.1%} to {high:.1%})</p>',
+        f'<p class="gray">{escape(told.folder)}: {escape(outcomes)}; {size}; {took}</p>',
+    ]
+    if left_out:
+        lines.append(f'<p class="gray">Left out: {escape(", ".join(left_out))}</p>')
+    return "".join(lines)
+
+
+def _shares(shares: Sequence[Share]) -> str:
+    """Return a plot: a bar for each share of successes, with the interval across its end."""
+    rows = []
+    for at, share in enumerate(shares):
+        low, high = share.interval
+        y, rate = at * (_BAR + 8), share.succeeded / share.of if share.of else 0.0
+        middle = y + _BAR / 2
+        rows.append(
+            f'<text x="150" y="{middle + 5}" text-anchor="end">{escape(share.what[:22])}</text>'
+            f'<rect x="160" y="{y}" width="{_WIDE}" height="{_BAR}" fill="#e8edf3"/>'
+            f'<rect x="160" y="{y}" width="{rate * _WIDE:.1f}" height="{_BAR}" fill="#4f8f6b"/>'
+            f'<line x1="{160 + low * _WIDE:.1f}" x2="{160 + high * _WIDE:.1f}" y1="{middle}" y2="{middle}" '
+            'stroke="#1c2430" stroke-width="2"/>'
+            f'<text x="{170 + _WIDE}" y="{middle + 5}">{rate:.0%}, {share.succeeded} of {share.of}</text>'
+        )
+    height = len(shares) * (_BAR + 8)
+    return (
+        f'<svg viewBox="0 0 780 {height}" width="780" height="{height}" font-size="13" role="img">{"".join(rows)}</svg>'
+    )
+
+
+def _claims(folder: Path, found: Separation) -> str:
+    if not found.claims:
+        return "<p>Nothing on record separates them.</p>"
+    rows = []
+    for claim in found.claims[:_CLAIMS]:
+        fact = claim.fact
+        low, high = fact.interval
+        also = (
+            f'<br><span class="gray">true of the same runs: {escape("; ".join(claim.also))}</span>'
+            if claim.also
+            else ""
+        )
+        compare = _command("diff", folder / claim.failure, folder / claim.success) if claim.success else ""
+        rows.append(
+            (
+                f"{escape(fact.text)}{also}",
+                (fact.failed, f"{fact.failed} of {found.failures}"),
+                (fact.succeeded, f"{fact.succeeded} of {found.successes}"),
+                (fact.effect, f"+{fact.effect:.0%} ({low:.0%} to {high:.0%})"),
+                (claim.ochiai, f"{claim.ochiai:.2f}"),
+                (fact.tarantula, f"{fact.tarantula:.2f}"),
+                compare,
+            )
+        )
+    heads = ("what is true", "#failures", "#successes", "#more failures (95 %)", "#Ochiai", "#Tarantula", "compare")
+    return _table(heads, rows)
+
+
+def _causes(folder: Path, causes: Sequence[FailureCause]) -> str:
+    if not causes:
+        return "<p>No run failed.</p>"
+    most = causes[0].count
+    rows: list[Sequence[str | tuple[float, str]]] = []
+    for cause in causes:
+        commands = (_command(verb, folder / cause.first) for verb in ("why", "view"))
+        first = "<br>".join((_link(cause.first), escape(cause.message[:300]), *commands))
+        what = f"{escape(cause.cause)}<br>{_bar(cause.count / most)}"
+        rows.append((what, (cause.count, str(cause.count)), (cause.share, f"{cause.share:.0%}"), first))
+    return _table(("cause", "#runs", "#share", "first"), rows)
+
+
+def _bar(share: float) -> str:
+    return f'<svg width="{_WIDE}" height="8"><rect width="{share * _WIDE:.1f}" height="8" fill="#b5534a"/></svg>'
+
+
+def _figure(folder: Path, cause: FailureCause) -> str:
+    drawn = picture(folder, cause.first, cause.step)
+    if drawn is None:
+        return ""
+    data = base64.b64encode(png(drawn)).decode()
+    step = f" --at {cause.step}" if cause.step is not None else ""
+    return (
+        f'<figure><img src="data:image/png;base64,{data}" alt="{escape(cause.cause)}">'
+        f"<figcaption>{_link(cause.first)}: "
+        f"{escape(cause.cause)}<br>{_command('view', folder / cause.first, step)}</figcaption></figure>"
+    )
+
+
+def _slow(folder: Path, slow: Sequence[Slow]) -> str:
+    rows = [
+        (
+            escape(each.what),
+            (each.count, str(each.count)),
+            (each.total, f"{each.total:.3f}"),
+            (each.median, f"{each.median * 1e3:.1f}"),
+            (each.longest, f"{each.longest * 1e3:.1f}"),
+            _command("view", folder / each.run, f" --at {each.step}"),
+        )
+        for each in slow
+    ]
+    return _table(("what", "#times", "#s in all", "#ms in the middle", "#ms at most", "the longest"), rows)
+
+
+def _table(heads: Iterable[str], rows: Iterable[Sequence[str | tuple[float, str]]]) -> str:
+    """Return a table; heads with # before them are of numbers, whose cells have the number that they are sorted by."""
+    head = "".join(f'<th class="n">{name[1:]}</th>' if name.startswith("#") else f"<th>{name}</th>" for name in heads)
+    body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _cell(cell: str | tuple[float, str]) -> str:
+    return f"<td>{cell}</td>" if isinstance(cell, str) else f'<td class="n" data-value="{cell[0]!r}">{cell[1]}</td>'
+
+
+def _link(run: str) -> str:
+    """Return a link to a recording, which lies beside the report or not: its name is what counts."""
+    return f'<a href="{quote(run)}">{escape(run)}</a>'
+
+
+def _command(verb: str, *rest: Path | str) -> str:
+    words = "".join(f" {shlex.quote(str(each))}" if not isinstance(each, str) else each for each in rest)
+    return f"<code>pycram-replay {verb}{escape(words)}</code>"

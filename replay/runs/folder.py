@@ -1,0 +1,329 @@
+"""The tables of a folder of recordings: made from new and changed recordings only, and replaced in one go.
+
+Beside the recordings lies ``tables/``: ``contents.json``, which says what is in the tables, and in folders of their own
+the Parquet files of the tables, called parts: each has the rows of some recordings. What is added is a part of its own;
+small parts are merged. The new contents replace the old ones by one rename, so a kill leaves the old tables or the new
+ones. Recordings that can't be read, or are of a newer release, are named and left out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import pyarrow as pa
+from pyarrow import compute, parquet
+
+from replay.errors import NotALog, ReplayError
+from replay.file.record_reader import RecordReader
+from replay.runs.rows import FOLDER, NEW, read_rows, tables_of, written_rows
+from replay.runs.schema import RUN, TABLES, VERSION, arrow_schema
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+_RUN_FIELD: Final = pa.field(RUN.name, pa.string())
+_CONTENTS: Final = "contents.json"
+_MODELS: Final = "models-"  # files of models that a sweep's recordings share
+_BATCH: Final = 200  # recordings whose rows are in memory at once
+_PARTS: Final = 8  # small parts that are merged into one
+_SMALL: Final = 2000  # recordings in a part that is still merged with others
+
+
+class NotRead(ReplayError):
+    """The tables of a folder of recordings can't be made or read.
+
+    Attributes:
+        path: the folder.
+        cause: the reason.
+    """
+
+    def __init__(self, path: Path, cause: str) -> None:
+        super().__init__(f"{path}: {cause}")
+        self.path = str(path)
+        self.cause = cause
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """A file of the folder that is left out.
+
+    Attributes:
+        name: of the file.
+        reason: in words.
+    """
+
+    name: str
+    reason: str
+
+
+@dataclass
+class _Contents:
+    """What is in the tables.
+
+    Attributes:
+        files: size and time of each recording that was read, and its part; those that can't be read have the reason.
+        next: number of the next part.
+    """
+
+    files: dict[str, dict[str, Any]] = field(default_factory=dict)
+    next: int = 1
+
+    @property
+    def parts(self) -> dict[str, list[str]]:
+        """Names of the recordings by part."""
+        found = defaultdict(list)
+        for name, told in self.files.items():
+            if "part" in told:
+                found[told["part"]].append(name)
+        return found
+
+
+class Folder:
+    """A folder of recordings, with its tables.
+
+    Args:
+        path: the folder.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not self.path.is_dir():
+            raise NotALog(self.path, "is no folder of recordings" if self.path.exists() else "there is no such folder")
+        self._contents = _Contents()
+
+    @property
+    def tables(self) -> Path:
+        """The folder of the tables."""
+        return self.path / FOLDER
+
+    @property
+    def skipped(self) -> tuple[Skipped, ...]:
+        """The files that are left out, each with the reason."""
+        told = sorted(self._contents.files.items())
+        return tuple(Skipped(name, facts["reason"]) for name, facts in told if "reason" in facts)
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the recordings in the tables."""
+        return tuple(sorted(name for name, facts in self._contents.files.items() if "part" in facts))
+
+    def files(self, table: str) -> list[str]:
+        """Return the Parquet files of a table."""
+        return [str(self.tables / part / f"{table}.parquet") for part in sorted(self._contents.parts)]
+
+    def recordings(self) -> dict[str, os.stat_result]:
+        """Return the recordings that are in the folder now, by name; what begins with a dot is being written."""
+        found = {}
+        with os.scandir(self.path) as entries:
+            for entry in entries:
+                ours = entry.name.endswith(".mcap") and not entry.name.startswith((".", _MODELS))
+                if ours and entry.is_file(follow_symlinks=True):
+                    found[entry.name] = entry.stat()
+        return dict(sorted(found.items()))
+
+    def update(self, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
+        """Bring the tables up to date.
+
+        Args:
+            progress: is called with how many of how many recordings are read.
+
+        Raises:
+            NotRead: the tables can't be written.
+        """
+        try:
+            with self._locked():
+                self._contents = self._read_contents()
+                self._update(progress)
+        except OSError as error:
+            told = error.strerror or str(error)
+            raise NotRead(self.path, f"its tables can't be written ({told}); copy it to where they can be") from error
+
+    def _update(self, progress: Callable[[int, int], object]) -> None:
+        present = self.recordings()
+        known = self._contents.files
+        stale = [name for name, facts in known.items() if _facts(present.get(name)) != _told(facts)]
+        wanted = [name for name in present if name not in known or name in stale]
+        if not stale and not wanted:
+            return
+        obsolete = self._drop(stale)
+        for start in range(0, len(wanted), _BATCH):
+            batch = wanted[start : start + _BATCH]
+            progress(start, len(wanted))
+            self._add({name: present[name] for name in batch}, progress, start, len(wanted))
+        obsolete += self._merge()
+        self._write_contents()
+        for part in obsolete:
+            shutil.rmtree(self.tables / part, ignore_errors=True)
+        for name in wanted:
+            written_rows(self.path / name).unlink(missing_ok=True)
+
+    def _add(
+        self, recordings: Mapping[str, os.stat_result], progress: Callable[[int, int], object], done: int, of: int
+    ) -> None:
+        """Read recordings, and write their rows as a part."""
+        rows: dict[str, list[pa.Table]] = defaultdict(list)
+        names = []
+        for name, state in recordings.items():
+            done += 1
+            try:
+                tables = self._rows(name, state)
+            except (ReplayError, OSError) as error:
+                self._contents.files[name] = _facts(state) | {"reason": _reason(self.path / name, error)}
+                continue
+            progress(done, of)
+            names.append(name)
+            for table, of_table in tables.items():
+                rows[table].append(_with_run(of_table, name))
+        if not names:
+            return
+        part = self._write_part({table: pa.concat_tables(parts) for table, parts in rows.items()})
+        for name in names:
+            self._contents.files[name] = _facts(recordings[name]) | {"part": part}
+
+    def _rows(self, name: str, state: os.stat_result) -> dict[str, pa.Table]:
+        path = self.path / name
+        written = read_rows(path, state)
+        if written is not None:
+            return written
+        with RecordReader(path) as log:
+            if log.newer is not None:
+                raise NotRead(path, str(log.newer))
+            if log.live:
+                raise NotRead(path, "it is still being written")
+            tables = tables_of(log)
+            if log.damage:
+                raise NotRead(path, log.damage)
+            return tables
+
+    # --- parts -------------------------------------------------------------------------------------------------------
+
+    def _drop(self, names: Iterable[str]) -> list[str]:
+        """Leave recordings out that changed or are gone; return the parts that are obsolete."""
+        gone: dict[str, set[str]] = defaultdict(set)
+        for name in names:
+            facts = self._contents.files.pop(name)
+            if "part" in facts:
+                gone[facts["part"]].add(name)
+        for part in gone:
+            rest = [name for name, facts in self._contents.files.items() if facts.get("part") == part]
+            if rest:
+                self._rewrite([part], rest)
+        return list(gone)
+
+    def _merge(self) -> list[str]:
+        """Merge small parts where there are many; return those that are obsolete."""
+        small = {part: names for part, names in self._contents.parts.items() if len(names) < _SMALL}
+        if len(small) < _PARTS:
+            return []
+        self._rewrite(list(small), [name for names in small.values() for name in names])
+        return list(small)
+
+    def _rewrite(self, parts: Sequence[str], names: Sequence[str]) -> None:
+        """Write the rows of some recordings of some parts as one new part."""
+        kept = pa.array(names, pa.string())
+        tables = {}
+        for table in TABLES:
+            files = [self.tables / part / f"{table.name}.parquet" for part in parts]
+            rows = pa.concat_tables([parquet.ParquetFile(file).read() for file in files])
+            tables[table.name] = rows.filter(compute.is_in(rows[RUN.name], kept))
+        part = self._write_part(tables)
+        for name in names:
+            self._contents.files[name]["part"] = part
+
+    def _write_part(self, tables: Mapping[str, pa.Table]) -> str:
+        """Write tables as a part, and return its name."""
+        part = f"{self._contents.next:06}"
+        self._contents.next += 1
+        partial = Path(tempfile.mkdtemp(prefix=f".{part}.", dir=self.tables))
+        try:
+            for name, table in tables.items():
+                parquet.write_table(table, partial / f"{name}.parquet", compression="zstd")
+            shutil.rmtree(self.tables / part, ignore_errors=True)  # of an update that was killed
+            partial.chmod(0o777 & ~_umask())
+            partial.rename(self.tables / part)
+        except BaseException:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
+        return part
+
+    # --- contents ----------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Let no other process change the tables meanwhile."""
+        self.tables.mkdir(exist_ok=True)
+        (self.tables / NEW).mkdir(exist_ok=True)
+        with (self.tables / ".lock").open("w") as lock:
+            if fcntl is not None:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def _read_contents(self) -> _Contents:
+        """Return what is in the tables: nothing, where that can't be known or another release made them."""
+        try:
+            told = json.loads((self.tables / _CONTENTS).read_text(encoding="utf-8"))
+            if told["version"] != VERSION:
+                return self._cleared()
+            contents = _Contents(dict(told["files"]), int(told["next"]))
+            intact = all(
+                (self.tables / part / f"{table.name}.parquet").is_file() for part in contents.parts for table in TABLES
+            )
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return self._cleared()
+        return contents if intact else self._cleared()
+
+    def _cleared(self) -> _Contents:
+        """Remove what is left of tables that can't be used."""
+        for each in self.tables.iterdir():
+            if each.is_dir() and not each.is_symlink() and each.name.lstrip(".")[:6].isdecimal():
+                shutil.rmtree(each, ignore_errors=True)
+        return _Contents()
+
+    def _write_contents(self) -> None:
+        partial = self.tables / f".{_CONTENTS}.{os.getpid()}"
+        told = {"version": VERSION, "next": self._contents.next, "files": self._contents.files}
+        try:
+            partial.write_text(json.dumps(told, indent=0), encoding="utf-8")
+            partial.replace(self.tables / _CONTENTS)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def _facts(state: os.stat_result | None) -> dict[str, Any]:
+    return {} if state is None else {"size": state.st_size, "mtime_ns": state.st_mtime_ns}
+
+
+def _told(facts: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: facts.get(key) for key in ("size", "mtime_ns")}
+
+
+def _with_run(table: pa.Table, name: str) -> pa.Table:
+    return table.add_column(0, _RUN_FIELD, pa.repeat(pa.scalar(name, pa.string()), len(table)))
+
+
+def _reason(path: Path, error: Exception) -> str:
+    return str(error).removeprefix(f"{path}: ")
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def empty_tables() -> dict[str, pa.Table]:
+    """Return the tables of a folder without recordings."""
+    return {table.name: pa.schema([_RUN_FIELD, *arrow_schema(table)]).empty_table() for table in TABLES}

@@ -1,0 +1,181 @@
+"""Many runs: a folder of recordings that SQL is asked of, which only reads.
+
+DuckDB answers, in memory, from the Parquet files beside the recordings. It is kept from everything else: it takes
+single statements that select, opens no files but these, and its settings are locked.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import duckdb
+
+from replay.errors import ReplayError
+from replay.runs.folder import Folder, NotRead, empty_tables
+from replay.runs.schema import TABLES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+    from types import TracebackType
+    from typing import Self
+
+    import pandas as pd
+    import polars as pl
+    import pyarrow as pa
+
+    from replay.runs.folder import Skipped
+
+_SINGLE: Final = "give one statement that selects: the tables of runs are read, never written"
+
+
+class Refused(ReplayError):
+    """A statement isn't one that only reads the tables, or can't be answered.
+
+    Attributes:
+        sql: the statement.
+        cause: the reason.
+    """
+
+    def __init__(self, sql: str, cause: str) -> None:
+        super().__init__(cause)
+        self.sql = sql
+        self.cause = cause
+
+
+class Answer:
+    """The rows that a statement selects."""
+
+    def __init__(self, table: pa.Table) -> None:
+        self._table = table
+
+    def __len__(self) -> int:
+        rows: int = self._table.num_rows
+        return rows
+
+    def __repr__(self) -> str:
+        return f"<Answer: {len(self)} rows of {', '.join(self.columns)}>"
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns."""
+        return list(self._table.column_names)
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return the rows as Python's own values."""
+        columns = [column.to_pylist() for column in self._table.columns]
+        return list(zip(*columns, strict=True))
+
+    def to_arrow(self) -> pa.Table:
+        """Return the rows as a table of Arrow."""
+        return self._table
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the rows as a frame of pandas, which has to be installed."""
+        return self._table.to_pandas()
+
+    def to_polars(self) -> pl.DataFrame:
+        """Return the rows as a frame of polars, which has to be installed."""
+        import polars as pl  # noqa: PLC0415  who doesn't use it need not have it
+
+        return pl.DataFrame(self._table)
+
+
+class Runs:
+    """A folder of recordings as tables; :func:`replay.open_runs` opens it. A context manager.
+
+    Args:
+        path: the folder.
+        progress: is called with how many of how many new recordings are read.
+
+    Raises:
+        NotALog: there is no such folder.
+        NotRead: its tables can't be written beside the recordings.
+    """
+
+    def __init__(self, path: str | Path, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
+        self.folder = Folder(path)
+        self.folder.update(progress)
+        self._database = duckdb.connect(":memory:")
+        self._open()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<Runs {self.path}: {len(self)} runs>"
+
+    def __len__(self) -> int:
+        return len(self.folder.runs)
+
+    @property
+    def path(self) -> Path:
+        """The folder."""
+        return self.folder.path
+
+    @property
+    def skipped(self) -> tuple[Skipped, ...]:
+        """The files of the folder that are left out, each with the reason."""
+        return self.folder.skipped
+
+    def close(self) -> None:
+        """Close the tables."""
+        self._database.close()
+
+    def sql(self, statement: str, values: Sequence[object] = ()) -> Answer:
+        """Return what a statement selects from the tables; docs/runs.md has their columns.
+
+        Args:
+            statement: SQL as of DuckDB, with ? for values.
+            values: of these.
+
+        Raises:
+            Refused: it isn't one statement that only selects, opens other files, or makes no sense.
+        """
+        try:
+            found = self._database.extract_statements(statement)
+        except duckdb.Error as error:
+            raise Refused(statement, str(error)) from error
+        if len(found) != 1 or found[0].type != duckdb.StatementType.SELECT:
+            raise Refused(statement, _SINGLE)
+        try:
+            return Answer(self._database.sql(statement, params=list(values)).to_arrow_table())
+        except duckdb.PermissionException as error:
+            raise Refused(statement, f"only the folder's own tables are read: {_first_line(error)}") from error
+        except duckdb.Error as error:
+            raise Refused(statement, str(error)) from error
+
+    def _open(self) -> None:
+        """Make the views, and lock everything else out."""
+        database = self._database
+        files = {table.name: self.folder.files(table.name) for table in TABLES}
+        try:
+            for name, empty in empty_tables().items():
+                if files[name]:
+                    listed = ", ".join(_quoted(file) for file in files[name])
+                    database.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}])")  # noqa: S608
+                else:
+                    database.register(f"{name}_rows", empty)
+                    database.execute(f"CREATE TABLE {name} AS SELECT * FROM {name}_rows")  # noqa: S608
+            allowed = ", ".join(_quoted(file) for each in files.values() for file in each)
+            database.execute(f"SET allowed_paths=[{allowed}]")
+            database.execute("SET enable_external_access=false")
+            database.execute("SET python_enable_replacements=false")
+            database.execute("SET TimeZone='UTC'")
+            database.execute("SET lock_configuration=true")
+        except duckdb.Error as error:
+            again = f"its tables can't be read; remove {self.folder.tables}, and they are made anew"
+            raise NotRead(self.path, f"{again}: {_first_line(error)}") from error
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0]

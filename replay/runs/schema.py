@@ -1,0 +1,267 @@
+"""The tables of a folder of recordings: their columns, and what each means. The one definition: docs are made from it.
+
+Values of users' own types are JSON, as recordings have them. Times are s since the recording began, by the clock;
+``sim_seconds`` is the simulated time of the record's world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+VERSION: Final = 1
+"""Of these tables; others are made anew from the recordings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column.
+
+    Attributes:
+        name: its name.
+        kind: "text", "whole" (64 bits), "number" (64 bits), "yes/no", "moment" (UTC), "texts" (a list), or "map" (from
+            text to text).
+        meaning: in words.
+    """
+
+    name: str
+    kind: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table; each has ``run`` as its first column.
+
+    Attributes:
+        name: its name, which that of the view is, too.
+        meaning: what one row is.
+        columns: without ``run``.
+    """
+
+    name: str
+    meaning: str
+    columns: tuple[Column, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns without ``run``."""
+        return tuple(column.name for column in self.columns)
+
+
+RUN: Final = Column("run", "text", "name of the recording's file")
+
+
+def _table(name: str, meaning: str, *columns: tuple[str, str, str]) -> Table:
+    return Table(name, meaning, tuple(Column(*column) for column in columns))
+
+
+_STEP: Final = ("step", "whole", "of the record")
+_TASK: Final = ("task", "whole", "id of the task in which it happened; 0: in none")
+_PATH: Final = ("path", "text", "names of the tasks in which it happened, from the outermost on, as `a/b/c`")
+_WORLD: Final = ("world", "text", "name of the world")
+_SECONDS: Final = ("seconds", "number", "when, s since the recording began")
+_SIM: Final = ("sim_seconds", "number", "when, s of simulated time")
+_SOURCE: Final = ("source", "text", "the plan's line, as `file:line`")
+_ERROR: Final = ("failure", "text", "type of what was raised; empty: nothing was")
+
+TABLES: Final = (
+    _table(
+        "runs",
+        "a recording",
+        ("plan", "text", "name of the plan"),
+        ("number", "whole", "of the run in its sweep; null without one"),
+        (
+            "parameters",
+            "map",
+            "what the run was given, values as JSON: of a sweep, else `--name value` of its arguments",
+        ),
+        ("arguments", "texts", "of the plan"),
+        ("seed", "text", "of random numbers and of the order of branches"),
+        ("branch_order", "text", "which order of branches was asked for; empty: drawn from the seed"),
+        ("environment", "text", "execution environment that was asked for"),
+        ("outcome", "text", "`succeeded`, `failed`, `interrupted`, or `cut off`: its process was killed"),
+        ("succeeded", "yes/no", "null where it was interrupted"),
+        ("cause", "text", "what it failed of, without numbers: the same for all runs that failed so; empty: it didn't"),
+        ("failure", "text", "type of the failure that explains its end; empty: it has none"),
+        ("message", "text", "of that failure"),
+        ("cause_path", "text", "names of the tasks in which that began"),
+        ("cause_step", "whole", "the step at which it began; null if nothing failed"),
+        ("last_step", "whole", "the last step at which a world was open"),
+        ("began", "moment", "when it began"),
+        ("seconds", "number", "how long it took, s"),
+        ("sim_seconds", "number", "simulated time of its last change, s"),
+        ("records", "whole", "number of records"),
+        ("bytes", "whole", "of the file"),
+        ("plan_sha256", "text", "of the plan's text"),
+        ("complete", "yes/no", "whether nothing of the recording is missing or damaged"),
+        ("release", "text", "of PyCRAM that made it"),
+        ("host", "text", "computer"),
+    ),
+    _table(
+        "tasks",
+        "a task",
+        ("step", "whole", "of the record of its start, or of its being asked for"),
+        ("task", "whole", "its id"),
+        ("parent", "whole", "id of the task around it; 0: none"),
+        ("path", "text", "names from the outermost task to this one, as `a/b/c`"),
+        ("kind", "text", "`motion`, `process-module`, `block`, `branch`, `attempt`, ..."),
+        ("name", "text", "its name"),
+        ("label", "text", "its name with the objects that it was given, as `pick-up(spoon)`"),
+        _WORLD,
+        ("status", "text", "`succeeded`, `failed`, `cancelled`; `running`: it has no end on record"),
+        ("last_step", "whole", "of the record of its end; null without one"),
+        ("began", "number", "s since the recording began"),
+        ("seconds", "number", "how long it took, s"),
+        _SIM,
+        ("sim_took", "number", "how much simulated time it took, s"),
+        ("attempt", "whole", "of attempts: which one, from 1; else 0"),
+        ("parameters", "text", "what it was given: JSON"),
+        ("solution", "text", "what it was resolved to: JSON"),
+        ("result", "text", "JSON"),
+        ("resolver", "text", "function that found the solution"),
+        ("module", "text", "class of the process module"),
+        ("origin", "yes/no", "whether a failure began in it, rather than in a part of it"),
+        _ERROR,
+        ("message", "text", "of its failure"),
+        _SOURCE,
+    ),
+    _table(
+        "queries",
+        "a reasoning query, or a choice",
+        _STEP,
+        _TASK,
+        _PATH,
+        ("name", "text", "of the query"),
+        ("label", "text", "its name with the objects that it was about, as `reachable_object(milk)`"),
+        _WORLD,
+        ("arguments", "text", "JSON"),
+        ("answer", "text", "JSON; empty: it has none"),
+        ("chosen", "text", "name of the candidate that was chosen; empty: none was, or it is no choice"),
+        ("candidates", "whole", "how many were considered"),
+        ("began", "number", "s since the recording began"),
+        ("seconds", "number", "how long it took, s"),
+        _SIM,
+        _ERROR,
+        _SOURCE,
+    ),
+    _table(
+        "choices",
+        "a candidate of a query, or several that were rejected for one reason",
+        _STEP,
+        _TASK,
+        _PATH,
+        ("query", "text", "name of the query"),
+        ("label", "text", "the query's name with its objects"),
+        ("candidate", "text", "names of the candidates, as `front`"),
+        ("count", "whole", "how many these are"),
+        ("chosen", "yes/no", "whether it was chosen"),
+        ("reason", "text", "type of the reason for which it was rejected; empty: it wasn't"),
+        ("details", "text", "data of the reason: JSON"),
+    ),
+    _table(
+        "mutations",
+        "a change of a world",
+        _STEP,
+        _TASK,
+        _PATH,
+        _WORLD,
+        ("command", "text", "`move_body`, `attach_body`, `simulate`, ..."),
+        ("body", "text", "name of the object that it was about; empty: none"),
+        ("text", "text", "the change in words"),
+        ("changed", "whole", "how many bodies changed"),
+        _SECONDS,
+        _SIM,
+        _SOURCE,
+    ),
+    _table(
+        "events",
+        "an event, or a fluent's change",
+        _STEP,
+        _TASK,
+        _PATH,
+        ("kind", "text", "`event` or `fluent`"),
+        ("name", "text", "of the event or fluent"),
+        ("label", "text", "its name with the objects of its arguments"),
+        _WORLD,
+        ("sender", "text", "of an event: who fired it"),
+        ("arguments", "text", "of an event: JSON"),
+        ("value", "text", "of a fluent, after the change: JSON"),
+        ("handlers", "whole", "of an event: how many were called"),
+        _SECONDS,
+        _SIM,
+        _SOURCE,
+    ),
+    _table(
+        "failures",
+        "a failure of a task (where it began), of a query, of the run; or a refusal",
+        _STEP,
+        _TASK,
+        _PATH,
+        ("of", "text", "`task`, `query`, `refusal`, `run` or `thread`"),
+        ("type", "text", "of what was raised"),
+        ("message", "text", "its words"),
+        ("data", "text", "its fields: JSON"),
+        ("pairs", "texts", "links that would have met, as `l_gripper_palm_link / counter`"),
+        ("cause", "text", "what it failed of, without numbers"),
+        ("root", "yes/no", "whether it is the one that explains how the run ended"),
+        _SECONDS,
+        _SIM,
+        _SOURCE,
+    ),
+    _table(
+        "joints",
+        "where a joint was: at each change, and 30 times a simulated second where it moves",
+        _STEP,
+        _WORLD,
+        _SIM,
+        ("body", "text", "name of the object"),
+        ("joint", "text", "name of the joint"),
+        ("position", "number", "rad or m"),
+        ("velocity", "number", "rad/s or m/s"),
+    ),
+    _table(
+        "poses",
+        "where a body was: at each change, and 30 times a simulated second where it moves",
+        _STEP,
+        _WORLD,
+        _SIM,
+        ("body", "text", "name of the object"),
+        ("x", "number", "of its base in the world, m"),
+        ("y", "number", "m"),
+        ("z", "number", "m"),
+        ("qx", "number", "of its base's orientation, a unit quaternion"),
+        ("qy", "number", ""),
+        ("qz", "number", ""),
+        ("qw", "number", ""),
+    ),
+)
+
+
+def arrow_schema(table: Table) -> pa.Schema:
+    """Return a table's columns without ``run`` as Arrow has them; names that repeat are stored once."""
+    import pyarrow as pa  # noqa: PLC0415  the schema is printed without it, too
+
+    kinds = {
+        "text": pa.string(),
+        "whole": pa.int64(),
+        "number": pa.float64(),
+        "yes/no": pa.bool_(),
+        "moment": pa.timestamp("us", "UTC"),
+        "texts": pa.list_(pa.string()),
+        "map": pa.map_(pa.string(), pa.string()),
+    }
+    return pa.schema([(column.name, kinds[column.kind]) for column in table.columns])
+
+
+def documentation() -> str:
+    """Return the tables as Markdown."""
+    parts = [f"Each table has the column `{RUN.name}` first: {RUN.meaning}."]
+    for table in TABLES:
+        parts += ["", f"### `{table.name}`", "", f"One row: {table.meaning}.", "", "| column | kind | meaning |"]
+        parts += ["|---|---|---|"]
+        parts += [f"| `{column.name}` | {column.kind} | {column.meaning} |" for column in table.columns]
+    return "\n".join(parts)

@@ -1,0 +1,182 @@
+"""A folder of recordings as tables: what they hold, that they follow the recordings, and that SQL only reads."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import replay
+from recorder.records import Mutation, Query, Task
+from replay.cli.main import main
+from replay.runs.folder import Folder
+from replay.runs.rows import write_rows
+from replay.runs.runs import Refused, Runs
+from tests.replay.runs.conftest import COUNT
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
+pytestmark = pytest.mark.slow
+
+
+def read(folder: Path) -> Sequence[int]:
+    """How many recordings an update reads."""
+    done: list[int] = []
+    with Runs(folder, lambda number, _: done.append(number)):
+        return sorted(set(done) - {0})
+
+
+def test_tables_hold_what_the_recordings_do(runs: Path) -> None:
+    counts = {Task: 0, Query: 0, Mutation: 0}
+    ids = set()
+    for recording in runs.glob("*.mcap"):
+        with replay.open(recording) as log:
+            counts[Query] += log.counts().get("query", 0)
+            counts[Mutation] += log.counts()["mutation"]
+            ids |= {(recording.name, record.task) for record in log.records(Task)}
+    with replay.open_runs(runs) as tables:
+        assert len(tables) == COUNT
+        assert tables.sql("SELECT count(*) FROM tasks").rows() == [(len(ids),)]
+        assert tables.sql("SELECT count(*) FROM queries").rows() == [(counts[Query],)]
+        assert tables.sql("SELECT count(*) FROM mutations").rows() == [(counts[Mutation],)]
+        failed = tables.sql("SELECT cause, count(*) FROM runs WHERE NOT succeeded GROUP BY cause").rows()
+        right = tables.sql(
+            "SELECT count(DISTINCT run) FROM tasks WHERE label = 'pick-up(spoon)' AND parameters->>'arm' = 'right'"
+        ).rows()[0][0]
+        of_spoon = dict(failed)["Dropped at let-go/Moving: spoon fell at #"]
+        assert of_spoon == right > 0, "places differ, which makes no other cause"
+        assert tables.sql("SELECT DISTINCT parameters['material'] FROM runs ORDER BY 1").rows() == [
+            ('"glass"',),
+            ('"metal"',),
+            ('"wood"',),
+        ]
+
+
+def test_where_bodies_are_is_what_the_recording_has(runs: Path) -> None:
+    name = sorted(runs.glob("*.mcap"))[0].name
+    with replay.open_runs(runs) as tables, replay.open(runs / name) as log:
+        state = log.state_at(log.final_step()).world("kitchen")
+        last = tables.sql("SELECT body, arg_max([x, y, z], step) FROM poses WHERE run = ? GROUP BY body", [name])
+        assert {body: tuple(place) for body, place in last.rows()} == {
+            body.name: body.position for body in state.bodies.values()
+        }
+
+
+def test_only_new_and_changed_recordings_are_read(runs: Path) -> None:
+    names = sorted(path.name for path in runs.glob("*.mcap"))
+    shutil.move(runs / names[0], runs.parent)
+    assert read(runs)[-1] == COUNT - 1
+    assert read(runs) == []
+    shutil.move(runs.parent / names[0], runs)
+    assert read(runs) == [1]
+    shutil.copy2(runs / names[2], runs / names[1])
+    (runs / names[3]).unlink()
+    assert read(runs) == [1]
+    with Runs(runs) as tables:
+        told = dict(tables.sql("SELECT run, seed FROM runs").rows())
+    assert set(told) == set(names) - {names[3]}
+    assert told[names[1]] == told[names[2]] == "2", "the new content counts"
+
+
+def test_rows_of_the_runs_own_process_are_those_of_its_file(runs: Path) -> None:
+    with Runs(runs) as tables:
+        before = {
+            table: tables.sql(f"SELECT * FROM {table} ORDER BY ALL").rows() for table in ("runs", "tasks", "joints")
+        }
+    shutil.rmtree(runs / "tables")
+    for recording in runs.glob("*.mcap"):
+        write_rows(recording)
+        assert (runs / "tables" / "new" / f"{recording.name}.arrows").is_file()
+    victim = sorted(runs.glob("*.mcap"))[0]
+    os.utime(victim, ns=(1, 1))  # these rows aren't of the file as it is now
+    with Runs(runs) as tables:
+        after = {table: tables.sql(f"SELECT * FROM {table} ORDER BY ALL").rows() for table in before}
+    assert after == before
+    assert list((runs / "tables" / "new").iterdir()) == []
+
+
+def test_a_killed_update_and_lost_tables_are_made_good(runs: Path) -> None:
+    with Runs(runs) as tables:
+        rows = tables.sql("SELECT count(*) FROM tasks").rows()
+    (part,) = Folder(runs).tables.glob("0*")
+    shutil.copytree(part, part.with_name("000002"))  # an update that ended before it was told in the contents
+    shutil.copy2(sorted(runs.glob("*.mcap"))[0], runs / "more.mcap")
+    assert read(runs) == [1]
+    (part / "tasks.parquet").unlink()
+    with Runs(runs) as tables:
+        assert tables.sql("SELECT count(*) FROM tasks WHERE run <> 'more.mcap'").rows() == rows
+
+
+def test_what_is_no_run_is_named_and_left_out(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (runs / "notes.mcap").write_text("not a recording")
+    whole = sorted(runs.glob("0*.mcap"))[0].read_bytes()
+    damaged = bytearray(whole)
+    chunk = max(whole.rfind(magic) for magic in (b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"))  # of zstd, lz4
+    damaged[chunk + 8 : chunk + 40] = bytes(32)
+    (runs / "bad.mcap").write_bytes(damaged)
+    (runs / "models-0123456789ab.mcap").write_bytes(whole)
+    (runs / ".00099.mcap").write_bytes(whole)
+    shutil.copy2(GOLDEN, runs / "other.mcap")
+    assert main(["stats", str(runs), "--json"]) == 3
+    out, err = capsys.readouterr()
+    told = json.loads(out)
+    assert len(told["runs"]) == COUNT
+    assert [each["name"] for each in told["skipped"]] == ["bad.mcap", "notes.mcap"]
+    assert sum(told["others"].values()) == 1, "the recording of another plan is counted"
+    assert "bad.mcap" in err
+    assert "notes.mcap: is no MCAP file" in err
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "COPY runs TO '{there}'",
+        "SELECT * FROM read_text('{secret}')",
+        "SELECT * FROM '{secret}'",
+        "SELECT * FROM glob('{folder}/*')",
+        "SELECT 1; DROP VIEW runs",
+        "DROP VIEW runs",
+        "INSERT INTO runs SELECT * FROM runs",
+        "SET enable_external_access=true",
+        "ATTACH '{there}'",
+        "INSTALL httpfs",
+        "EXPLAIN ANALYZE COPY runs TO '{there}'",
+        "EXPORT DATABASE '{there}'",
+        "SELECT nothing FROM runs",
+        "not sql",
+        "",
+    ],
+)  # fmt: skip
+def test_sql_that_writes_or_reads_other_files_is_refused(runs: Path, tmp_path: Path, statement: str) -> None:
+    secret, there = tmp_path / "secret.csv", tmp_path / "there"
+    secret.write_text("a,b\n1,2\n")
+    for file in sorted(runs.glob("*.mcap"))[2:]:
+        file.unlink()
+    with Runs(runs) as tables:
+        with pytest.raises(Refused):
+            tables.sql(statement.format(there=there, secret=secret, folder=tmp_path))
+        assert tables.sql("SELECT count(*) FROM runs").rows() == [(2,)]
+    assert not there.exists()
+
+
+def test_answers_as_frames(runs: Path) -> None:
+    with replay.open_runs(runs) as tables:
+        answer = tables.sql("SELECT run, seconds FROM runs ORDER BY run")
+        assert answer.to_arrow().column_names == ["run", "seconds"]
+        assert answer.to_pandas()["run"].tolist() == answer.to_polars()["run"].to_list()
+        assert len(answer) == COUNT
+
+
+def test_verbs_of_one_recording_say_what_folders_have(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["tree", str(runs)]) == 2
+    assert (
+        "takes one recording; of a folder there are info, why, export, sql, stats, separate" in capsys.readouterr().err
+    )
+    assert main(["stats", str(runs / "nowhere")]) == 2
+    assert "there is no such folder" in capsys.readouterr().err
