@@ -9,6 +9,7 @@ from recorder.records.log_pb2 import (
     AttachBody as AttachBody,
     Attachment as Attachment,
     BeginTrajectory as BeginTrajectory,
+    Belief as Belief,
     BodyState as BodyState,
     Candidate as Candidate,
     Change as Change,
