@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import PerceptionError
+from pycram.knowledge import beliefs
 from pycram.motions import slot_checks
 from pycram.motions.designator import ResolvedDesignator
-from pycram.motions.motion_types import Slot, checked_slots
+from pycram.motions.motion_types import Slot, checked_slots, described
 from pycram.motions.slots import DesignatorError
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld
@@ -35,8 +36,7 @@ class _Slots:
     @staticmethod
     def describe() -> str:
         """Describe them, for messages."""
-        lines = [f"  {slot.describe()}" for slot in _Slots.slots]
-        return "\n".join(["an ObjectDesignator takes", *lines, "  at least one of type, name has to be there"])
+        return described(_Slots(), "an ObjectDesignator")
 
 
 class ObjectDesignator(ResolvedDesignator):
@@ -64,15 +64,19 @@ class ObjectDesignator(ResolvedDesignator):
 
 
 def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
-    """Yield what is believed of the objects that a designator describes.
+    """Yield what is believed of the objects that a designator describes, what was learned last first.
 
     Raises:
         DesignatorError: There are none in the world.
         PerceptionError: Nothing is believed of them.
     """
-    for body in _candidates(designator):
-        position, orientation = body.get_position_and_orientation()
-        yield {"object": body, "position": position, "orientation": orientation}
+    candidates = _candidates(designator)
+    known = [belief for belief in beliefs() if belief.object in candidates]
+    if not known:
+        reasons = {body.name: "was never seen" for body in candidates}
+        raise PerceptionError(candidates[0].type, reasons)
+    for belief in known:
+        yield {"object": belief.object, "position": list(belief.position), "orientation": list(belief.orientation)}
 
 
 def _candidates(designator: ObjectDesignator) -> list[Object]:
@@ -102,8 +106,5 @@ def object_of(thing: Object | ObjectDesignator) -> Object:
     """
     if not isinstance(thing, ObjectDesignator):
         return thing
-    found: Object = thing.current().reference()["object"]
+    found: Object = thing.reference()["object"]
     return found
-
-
-__all__ = ["ObjectDesignator", "PerceptionError", "object_of"]

@@ -330,9 +330,9 @@ def _filled(motion: MotionType, given: Mapping[str, Value]) -> Iterator[dict[str
     yield dict(given)
 
 
-def described(kind: Slotted) -> str:
-    """Return a description of a type's slots, for messages."""
-    lines = [f"a {kind.type} designator takes", "  type (required): " + repr(kind.type)]
+def described(kind: Slotted, name: str = "") -> str:
+    """Return a description of a type's slots, for messages; of designators with a type of their own by their name."""
+    lines = [f"{name} takes"] if name else [f"a {kind.type} designator takes", f"  type (required): {kind.type!r}"]
     lines += [f"  {slot.describe()}" for slot in kind.slots]
     if kind.one_of:
         how = "exactly one" if kind.only_one else "at least one"
