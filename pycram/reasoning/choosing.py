@@ -145,13 +145,19 @@ class Choice(Question):
         self.answer = candidate if answer is None else answer
         self.evidence = evidence
 
-    def add_candidates(self, record: records.Query) -> None:
-        """Put the candidates into a record: those rejected for the same reason as one, the chosen one last."""
+    def add_candidates(self, record: records.Query) -> Mapping[str, int]:
+        """Put the candidates into a record: those rejected for the same reason as one, the chosen one last.
+
+        Returns:
+            For each candidate that is in the record, which one it belongs to there.
+        """
+        numbers: dict[str, int] = {}
         groups: dict[object, list[tuple[Rejection, str, int]]] = {}
         for name, (reason, count) in self._rejected.items():
             groups.setdefault((type(reason), reason.alike()), []).append((reason, name, count))
         for group in list(groups.values())[:_MAX_GROUPS]:
             group.sort(key=lambda item: item[0].miss())
+            numbers |= dict.fromkeys((name for _, name, _ in group), len(record.candidates))
             reason = group[0][0]
             record.candidates.add(
                 names=[name for _, name, _ in group[:_MAX_NAMES]],
@@ -164,8 +170,9 @@ class Choice(Question):
             record.candidates.add(count=left_out)
         record.chosen = -1
         if self.chosen:
-            record.chosen = len(record.candidates)
+            record.chosen = numbers[self.chosen] = len(record.candidates)
             record.candidates.add(names=[self.chosen])
+        return numbers
 
 
 def considering() -> Choice:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, NoPath, PlanFailure, Unreachable
+from pycram.foundation.failures import GraspFailed, NoPath, PlanFailure
 from pycram.motions.modules.simulated import SimulatedModule
-from pycram.reasoning.choosing import Choice, choosing
-from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.grasping import choice as grasp_choice, fingers
-from pycram.reasoning.grasping.grasps import FREE, candidates, leaning
-from pycram.reasoning.rejections import Misfit, Slips, Touching, Unreached, short
+from pycram.reasoning.choosing import choosing
+from pycram.reasoning.grasping import fingers
+from pycram.reasoning.grasping.taking import ways_to_hold
+from pycram.reasoning.rejections import Unreached, short
 from pycram.world import overlaps
 from recorder import geometry
 
@@ -21,16 +20,12 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
     from pycram.motions.execution import Step
-    from pycram.reasoning.grasping.choice import GraspPlan
-    from pycram.reasoning.grasping.fingers import Closing
-    from pycram.reasoning.grasping.grasps import Grasp
+    from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
     from recorder.geometry import PoseLike
 
-_MAX_GRASPS: Final = 6  # that are tried, one after the other
 _MAX_SEARCHED: Final = 3  # to which a path is searched in vain
 _MOVING: Final = (0.3, 3.0)  # m/s, rad/s from which on it falls or rolls; what rocks after it was set down can be taken
-_LEANING: Final = math.radians(5)  # that the message tells
 _STILL: Final = (0.005, math.radians(5))  # m and rad by which it may move while the hand comes
 _BEHIND: Final = (-1.0, 0.0, 0.0)  # where the gripper comes from, in the tool frame
 
@@ -136,62 +131,18 @@ def _plan(
         Unreachable: No posture brings the gripper there; Blocked if something is in the way.
         NoPath: No path was found to where it would be taken.
     """
-    refused: list[Grasp] = []
     failures: list[PlanFailure] = []
     searched = 0
-    while len(failures) < _MAX_GRASPS and searched < _MAX_SEARCHED:
-        plan = grasp_choice.best(body, robot, arm.tool_frame, names, refused, choice)
-        if plan.grasp is None or plan.posture is None:
-            failures.append(_nothing(robot, arm, body, names, plan))
-            break
-        closing = fingers.closed_around(robot, arm, plan.posture.positions, body)
-        failure = _problem(arm, body, plan, closing)
-        if closing is not None and failure is None:
-            try:
-                reach = approach(plan.posture.positions)
-            except NoPath as no_path:
-                failures.append(no_path)
-                searched += 1
-                choice.reject(str(plan.grasp), Unreached(no_path.checks, no_path.distance, no_path.pairs))
-            else:
-                position, orientation = short(plan.grasp.position), short(plan.grasp.orientation)
-                choice.take(str(plan.grasp), position=position, orientation=orientation)
-                return reach, closing.positions
-        if failure is not None:
-            failures.append(failure)
-            slips = Slips(closing.sides if closing else 0)
-            choice.reject(str(plan.grasp), Touching(failure.pairs) if isinstance(failure, Blocked) else slips)
-        refused.append(plan.grasp)
+    for grasp, posture, closing in ways_to_hold(robot, arm, body, names, failures, choice):
+        try:
+            reach = approach(posture.positions)
+        except NoPath as no_path:
+            failures.append(no_path)
+            choice.reject(str(grasp), Unreached(no_path.checks, no_path.distance, no_path.pairs))
+            searched += 1
+            if searched == _MAX_SEARCHED:
+                break
+        else:
+            choice.take(str(grasp), position=short(grasp.position), orientation=short(grasp.orientation))
+            return reach, closing.positions
     raise failures[0]  # of the grasp that touches least
-
-
-def _nothing(robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, plan: GraspPlan) -> PlanFailure:
-    """Return why no grasp was found."""
-    if plan.posture is None:
-        tilt = geometry.angle(leaning(body), geometry.IDENTITY[1])
-        lies = f"as it leans, by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
-        if arm.gripper.suction:
-            return GraspFailed(arm.name, body.name, f"{lies}it is nowhere flat enough for the suction cup")
-        sides = Choice("grasp", {})  # also where nobody records
-        candidates(body, robot, arm, names, choice=sides)
-        misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]
-        widths = [misfit.width for misfit in misfits if misfit.width is not None]
-        return DoesNotFit(arm.name, body.name, widths, arm.gripper.gap, arm.gripper.aperture - FREE, lies)
-    if plan.self_collisions:
-        return Blocked(arm.name, center(body), plan.self_collisions)
-    return Unreachable(arm.name, center(body), plan.posture.position_error)
-
-
-def _problem(arm: Arm, body: Object, plan: GraspPlan, closing: Closing | None) -> PlanFailure | None:
-    """Return why a grasp doesn't do; None if it does."""
-    if plan.obstacles:
-        return Blocked(arm.name, center(body), [collision["pair"] for collision in plan.obstacles.values()])
-    if plan.penetrating is not None:
-        return Blocked(arm.name, center(body), [plan.penetrating])
-    if closing is None:
-        return GraspFailed(arm.name, body.name, "its fingers would close on nothing")
-    if closing.obstacles:
-        return Blocked(arm.name, center(body), closing.obstacles, "when the fingers close")
-    if closing.sides < 2:
-        return GraspFailed(arm.name, body.name, "its fingers would touch it on one side only")
-    return None
