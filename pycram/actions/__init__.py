@@ -5,7 +5,7 @@ carries on with the next choice when one fails, and says what was tried when its
 function in a module of its own, written in the plan language; ``@action("transporting")`` puts another in its place.
 """
 
-from pycram.actions import navigating, picking_up  # noqa: F401  that there are these
+from pycram.actions import closing, handing_over, navigating, opening, perceiving, picking_up, searching  # noqa: F401  that there are these
 from pycram.actions.action import ActionDesignator, ActionType, action, replaced
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import ObjectDesignator
