@@ -9,7 +9,7 @@ process modules for other cameras call :func:`learn`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
@@ -17,7 +17,7 @@ from pycram.reasoning.choosing import Question
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
 from recorder import records
-from recorder.records.beliefs import sightings
+from recorder.records.beliefs import sightings, word
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from recorder.geometry import PoseLike, Quaternion, Vector
 
 __all__ = ["Belief", "beliefs", "believed", "learn"]
-
-_WORDS: Final = {source: records.Belief.Source.Name(source).lower() for source in records.Belief.Source.values()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +80,7 @@ def beliefs(what: str | Object | None = None, *, robot: Object | None = None) ->
                 held = belief.source == records.Belief.HELD
                 position, turn = world.engine.pose(body.handle) if held else (belief.position, belief.orientation)
                 (x, y, z), (i, j, k, w) = position, turn
-                word = _WORDS[belief.source]
-                found.append(Belief(body, (x, y, z), (i, j, k, w), belief.sim_step, step, word))
+                found.append(Belief(body, (x, y, z), (i, j, k, w), belief.sim_step, step, word(belief.source)))
     return found
 
 

@@ -6,13 +6,18 @@ function in a module of its own, written in the plan language; ``@action("transp
 """
 
 from pycram.actions import (  # noqa: F401  that there are these
+    closing,
     delivering,
     fetching,
+    handing_over,
     looking,
     navigating,
+    opening,
     parking_arms,
+    perceiving,
     picking_up,
     placing,
+    searching,
     transporting,
 )
 from pycram.actions.action import ActionDesignator, ActionType, action, replaced

@@ -98,6 +98,14 @@ def _candidates(designator: ObjectDesignator) -> list[Object]:
     return found
 
 
+def candidates_of(thing: Object | ObjectDesignator) -> list[Object]:
+    """Return the objects, all of one type, that may be meant: what is given, or what a designator describes."""
+    if not isinstance(thing, ObjectDesignator):
+        return [thing]
+    found = _candidates(thing)
+    return [body for body in found if body.type == found[0].type]
+
+
 def object_of(thing: Object | ObjectDesignator) -> Object:
     """Return an object that is given, or that a designator stands for.
 

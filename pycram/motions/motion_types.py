@@ -155,6 +155,14 @@ def _arm_resources(given: dict[str, Value]) -> Resources:
     return Resources({f"{arm}-{part}" for arm in _arms(given, "arm") for part in ("arm", "gripper")}, {"base"})
 
 
+def _pick_up_resources(given: dict[str, Value]) -> Resources:
+    giver = given.get("from")
+    taking = _arm_resources(given)
+    return Resources(
+        taking.moves | {f"{giver}-{part}" for part in ("arm", "gripper")} if giver else taking.moves, {"base"}
+    )
+
+
 def _gripper_resources(given: dict[str, Value]) -> Resources:
     return Resources({f"{arm}-gripper" for arm in _arms(given, "gripper")})
 
@@ -190,8 +198,13 @@ TYPES: Final = {
         MotionType(
             "pick-up",
             "pick",
-            (Slot("object", slot_checks.body, required=True), _ARM, Slot("grasp", slot_checks.grasp)),
-            _arm_resources,
+            (
+                Slot("object", slot_checks.body, required=True),
+                _ARM,
+                Slot("grasp", slot_checks.grasp),
+                Slot("from", slot_checks.arm, text="name of the arm that holds it, and lets go of it then"),
+            ),
+            _pick_up_resources,
         ),
         MotionType(
             "place",

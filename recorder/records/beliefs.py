@@ -10,7 +10,6 @@ The running plan and readers of recordings fold with the same functions.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Belief, Mutation, Query
@@ -30,13 +29,26 @@ ROBOT: Final = "robot"
 """Name of the evidence of a look that says whose it was."""
 SOURCES: Final[Mapping[str, Belief.Source]] = {"seen": Belief.SEEN, "told": Belief.TOLD}
 """What a look teaches, by the name of its evidence: poses of objects, by their names."""
+_NAMES: Final = tuple(name.encode() for name in SOURCES)
+_WORDS: Final = {source: name.lower() for name, source in Belief.Source.items() if source}
 _FORGETTING: Final = frozenset({"reset", "close_world"})
 _FAR: Final = 1e9  # m, beyond which nothing is
+_SHORTEST, _LONGEST = 0.99, 1.01  # squared lengths of a unit quaternion
 
 
 def is_look(query: Query) -> bool:
     """Return whether a query taught a robot where objects are."""
     return any(fact.name in SOURCES for fact in query.evidence)
+
+
+def may_be_look(payload: bytes) -> bool:
+    """Return whether a serialized query may be such a one: most needn't be read to know that they aren't."""
+    return any(name in payload for name in _NAMES)
+
+
+def word(source: int) -> str:
+    """Return what a belief rests on, as a word: "seen", "told", "held", "placed"; of a newer release's, its number."""
+    return _WORDS.get(source, str(source))
 
 
 def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[str, Plain]:
@@ -173,7 +185,7 @@ def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
         if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
             raise ValueError(f"{values!r} is no {part} of {name}")
         numbers.append([float(value) for value in values])
-    if not 0.98 <= math.hypot(*numbers[1]) <= 1.02:
+    if not _SHORTEST <= sum(number * number for number in numbers[1]) <= _LONGEST:
         raise ValueError(f"{numbers[1]} is no unit quaternion")
     return numbers[0], numbers[1]
 
