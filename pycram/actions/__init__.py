@@ -5,7 +5,21 @@ carries on with the next choice when one fails, and says what was tried when its
 function in a module of its own, written in the plan language; ``@action("transporting")`` puts another in its place.
 """
 
-from pycram.actions import closing, handing_over, navigating, opening, perceiving, picking_up, searching  # noqa: F401  that there are these
+from pycram.actions import (  # noqa: F401  that there are these
+    closing,
+    delivering,
+    fetching,
+    handing_over,
+    looking,
+    navigating,
+    opening,
+    parking_arms,
+    perceiving,
+    picking_up,
+    placing,
+    searching,
+    transporting,
+)
 from pycram.actions.action import ActionDesignator, ActionType, action, replaced
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import ObjectDesignator

@@ -54,6 +54,7 @@ class ActionType:
         function: What does it, with everything chosen.
         slots: Its slots beside ``type``.
         choices: What finds the open ones; None if there is nothing to choose.
+        prepare: What is done before they are found; None for nothing.
         text: What it does, the first lines of the function's docstring.
     """
 
@@ -61,6 +62,7 @@ class ActionType:
     function: Callable[..., Any]
     slots: tuple[Slot, ...]
     choices: Choices | None = None
+    prepare: Callable[..., None] | None = None
     text: str = ""
     one_of: ClassVar[tuple[str, ...]] = ()
     only_one: ClassVar[bool] = False
@@ -68,6 +70,11 @@ class ActionType:
     def describe(self) -> str:
         """Describe its slots, for messages."""
         return described(self)
+
+    def prepared(self, designator: ActionDesignator) -> None:
+        """Do what is done before choices are found."""
+        if self.prepare is not None:
+            self.prepare(**arguments(self.prepare, checked_type(designator)[1]))
 
     def call(self, slots: Mapping[str, Any]) -> Any:
         """Do it, with everything chosen, and return the function's result."""
@@ -84,7 +91,11 @@ TYPES: Final[dict[str, ActionType]] = {}
 
 
 def action(
-    name: str, *, choices: Choices | None = None, checked: Mapping[str, Check] | None = None
+    name: str,
+    *,
+    choices: Choices | None = None,
+    prepare: Callable[..., None] | None = None,
+    checked: Mapping[str, Check] | None = None,
 ) -> Callable[[Function], Function]:
     """Decorate a function that does the actions of a type, instead of what did them before.
 
@@ -92,6 +103,7 @@ def action(
         name: The type, as "fetching".
         choices: A generator function that is called with the slots, as the function is, of which it takes those that it
             has as parameters. It yields values of slots by name, the best first; those that a try gets.
+        prepare: What the robot does before choices are found, as looking for the object; called as these are.
         checked: Checks of slots that PyCRAM's own actions don't have, by name.
 
     Raises:
@@ -100,7 +112,7 @@ def action(
     text("name", name)
 
     def register(function: Function) -> Function:
-        TYPES[name] = _type(name, function, choices, checked or {})
+        TYPES[name] = _type(name, function, choices, prepare, checked or {})
         return function
 
     return register
@@ -122,7 +134,13 @@ def replaced(
             TYPES[name] = before
 
 
-def _type(name: str, function: Callable[..., Any], choices: Choices | None, checked: Mapping[str, Check]) -> ActionType:
+def _type(
+    name: str,
+    function: Callable[..., Any],
+    choices: Choices | None,
+    prepare: Callable[..., None] | None,
+    checked: Mapping[str, Check],
+) -> ActionType:
     texts = _texts(function)
     slots = []
     for parameter in inspect.signature(function).parameters.values():
@@ -133,7 +151,7 @@ def _type(name: str, function: Callable[..., Any], choices: Choices | None, chec
         check = checked.get(slot) or checks.BY_SLOT.get(slot, checks.anything)
         slots.append(Slot(slot, check, required=required, text=texts.get(parameter.name, "")))
     doc = inspect.getdoc(function) or ""
-    return ActionType(name, function, (*slots, *_COMMON), choices, doc.partition("\n\nArgs:")[0])
+    return ActionType(name, function, (*slots, *_COMMON), choices, prepare, doc.partition("\n\nArgs:")[0])
 
 
 def _texts(function: Callable[..., Any]) -> dict[str, str]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.locations import LocationDesignator
-from pycram.actions.objects import ObjectDesignator
+from pycram.actions.objects import thing
 from pycram.foundation.failures import BadArgument
 from pycram.motions import slot_checks
 from pycram.motions.designator import Designator
-from pycram.world.object import Object
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,17 +23,6 @@ def anything(name: str, value: Any) -> Any:  # noqa: ARG001  a check
     return value
 
 
-def thing(name: str, value: Any) -> Any:
-    """An Object of a world, an ObjectDesignator, or a type of objects."""
-    if isinstance(value, Object):
-        return slot_checks.body(name, value)
-    described = ObjectDesignator(type=value) if isinstance(value, str) else value
-    if not isinstance(described, ObjectDesignator):
-        raise BadArgument(name, value, "an Object, an ObjectDesignator, or a type of objects")
-    described.check()
-    return described
-
-
 def place(name: str, value: Any) -> Any:
     """A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame."""
     if isinstance(value, LocationDesignator):
@@ -45,6 +33,14 @@ def place(name: str, value: Any) -> Any:
         described.check()
         return described
     return slot_checks.position(name, value)
+
+
+def location(name: str, value: Any) -> Any:
+    """A LocationDesignator."""
+    if not isinstance(value, LocationDesignator):
+        raise BadArgument(name, value, "a LocationDesignator")
+    value.check()
+    return value
 
 
 def budget(name: str, value: Any) -> Any:
@@ -64,7 +60,9 @@ def flag(name: str, value: Any) -> Any:
 BY_SLOT: Final[Mapping[str, Check]] = {
     "object": thing,
     "target": place,
-    "place": anything,
+    "place": location,
+    "put": location,
+    "clear": flag,
     "orientation": slot_checks.orientation,
     "arm": slot_checks.arm,
     "grasp": slot_checks.grasp,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from pycram.actions.objects import ObjectDesignator, object_of
+from pycram.actions.objects import ObjectDesignator, object_of, thing
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, UnknownName
 from pycram.motions import slot_checks
@@ -28,16 +29,6 @@ if TYPE_CHECKING:
 
 #: Surfaces with the furniture that they belong to.
 Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
-
-
-def _thing(name: str, value: Any) -> Any:
-    """An Object, an ObjectDesignator, or a type of objects."""
-    described = ObjectDesignator(type=value) if isinstance(value, str) else value
-    if not isinstance(described, Object | ObjectDesignator):
-        raise BadArgument(name, value, "an Object, an ObjectDesignator, or a type of objects")
-    if isinstance(described, ObjectDesignator):
-        described.check()
-    return described
 
 
 def _surfaces(name: str, value: Any) -> Surfaces:
@@ -87,7 +78,7 @@ def _furniture() -> list[Object]:
 def _near(name: str, value: Any) -> Any:
     """[x, y] or [x, y, z] in m, world frame, or an object."""
     if isinstance(value, Object | ObjectDesignator | str):
-        return _thing(name, value)
+        return thing(name, value)
     return list(checks.vector(name, (*value, 0.0) if hasattr(value, "__len__") and len(value) == 2 else value))
 
 
@@ -96,13 +87,13 @@ def _side(name: str, value: Any) -> Any:
     side, of = value if isinstance(value, list | tuple) and len(value) == 2 else (value, None)
     if side not in SIDES:
         raise BadArgument(name, value, f"one of {', '.join(SIDES)}, or one of these and an object")
-    return side if of is None else (side, _thing(name, of))
+    return side if of is None else (side, thing(name, of))
 
 
 def _reachable(name: str, value: Any) -> Any:
     """What the robot is to reach: an object, or [x, y, z] in m; of a place for an object, the robot."""
     if isinstance(value, Object | ObjectDesignator | str):
-        return _thing(name, value)
+        return thing(name, value)
     return value if isinstance(value, PutDown) else slot_checks.position(name, value)
 
 
@@ -115,11 +106,12 @@ class _Slots:
         Slot("orientation", slot_checks.orientation, text="a quaternion [x, y, z, w], world frame, there"),
         Slot("on", _surfaces),
         Slot("in", _inside),
-        Slot("for", _thing, text="the object that is to be put there; that of the action by default"),
+        Slot("for", thing, text="the object that is to be put there; that of the action by default"),
         Slot("near", _near),
         Slot("side", _side),
         Slot("reachable-for", _reachable),
-        Slot("visible-for", _thing, text="the object that the robot's camera is to see from there"),
+        Slot("visible-for", thing, text="the object that the robot's camera is to see from there"),
+        Slot("away-from", _near, text="an object or a point that it is to be at least 0.4 m away from"),
         Slot("arm", slot_checks.arm, text="the arm that is to reach; any by default"),
     )
     one_of: Final = ("position", "on", "in", "near", "reachable-for", "visible-for")
@@ -131,6 +123,7 @@ class _Slots:
         return described(_Slots(), "a LocationDesignator")
 
 
+_AWAY: Final = 0.4  # m
 _EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on", "visible-for"), ("in", "visible-for"))
 
 
@@ -191,8 +184,10 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
     if "position" in slots:
         yield {"position": slots["position"], "orientation": slots.get("orientation"), "arms": ()}
         return
+    away = _point(slots.get("away-from"))
     for place in _objects_places(slots) if designator.for_objects else _robots_places(slots):
-        yield solution_of(place)
+        if away is None or math.dist(place.position[:2], away[:2]) >= _AWAY:
+            yield solution_of(place)
 
 
 def solution_of(place: Place) -> Solution:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.foundation.failures import PerceptionError
+from pycram.foundation.failures import BadArgument, PerceptionError
 from pycram.knowledge import beliefs
 from pycram.motions import slot_checks
 from pycram.motions.designator import ResolvedDesignator
 from pycram.motions.motion_types import Slot, checked_slots, described
 from pycram.motions.slots import DesignatorError
 from pycram.scheduling.future import unwrap
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder.suggestions import suggestion
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
     from pycram.motions.designator import Resolver
     from pycram.motions.solutions import Solution
-    from pycram.world.object import Object
 
 
 class _Slots:
@@ -116,3 +116,14 @@ def object_of(thing: Object | ObjectDesignator) -> Object:
         return thing
     found: Object = thing.reference()["object"]
     return found
+
+
+def thing(name: str, value: Any) -> Any:
+    """An Object of a world, an ObjectDesignator, or a type of objects."""
+    if isinstance(value, Object):
+        return slot_checks.body(name, value)
+    designator = ObjectDesignator(type=value) if isinstance(value, str) else value
+    if not isinstance(designator, ObjectDesignator):
+        raise BadArgument(name, value, "an Object, an ObjectDesignator, or a type of objects")
+    designator.check()
+    return designator

@@ -7,7 +7,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.actions.action import ActionDesignator, ActionType, type_of
+from pycram.actions.action import TYPES, ActionDesignator, ActionType, type_of
 from pycram.actions.projecting import AT_ONCE, Thinking, imagine, not_projecting, thinking
 from pycram.foundation.failures import PlanFailure
 from pycram.foundation.names import export, qualified_name
@@ -158,13 +158,15 @@ class _Act:
             return self._carried_out()
 
     def _carried_out(self) -> Any:
-        solutions = self._solutions()
-        first = next(solutions)
-        kind = type_of(first)
         slots = dict(self._designator.description)
         budget = self._room(slots.get("budget"))
         ahead = thinking(wanted=slots.get("projected"))
         with Binding(_budget, budget):
+            if self._designator.type in TYPES:
+                TYPES[self._designator.type].prepared(self._designator)
+            solutions = self._solutions()
+            first = next(solutions)
+            kind = type_of(first)
             if kind.choices is None:
                 return kind.call(first)
             return _Tries(kind, slots, itertools.chain([first], solutions), budget, ahead).carried_out()
