@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias
 
 from pycram.actions.objects import ObjectDesignator, object_of, thing
 from pycram.foundation import checks
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from pycram.models.furniture import Surface
     from pycram.motions.designator import Resolver
+    from pycram.motions.motion_types import Slotted
     from pycram.motions.solutions import Solution
     from pycram.reasoning.places import Place
 
@@ -134,6 +135,9 @@ class LocationDesignator(ResolvedDesignator):
     solutions have ``position`` and ``orientation`` in the world frame, and the ``arms`` that reach, found one by one,
     the best first.
     """
+
+    takes: ClassVar[Slotted] = _Slots()
+    """Its slots."""
 
     @staticmethod
     def _own_resolver() -> Resolver:

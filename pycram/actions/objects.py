@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from pycram.foundation.failures import BadArgument, PerceptionError
 from pycram.knowledge import beliefs
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from pycram.motions.designator import Resolver
+    from pycram.motions.motion_types import Slotted
     from pycram.motions.solutions import Solution
 
 
@@ -44,6 +45,9 @@ class ObjectDesignator(ResolvedDesignator):
 
     Its solutions have ``object``, ``position`` and ``orientation``: the object, and where it is believed to be.
     """
+
+    takes: ClassVar[Slotted] = _Slots()
+    """Its slots."""
 
     @staticmethod
     def _own_resolver() -> Resolver:

@@ -45,7 +45,9 @@ class Slot:
 
     Attributes:
         check: Check of its value.
-        default: Infers a missing value from the given ones; None leaves it out of the solution.
+        default: Infers a missing value from the given ones, and says in its docstring which; None leaves it out of the
+            solution.
+        otherwise: What is done then.
         aliases: Other names for it.
         text: What it is; that of the check by default.
     """
@@ -56,12 +58,23 @@ class Slot:
     default: Callable[[dict[str, Value]], Value] | None = None
     aliases: tuple[str, ...] = ()
     text: str = ""
+    otherwise: str = ""
 
     def describe(self) -> str:
         """Describe it, for messages."""
         names = " or ".join((self.name, *self.aliases))
         need = "required" if self.required else "optional"
-        return f"{names} ({need}): {self.text or (self.check.__doc__ or '').strip().rstrip('.')}"
+        return f"{names} ({need}): {self.values}"
+
+    @property
+    def values(self) -> str:
+        """What it may hold, with units and frames."""
+        return self.text or (self.check.__doc__ or "").strip().rstrip(".")
+
+    @property
+    def missing(self) -> str:
+        """What is meant where it is left out; empty if that isn't said."""
+        return self.otherwise or ((self.default and self.default.__doc__) or "").strip().rstrip(".")
 
 
 class Slotted(Protocol):
@@ -124,24 +137,28 @@ class _PosturesOfArms(MotionType):
 
     def for_robot(self) -> MotionType:
         """Return it with these slots."""
-        names = tuple(f"{arm}-arm" for arm in slot_checks.arm_names())
-        return replace(self, slots=tuple(Slot(name, slot_checks.posture) for name in names), one_of=names)
+        (posture,) = self.slots
+        names = tuple(posture.name.replace("NAME", arm) for arm in slot_checks.arm_names())
+        return replace(self, slots=tuple(replace(posture, name=name) for name in names), one_of=names)
 
 
 def _heading(_: dict[str, Value]) -> Value:
+    """The robot's orientation now."""
     return BulletWorld.current_robot().get_orientation()
 
 
 def _default_arm(_: dict[str, Value]) -> Value:
+    """The only arm, or "left"."""
     return slot_checks.default_arm()
 
 
 def _only_arm(_: dict[str, Value]) -> Value:
+    """The only arm; required of a robot that has several."""
     return slot_checks.only_arm()
 
 
 def _holding_arm(given: dict[str, Value]) -> Value:
-    """Return the arm that holds the object; the default one if none does."""
+    """The arm that holds the object; the only one, or "left", if none does."""
     body = given.get("object")
     attachment = None if body is None or body.carrier is None else body.attachments[body.carrier]
     description = BulletWorld.current_robot().description
@@ -149,6 +166,11 @@ def _holding_arm(given: dict[str, Value]) -> Value:
         return slot_checks.default_arm()
     arm = description.arm_of(attachment.carrier_link)
     return arm.name if arm else slot_checks.default_arm()
+
+
+def _opened(_: dict[str, Value]) -> Value:
+    """0.3."""
+    return 0.3
 
 
 def _arm_resources(given: dict[str, Value]) -> Resources:
@@ -201,7 +223,7 @@ TYPES: Final = {
             (
                 Slot("object", slot_checks.body, required=True),
                 _ARM,
-                Slot("grasp", slot_checks.grasp),
+                Slot("grasp", slot_checks.grasp, otherwise="the side that is freest"),
                 Slot("from", slot_checks.arm, text="name of the arm that holds it, and lets go of it then"),
             ),
             _pick_up_resources,
@@ -212,7 +234,7 @@ TYPES: Final = {
             (
                 Slot("object", slot_checks.body, required=True),
                 Slot("target", slot_checks.position, required=True),
-                Slot("orientation", slot_checks.orientation),
+                Slot("orientation", slot_checks.orientation, otherwise="upright, turned as the arm does it best"),
                 Slot("arm", slot_checks.arm, default=_holding_arm),
             ),
             _arm_resources,
@@ -225,7 +247,7 @@ TYPES: Final = {
                 Slot("drawer-handle", slot_checks.name, required=True),
                 Slot("part-of", slot_checks.body, required=True),
                 _ARM,
-                Slot("distance", slot_checks.distance, default=lambda _: 0.3),
+                Slot("distance", slot_checks.distance, default=_opened),
             ),
             _arm_resources,
         ),
@@ -248,10 +270,20 @@ TYPES: Final = {
         MotionType(
             "move-tcp",
             "move-tcp",
-            (Slot("target", slot_checks.position, required=True), Slot("orientation", slot_checks.orientation), _ARM),
+            (
+                Slot("target", slot_checks.position, required=True),
+                Slot("orientation", slot_checks.orientation, otherwise="any"),
+                _ARM,
+            ),
             _arm_resources,
         ),
-        _PosturesOfArms("move-arm-joints", "move-joints", (), _joint_resources),
+        _PosturesOfArms(
+            "move-arm-joints",
+            "move-joints",
+            (Slot("NAME-arm", slot_checks.posture, otherwise="that arm stays as it is"),),
+            _joint_resources,
+            one_of=("NAME-arm",),
+        ),
         MotionType(
             "world-state-detecting",
             "world-state-detecting",

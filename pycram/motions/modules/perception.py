@@ -26,6 +26,8 @@ RECOGNISABLE: Final = 0.5
 class Detecting(SimulatedModule):
     """Finds the object of a type that the robot's camera sees best, as it is directed now."""
 
+    failures = (PerceptionError, MissingPart)
+
     def _execute(self, designator: Designator) -> Object:
         kind = designator.reference()["object-type"]
         robot = self.robot()
@@ -67,6 +69,8 @@ def _reason(evidence: dict[str, Any]) -> str:
 
 class WorldStateDetecting(SimulatedModule):
     """Finds an object of a type in the state of the world, the nearest one; it need not be seen."""
+
+    failures = (PerceptionError,)
 
     def _execute(self, designator: Designator) -> Object:
         kind = designator.reference()["object-type"]

@@ -5,8 +5,18 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import Blocked, GraspFailed, GripperBlocked, NoPath, PlanFailure
-from pycram.motions.modules.simulated import SimulatedModule
+from pycram.foundation.failures import (
+    Blocked,
+    DoesNotFit,
+    GraspFailed,
+    GripperBlocked,
+    MissingPart,
+    NoPath,
+    PlanFailure,
+    PostureInCollision,
+    Unreachable,
+)
+from pycram.motions.modules.simulated import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
@@ -39,6 +49,9 @@ class PickUp(SimulatedModule):
     Everything is planned before anything moves, and looked at again when the hand is there and when it has closed. From
     another hand of the robot it takes an object beside that hand, which then lets go and is drawn back.
     """
+
+    failures = (GraspFailed, DoesNotFit, Unreachable, Blocked, GripperBlocked, MissingPart)
+    failures_in_time = (NoPath, PostureInCollision, *FOLLOWING)
 
     def _execute(self, designator: Designator) -> Object:
         solution = designator.reference()

@@ -8,9 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.collision_pair import CollisionPair
-from pycram.foundation.failures import NoPath, PlaceFailed, PlanFailure, Unreachable
+from pycram.foundation.failures import MissingPart, NoPath, PlaceFailed, PlanFailure, PostureInCollision, Unreachable
 from pycram.motions.execution import TIMEOUT
-from pycram.motions.modules.simulated import SimulatedModule
+from pycram.motions.modules.simulated import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing
@@ -58,6 +58,9 @@ class Place(SimulatedModule):
     what it touched there stands as it stood. If it leans on the hand, the hand is drawn back, and what comes of that
     counts: only time tells whether it stands without.
     """
+
+    failures = (PlaceFailed, Unreachable, MissingPart)
+    failures_in_time = (NoPath, PostureInCollision, *FOLLOWING)
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
