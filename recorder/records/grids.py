@@ -41,3 +41,16 @@ def scores_of(grid: Grid) -> NDArray[np.float64]:
         raise ValueError(f"a map of {width} x {height} cells with {len(content)} scores")
     scores: NDArray[np.float64] = np.frombuffer(content, dtype=np.uint8).reshape(height, width) / 255.0
     return scores
+
+
+def spots_of(grid: Grid) -> NDArray[np.float64]:
+    """Return the positions (n, 3) of the places that were drawn from a map, m.
+
+    Raises:
+        ValueError: One is nowhere.
+    """
+    positions = [list(spot.position) for spot in grid.spots]
+    for position in positions:
+        if len(position) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in position):
+            raise ValueError(f"a place at {position}")
+    return np.array(positions, dtype=np.float64).reshape(-1, 3)

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pycram.models.furniture.furniture import Surface
     from pycram.models.robots.description import Arm
-    from pycram.reasoning.places.place import Surface
     from pycram.reasoning.queries.polygon import Polygon
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
@@ -85,7 +85,7 @@ def free_places(
 
     Args:
         body: the object, upright; wherever it is now.
-        on: surfaces, each with the furniture that it belongs to.
+        on: surfaces, each with the furniture that it belongs to: (kitchen, kitchen.surface("island")).
         near: xyz or xy of a point that it shall be near, m.
         side: of each surface, or of an object (side, object), as the robot sees it: "front", "back", "left", "right".
         orientation: xyzw of the object there; any about the vertical by default.
@@ -134,8 +134,7 @@ class _Field:
 
     def pose(self) -> Pose:
         """Return the pose of its middle in the world."""
-        link = self.furniture.get_link_position_and_orientation(self.surface.link)
-        return geometry.multiply(link, (self.surface.position, self.surface.orientation))
+        return self.furniture.surface_pose(self.surface)
 
     def outline(self) -> Polygon:
         """Return its outline in the world, seen from above, counterclockwise."""
@@ -206,8 +205,14 @@ class _Search:
         corners = np.array(outline)
         grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, _RESOLUTION)
         centers = grid.centers()
-        inner, outer = maps.radii(self._turned(0.0)[:, :2])
-        wishes = [("edge", self._within(centers, outline, inner, outer)), ("room", self._room(field, centers))]
+        stands = self._turned(0.0)
+        inner, outer = maps.radii(stands[:, :2])
+        fits = float(np.ptp(stands[:, 2])) <= field.surface.clearance
+        wishes = [
+            ("clearance", np.full(len(centers), float(fits))),
+            ("edge", self._within(centers, outline, inner, outer)),
+            ("room", maps.clear(centers, self._obstacles(field), inner, outer + _FINGERS)),
+        ]
         if self._near is not None:
             wishes.append(("near", maps.near(centers, self._near, _NEAR)))
         if self._side[0] is not None:
@@ -233,11 +238,6 @@ class _Search:
             np.minimum(margins, side, out=margins)
         ramp: Array = np.clip((margins - inner - _EDGE) / max(outer - inner, 1e-3), 0.0, 1.0)
         return np.where(margins < inner, 0.0, 0.3 + 0.7 * ramp)
-
-    def _room(self, field: _Field, centers: Array) -> Array:
-        """Return 0 where an object would be in something that stands there however it is turned."""
-        inner, outer = maps.radii(self._turned(0.0)[:, :2])
-        return maps.clear(centers, self._obstacles(field), inner, outer + _FINGERS)
 
     def _obstacles(self, field: _Field) -> maps.Footprints:
         """Return what stands on a surface, or hangs above it as low as the object is high."""
@@ -336,7 +336,7 @@ class _Search:
         (x, y, z), turn = spot.pose
         corners = self._corners @ geometry.to_matrix(turn).T
         own = polygon.convex_hull(corners[:, :2] + (x, y))
-        taken = self._no_room(own, float(np.ptp(corners[:, 2])), field, outline, obstacles)
+        taken = self._no_room(own, field, outline, obstacles)
         if taken is not None:
             return taken
         try:
@@ -353,13 +353,11 @@ class _Search:
         return Place(rest, turn, reached, spot.score, field.surface.name)
 
     def _no_room(
-        self, own: Polygon, size: float, field: _Field, outline: Polygon, obstacles: Sequence[Polygon]
+        self, own: Polygon, field: _Field, outline: Polygon, obstacles: Sequence[Polygon]
     ) -> tuple[str, Rejection] | None:
-        """Return why there is no room on a surface for the object's outline, of some size upwards in m."""
+        """Return why there is no room on a surface for the object's outline."""
         if any(polygon.margin(outline, corner) < _EDGE for corner in own):
             return "edge", NoRoom(f"it would stick out over the edge of {field.surface.name}")
-        if size > field.surface.clearance:
-            return "clearance", NoRoom(f"it is higher than what is free above {field.surface.name}")
         wide = _widened(own, _FINGERS)
         if any(len(polygon.intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
             return "room", NoRoom("something is there already, or no finger fits between")
