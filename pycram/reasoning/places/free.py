@@ -11,6 +11,7 @@ import numpy as np
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlaceFailed, UnknownName
+from pycram.models.furniture.furniture import Surface
 from pycram.models.visual import pieces_of
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.boxes import concatenate
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.models.furniture.furniture import Surface
     from pycram.models.robots.description import Arm
     from pycram.reasoning.queries.polygon import Polygon
     from pycram.reasoning.rejections import Rejection
@@ -69,7 +69,7 @@ _COARSE: Final = 0.1  # m between places of a surface for which that is asked
 def free_places(
     body: Object,
     *,
-    on: Sequence[tuple[Object, Surface]],
+    on: Sequence[tuple[Object, Surface | str]],
     near: Sequence[float] | None = None,
     side: str | tuple[str, Object] | None = None,
     orientation: Sequence[float] | None = None,
@@ -85,7 +85,7 @@ def free_places(
 
     Args:
         body: the object, upright; wherever it is now.
-        on: surfaces, each with the furniture that it belongs to: (kitchen, kitchen.surface("island")).
+        on: surfaces, or their names, each with the furniture that it belongs to: (kitchen, "island").
         near: xyz or xy of a point that it shall be near, m.
         side: of each surface, or of an object (side, object), as the robot sees it: "front", "back", "left", "right".
         orientation: xyzw of the object there; any about the vertical by default.
@@ -95,11 +95,11 @@ def free_places(
 
     Raises:
         BadArgument: an impossible value.
-        UnknownName: an unknown side or arm.
+        UnknownName: an unknown side, arm or surface.
         NoPlace: when the first is asked for: there is none.
     """
     body, robot = unwrap(body), unwrap(reachable_for)
-    surfaces = [(unwrap(furniture), surface) for furniture, surface in on]
+    surfaces = [_surface(unwrap(furniture), surface) for furniture, surface in on]
     if not surfaces:
         raise BadArgument("on", on, "at least one surface with its furniture")
     name, reference = (side, None) if side is None or isinstance(side, str) else (side[0], unwrap(side[1]))
@@ -114,6 +114,12 @@ def free_places(
     point = None if near is None else checks.vector("near", (*near, 0.0) if len(near) == 2 else near)
     turn = None if orientation is None else checks.quaternion("orientation", orientation)
     return _Search(body, surfaces, point, (name, reference), turn, robot, chosen, seed).places()
+
+
+def _surface(furniture: Object, surface: Surface | str) -> tuple[Object, Surface]:
+    """Return a surface that is given, or named, with its furniture."""
+    world_of(furniture)
+    return furniture, surface if isinstance(surface, Surface) else furniture.surface(surface)
 
 
 @dataclass(slots=True)
@@ -305,7 +311,10 @@ class _Search:
         (_, _, height), _ = field.pose()
         spots = []
         for cell, (x, y) in spread(grid, scores, _SPOTS, random):
-            yaw = start + 2 * math.pi * int(random.integers(_YAWS)) / _YAWS
+            step = int(random.integers(_YAWS))
+            if self._stays() and step % 2:  # an arm that has taken it puts it down most easily as it stood
+                step = 0
+            yaw = start + 2 * math.pi * step / _YAWS
             turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
             pose = (x, y, height - float(self._turned(yaw)[:, 2].min())), turn
             spots.append(Spot(f"[{x:.3f}, {y:.3f}]", pose, yaw_of(turn), float(scores[cell])))

@@ -179,6 +179,8 @@ def test_impossible_wishes_are_refused_at_once(room: BulletWorld, table: Object)
         free_places(cup, on=on(table), side="lefft")
     with pytest.raises(BadArgument, match="surface"):
         free_places(cup, on=[])
+    with pytest.raises(UnknownName, match="did you mean table"):
+        free_places(cup, on=[(table, "tabel")])
     with pytest.raises(BadArgument, match="robot with a description"):
         free_places(cup, on=on(table), reachable_for=table)
     with pytest.raises(BadArgument, match="near"):
