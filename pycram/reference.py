@@ -33,10 +33,10 @@ the code that checks designators and does what they ask for. Lengths are in m, a
 quaternions are [x, y, z, w]. An optional slot may be left out, or be None.
 """
 _ACTIONS: Final = """\
-`perform(ActionDesignator(type=..., ...))` of `pycram.designator` does an action: what is left open is chosen, and the
+`pycram.actions.perform(ActionDesignator(type=..., ...))` does an action: what is left open is chosen, and the
 next choice is tried when one fails. Names of slots are written with `_` as keyword arguments, `reachable_for=`, and
-with one at the end where Python has that word, `in_=`. Where there is nothing to choose from, as an object isn't found or no
-place will do (`NoPlace`), an action fails with that before anything moves. Every action takes also
+with one at the end where Python has that word, `in_=`. Where there is nothing to choose from, as an object isn't found
+or no place will do (`NoPlace`), an action fails with that before anything moves. Every action takes also
 """
 _MOTIONS: Final = """\
 `ProcessModule.perform(MotionDesignator(type=..., ...))`, or `perform`, does a motion. A slot takes a designator of an

@@ -47,10 +47,12 @@ def spots_of(grid: Grid) -> NDArray[np.float64]:
     """Return the positions (n, 3) of the places that were drawn from a map, m.
 
     Raises:
-        ValueError: One is nowhere.
+        ValueError: One is nowhere, or faces nowhere.
     """
     positions = [list(spot.position) for spot in grid.spots]
-    for position in positions:
+    for spot, position in zip(grid.spots, positions, strict=True):
         if len(position) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in position):
             raise ValueError(f"a place at {position}")
+        if not math.isfinite(spot.yaw):
+            raise ValueError(f"a place that faces {spot.yaw}")
     return np.array(positions, dtype=np.float64).reshape(-1, 3)
