@@ -96,9 +96,7 @@ def enclosing(body: Object) -> Any:
             continue
         for name in container.surfaces:
             surface = access.body.surfaces[name]
-            link = access.body.get_link_position_and_orientation(surface.link)
-            frame = geometry.multiply(link, (surface.position, surface.orientation))
-            u, v, above = geometry.transform(geometry.invert(frame), (x, y, z))
+            u, v, above = geometry.transform(geometry.invert(access.body.surface_pose(surface)), (x, y, z))
             corners = convex_hull(np.array(surface.outline))
             if 0.0 <= above <= surface.clearance and margin(corners, (u, v)) >= 0.0:
                 return container
