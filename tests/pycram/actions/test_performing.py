@@ -10,7 +10,7 @@ from pycram import tasks
 from pycram.actions import ActionFailed, action, perform, projecting, replaced
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator, ObjectDesignator
-from pycram.failures import GraspFailed, PlanFailure, ReasoningError, UnknownName
+from pycram.failures import GraspFailed, MissingPart, PlanFailure, ReasoningError, UnknownName
 from pycram.knowledge import learn
 from pycram.language import par
 from recorder.tasks.node import walk
@@ -192,6 +192,12 @@ def test_wrong_slots_are_refused_before_anything_is_done(slots: dict[str, Any], 
         perform(ActionDesignator(slots))
     assert message in str(raised.value)
     assert all(node.name not in ("pick-up", "place", "moving") for node in tasks.tree().find(kind="motion"))
+
+
+def test_a_robot_without_arms_is_told_so_before_anything_moves(world: BulletWorld) -> None:
+    learn({world.get_object("cup"): ([1, 0, 0], [0, 0, 0, 1])})
+    with pytest.raises(MissingPart, match="gripper has no arm"):
+        perform(ActionDesignator(type="transporting", object="cup", target=[0, 1, 0]))
 
 
 def test_what_isn_t_to_be_performed_is_refused() -> None:
