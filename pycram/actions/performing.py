@@ -185,14 +185,16 @@ class _Act:
 
     def _solutions(self) -> Iterator[Solution]:
         """Yield its solutions; how the first one was found goes on record."""
-        self.span.decision = decision = Decision(environment=current_environment())
-        try:
-            self.span.solution = first = self._designator.reference()
-            decision.module = qualified_name(type_of(first).function)
-        finally:
-            found = self._designator.resolution()
-            decision.resolver, decision.solution = found.resolver, found.index
-            decision.known, decision.complete = found.known, found.complete
+        self.span.solution = first = self._designator.reference()
+        found = self._designator.resolution()
+        self.span.decision = Decision(
+            environment=current_environment(),
+            resolver=found.resolver,
+            solution=found.index,
+            known=found.known,
+            complete=found.complete,
+            module=qualified_name(type_of(first).function),
+        )
         yield first
         yield from itertools.islice(self._designator.solutions(), 1, None)
 
