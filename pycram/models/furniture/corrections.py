@@ -245,7 +245,7 @@ class _Correction:
         things[thing.name] = thing
 
     def _surface(self, said: Mapping[str, Any], found: Surface | None, name: str, container: str) -> Surface:
-        outline = said.get("outline") or said.get("size")
+        outline: Any = said.get("outline") or said.get("size")
         link = said.get("link") or (found.link if found else "")
         upright = geometry.conjugate(self._poses[link][1])
         if found is None:
