@@ -16,7 +16,7 @@ from pycram.models.furniture.of_model import furniture_of
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sized
 
     from pycram.models.load import Model
     from recorder.geometry.urdf import Urdf
@@ -48,7 +48,7 @@ def describe(model: Model, urdf: str | Path) -> str:
     others = [f"{joint} ({tree.joints[joint].type})" for joint in tree.movable if joint not in opening]
     file = f"{Path(urdf).stem}{SUFFIX}"
     lines = [
-        f"# {tree.name}: {len(surfaces)} surfaces and {len(containers)} containers, as pycram describe finds them.",
+        f"# {tree.name}: {_count(surfaces, 'surface')}, {_count(containers, 'container')}; written by pycram describe.",
         f"# To name or correct them, save this beside the URDF as {file}. Metres, radians.",
         *_tables("surfaces", [*found.surfaces], said.get("surfaces", {}), surfaces),
         *_tables("containers", [*found.containers], said.get("containers", {}), containers),
@@ -56,6 +56,10 @@ def describe(model: Model, urdf: str | Path) -> str:
     if others:
         lines += ["", "# Joints that open nothing:", *(f"#   {joint}" for joint in others)]
     return "\n".join(lines) + "\n"
+
+
+def _count(things: Sized, name: str) -> str:
+    return f"{len(things) or 'no'} {name}{'' if len(things) == 1 else 's'}"
 
 
 def _tables(kind: str, found: list[str], said: Mapping[str, Any], now: Mapping[str, str]) -> Iterator[str]:
