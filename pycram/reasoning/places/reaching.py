@@ -96,8 +96,9 @@ def promising(robot: Object, goals: Sequence[Goal], arms: Sequence[Arm], bases: 
         for arm in arms:
             tools = [goal.tools(arm, base) for base in bases]
             targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each]
-            found = iter(Solver(robot, arm.tool_frame).closed_form(targets))
-            by_some |= [any([bool(next(found)) for _ in each]) for each in tools]
+            found = [bool(postures) for postures in Solver(robot, arm.tool_frame).closed_form(targets)]
+            owners = np.repeat(np.arange(len(bases)), [len(each) for each in tools])
+            by_some |= np.bincount(owners, weights=found, minlength=len(bases)) > 0
         within &= by_some
     return within.tolist() if within.any() else [True] * len(bases)
 
