@@ -148,6 +148,8 @@ class Taking:
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return the side of the first grasp that would hold it."""
+        if self._body.fixed:
+            return Unfit(f"{self._body.name} is fixed")
         if arm.hand is None:
             return Unfit("it has no gripper")
         in_hand = held(self._robot, arm)

@@ -141,15 +141,15 @@ class _Search:
         """Yield places, each from a query of its own."""
         world, found, vain = self._robot.world, False, 0
         for number in itertools.count():
-            with world.lock:
+            batch = Batch("standing_places", self._arguments)
+            with batch.asked(world, trace=False):
                 clone_of(world, "reach").sync()
-                batch, spots = self._batch(number)
-                with batch.asked(world, trace=False):
-                    place = self._first(batch, spots)
-                    vain = 0 if place else vain + 1
-                    over = not spots or not drives(self._robot) or vain == _BATCHES
-                    if place is None and over and not found:
-                        raise self._wishes.failure()
+                spots = self._drawn(batch, number)
+                place = self._first(batch, spots)
+                vain = 0 if place else vain + 1
+                over = not spots or not drives(self._robot) or vain == _BATCHES
+                if place is None and over and not found:
+                    raise self._wishes.failure()
             if place is not None:
                 found = True
                 yield place
@@ -169,11 +169,12 @@ class _Search:
         if self._goals or self._see is not None:
             faced, yaws = self._faced(centers, here[2])
             wishes.append((self._wanted, faced))
-        wishes.append(("collision", room(robot, centers)))
+        if drives(robot):
+            wishes.append(("collision", room(robot, centers)))
         if self._near is not None:
             wishes.append(("near", maps.near(centers, self._near, _NEAR)))
         wishes.append(("avoid", maps.away(centers, self._done, _APART)))
-        return grid, self._wishes.product(wishes), yaws
+        return grid, self._wishes.product(wishes)[0], yaws
 
     def _grid(self, here: Sequence[float]) -> Grid:
         """Return the cells from which everything may be reached and seen."""
@@ -222,8 +223,8 @@ class _Search:
         together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
         return together
 
-    def _batch(self, number: int) -> tuple[Batch, Sequence[Spot]]:
-        """Draw places."""
+    def _drawn(self, batch: Batch, number: int) -> Sequence[Spot]:
+        """Return places that are drawn from the maps, for the n-th batch from 0."""
         robot = self._robot
         position, turn = robot.get_position_and_orientation()
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
@@ -238,7 +239,7 @@ class _Search:
                 yaw = round(float(yaws[cell] + random.uniform(-_JITTER, _JITTER)), 4)
                 pose = (x, y, here[0][2]), geometry.product(geometry.from_rpy(0.0, 0.0, yaw), upright)
                 spots.append(Spot(f"[{x:.2f}, {y:.2f}]", pose, yaw, float(scores[cell])))
-        return Batch("standing_places", self._arguments, grid, scores, spots), spots
+        return batch.draw(grid, scores, spots)
 
     # --- one place after the other -----------------------------------------------------------------------------------
 
