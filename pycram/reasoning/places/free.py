@@ -261,9 +261,9 @@ class _Search:
         turn = {"back": 0.0, "left": math.pi / 2, "front": math.pi, "right": -math.pi / 2}[str(name)]
         x, y = math.cos(facing + turn), math.sin(facing + turn)
         offsets = centers - np.asarray(middle[:2])
-        along = offsets @ (x, y)
+        along: Array = offsets @ (x, y)
         if reference is None:
-            return (along > 0.0).astype(np.float64)
+            return np.where(along > 0.0, 1.0, 0.0)
         across = np.abs(offsets @ (-y, x))
         near = maps.near(centers, middle, _NEAR)
         beside: Array = np.where(along > across, near, 0.0)
