@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _UPRIGHT: Final = 0.999  # of a unit axis along the vertical
 _DIRECTIONS: Final = 36
+_BEHIND: Final = 0.05  # of its score that a place keeps from which something is behind something else
 _SURE: Final = 0.85  # of the radius of a circle within an outline: boxes are a little wider than what they are around
 
 
@@ -75,6 +76,21 @@ class Footprints:
             np.minimum(nearest, np.hypot(beyond[:, 0], beyond[:, 1]), out=nearest)
         return nearest
 
+    def between(self, points: Array, target: Sequence[float]) -> NDArray[np.bool_]:
+        """Return for points (n, 2) whether a rectangle meets the straight line to a target that isn't in it."""
+        end = np.asarray(target[:2])
+        hidden = np.zeros(len(points), dtype=bool)
+        for center, axes, halves in zip(self.centers, self.axes, self.halves, strict=True):
+            last = (end - center) @ axes
+            if (np.abs(last) <= halves).all():
+                continue
+            first = (points - center) @ axes
+            way = np.where(last == first, 1e-12, last - first)
+            one, other = (-halves - first) / way, (halves - first) / way  # shares of the way, by slabs
+            enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+            hidden |= np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)
+        return hidden
+
     def corners(self) -> Array:
         """Return the corners (4 * k, 2) of the rectangles, m."""
         signs = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float64)
@@ -90,6 +106,11 @@ def radii(outline: Array) -> tuple[float, float]:
     reach = outline @ np.array([np.cos(angles), np.sin(angles)])
     inner = float(reach.max(axis=0, initial=0.0).min())
     return max(inner, 0.0), float(np.hypot(*outline.T).max(initial=0.0))
+
+
+def straight(centers: Array, target: Sequence[float], obstacles: Footprints) -> Array:
+    """Return little where something is between a place and a target, as a wall or the side of a cupboard, else 1."""
+    return np.where(obstacles.between(centers, target), _BEHIND, 1.0)
 
 
 def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> Array:

@@ -128,19 +128,23 @@ def held(robot: Object, arm: Arm | None = None) -> list[Object]:
 
 
 class Taking:
-    """An object that is to be picked up."""
+    """An object that is to be picked up.
+
+    Attributes:
+        body: the object.
+    """
 
     def __init__(self, robot: Object, body: Object) -> None:
-        self._robot, self._body = robot, body
+        self._robot, self.body = robot, body
 
     @property
     def position(self) -> Vector:
         """Its middle, m."""
-        return center(self._body)
+        return center(self.body)
 
     def named(self) -> str:
         """Return its name."""
-        return self._body.name
+        return self.body.name
 
     def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  whichever arm
         """Return the tool in its middle, from all sides."""
@@ -148,20 +152,23 @@ class Taking:
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return the side of the first grasp that would hold it."""
-        if self._body.fixed:
-            return Unfit(f"{self._body.name} is fixed")
+        if self.body.fixed:
+            return Unfit(f"{self.body.name} is fixed")
         if arm.hand is None:
             return Unfit("it has no gripper")
         in_hand = held(self._robot, arm)
         if in_hand:
             return Unfit(f"it holds {in_hand[0].name}")
         solver = Solver(self._robot, arm.tool_frame)  # most places are out of reach: they are told quickly
-        grasps = candidates(self._body, self._robot, arm, base=base)
+        grasps = [
+            *candidates(self.body, self._robot, arm, base=base),
+            *candidates(self.body, self._robot, arm, base=base, off_center=True),
+        ]
         near = solver.search([(grasp.position, grasp.orientation, base) for grasp in grasps], quick=True)
         if not any(postures[0].reaches() for postures in near):
             return OutOfReach(min((postures[0].position_error for postures in near), default=None))
         failures: list[PlanFailure] = []
-        for grasp, *_ in ways_to_hold(self._robot, arm, self._body, None, failures, UNRECORDED, base):
+        for grasp, *_ in ways_to_hold(self._robot, arm, self.body, None, failures, UNRECORDED, base):
             return grasp.name
         return _rejection(failures[0])
 

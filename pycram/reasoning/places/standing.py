@@ -17,7 +17,7 @@ from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.batch import Batch, Spot
 from pycram.reasoning.places.grid import Grid, generator, spread
-from pycram.reasoning.places.outline import room
+from pycram.reasoning.places.outline import room, surroundings
 from pycram.reasoning.places.place import Place
 from pycram.reasoning.places.reaching import drives
 from pycram.reasoning.places.seeing import seen_share
@@ -52,6 +52,7 @@ _SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to whi
 _ROOM: Final = 1.5  # m around a point, where nothing else says how far
 _NEAR: Final = 0.7  # m at which a place near a point counts half
 _SHORT_WAY: Final = 8.0  # m of driving that count half
+_LEVEL: Final = 0.05  # m above what is reached: what is lower isn't between
 _HERE: Final = "where it stands"
 
 
@@ -169,12 +170,21 @@ class _Search:
         if self._goals or self._see is not None:
             faced, yaws = self._faced(centers, here[2])
             wishes.append((self._wanted, faced))
+            for goal in self._goals:
+                wishes.append((self._wanted, self._straight(centers, goal)))
         if drives(robot):
             wishes.append(("collision", room(robot, centers)))
         if self._near is not None:
             wishes.append(("near", maps.near(centers, self._near, _NEAR)))
         wishes.append(("avoid", maps.away(centers, self._done, _APART)))
         return grid, self._wishes.product(wishes)[0], yaws
+
+    def _straight(self, centers: Array, goal: Goal) -> Array:
+        """Return little where something is between a place and a goal, at the height of what would be reached."""
+        x, y, z = goal.position
+        target = [goal.body] if isinstance(goal, reaching.Taking) else []
+        between = maps.Footprints(surroundings(self._robot, *target), z, z + _LEVEL)
+        return maps.straight(centers, (x, y), between)
 
     def _grid(self, here: Sequence[float]) -> Grid:
         """Return the cells from which everything may be reached and seen."""
@@ -266,6 +276,8 @@ class _Search:
     def _collisions(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
         """Return for each place what the robot would touch there; None for nothing, and where it stands."""
         found: list[tuple[str, Rejection] | None] = []
+        if not spots:
+            return found
         with CollisionChecker(self._robot, (), all_links=True) as checker:
             for spot, candidate in zip(spots, checker.predict_at([spot.pose for spot in spots]), strict=True):
                 first = None if spot.name == _HERE else next(checker.collisions(candidate), None)
