@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _UPRIGHT: Final = 0.999  # of a unit axis along the vertical
 _DIRECTIONS: Final = 36
-_BEHIND: Final = 0.05  # of its score that a place keeps from which something is behind something else
+_BEHIND: Final = 0.02  # of its score that a place keeps from which something is behind something else
 _SURE: Final = 0.85  # of the radius of a circle within an outline: boxes are a little wider than what they are around
 
 
@@ -125,4 +125,4 @@ def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> 
     distance = obstacles.distances(centers, outer)
     sure = _SURE * inner
     score: Array = np.clip((distance - sure) / max(outer - sure, 1e-6), 0.0, 1.0)
-    return np.where(distance < sure, 0.0, 0.2 + 0.8 * score)
+    return np.where(distance < sure, 0.0, 0.5 + 0.5 * score)

@@ -94,13 +94,18 @@ def promising(robot: Object, goals: Sequence[Goal], arms: Sequence[Arm], bases: 
     for goal in goals:
         by_some = np.zeros(len(bases), dtype=bool)
         for arm in arms:
+            solver = Solver(robot, arm.tool_frame)
+            if not solver.in_closed_form:
+                by_some[:] = True
+                break
             tools = [goal.tools(arm, base) for base in bases]
             targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each]
-            found = [bool(postures) for postures in Solver(robot, arm.tool_frame).closed_form(targets)]
+            found = [bool(postures) for postures in solver.closed_form(targets)]
             owners = np.repeat(np.arange(len(bases)), [len(each) for each in tools])
             by_some |= np.bincount(owners, weights=found, minlength=len(bases)) > 0
         within &= by_some
-    return within.tolist() if within.any() else [True] * len(bases)
+    promises: list[bool] = within.tolist()
+    return promises
 
 
 def description_of(argument: str, robot: object) -> RobotDescription:

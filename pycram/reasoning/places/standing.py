@@ -24,7 +24,7 @@ from pycram.reasoning.places.seeing import seen_share
 from pycram.reasoning.places.wishes import Wishes
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE
-from pycram.reasoning.rejections import Touching, Unseen
+from pycram.reasoning.rejections import Touching, Unseen, Untried
 from pycram.scheduling.future import unwrap
 from recorder import geometry
 
@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_SPOTS: Final = 30  # that are drawn at once
-_BATCHES: Final = 2  # without a place, after which it is given up
+_SPOTS: Final = (30, 60)  # that are drawn at once, and once more where none of them will do
+_DOUBTFUL: Final = 10  # of each that are looked at though no arm seems to reach from there
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
 _FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
-_JITTER: Final = math.radians(6)
+_JITTER: Final = (math.radians(6), math.radians(40))  # of the heading, in the first and the second draw
 _APART: Final = 0.07  # m between places that are offered, or were tried
 _SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
 _ROOM: Final = 1.5  # m around a point, where nothing else says how far
@@ -145,10 +145,10 @@ class _Search:
             batch = Batch("standing_places", self._arguments)
             with batch.asked(world, trace=False):
                 clone_of(world, "reach").sync()
-                spots = self._drawn(batch, number)
+                spots = self._drawn(batch, number, vain)
                 place = self._first(batch, spots)
                 vain = 0 if place else vain + 1
-                over = not spots or not drives(self._robot) or vain == _BATCHES
+                over = not spots or not drives(self._robot) or vain == len(_SPOTS)
                 if place is None and over and not found:
                     raise self._wishes.failure()
             if place is not None:
@@ -170,8 +170,7 @@ class _Search:
         if self._goals or self._see is not None:
             faced, yaws = self._faced(centers, here[2])
             wishes.append((self._wanted, faced))
-            for goal in self._goals:
-                wishes.append((self._wanted, self._straight(centers, goal)))
+            wishes += [(self._wanted, self._straight(centers, goal)) for goal in self._goals]
         if drives(robot):
             wishes.append(("collision", room(robot, centers)))
         if self._near is not None:
@@ -233,8 +232,8 @@ class _Search:
         together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
         return together
 
-    def _drawn(self, batch: Batch, number: int) -> Sequence[Spot]:
-        """Return places that are drawn from the maps, for the n-th batch from 0."""
+    def _drawn(self, batch: Batch, number: int, vain: int) -> Sequence[Spot]:
+        """Return places that are drawn from the maps, for the n-th batch from 0, after some others in vain."""
         robot = self._robot
         position, turn = robot.get_position_and_orientation()
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
@@ -245,8 +244,8 @@ class _Search:
         if drives(robot):
             random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
             upright = geometry.product(geometry.from_rpy(0.0, 0.0, -geometry.to_rpy(turn)[2]), turn)
-            for cell, (x, y) in spread(grid, scores, _SPOTS, random):
-                yaw = round(float(yaws[cell] + random.uniform(-_JITTER, _JITTER)), 4)
+            for cell, (x, y) in spread(grid, scores, _SPOTS[vain], random):
+                yaw = round(float(yaws[cell] + random.uniform(-_JITTER[vain], _JITTER[vain])), 4)
                 pose = (x, y, here[0][2]), geometry.product(geometry.from_rpy(0.0, 0.0, yaw), upright)
                 spots.append(Spot(f"[{x:.2f}, {y:.2f}]", pose, yaw, float(scores[cell])))
         return batch.draw(grid, scores, spots)
@@ -264,7 +263,10 @@ class _Search:
                 free.append(spot)
         likely = reaching.promising(self._robot, self._goals, self._arms, [spot.pose for spot in free])
         first = [spot for spot, promises in zip(free, likely, strict=True) if promises]
-        for spot in (*first, *(spot for spot in free if spot not in first)):
+        doubtful = [spot for spot, promises in zip(free, likely, strict=True) if not promises]
+        for spot in doubtful[_DOUBTFUL:]:
+            batch.reject(spot.name, Untried())
+        for spot in (*first, *doubtful[:_DOUBTFUL]):
             self._done.append(spot.pose[0])
             excluded = self._excluded(spot)
             if isinstance(excluded, Place):
