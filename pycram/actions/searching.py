@@ -212,8 +212,7 @@ def _points(robot: Object, inside: Access | None = None) -> list[_Point]:
         for surface in body.surfaces.values():
             if inside is not None and (body is not inside.body or surface.container != inside.name):
                 continue
-            link = body.get_link_position_and_orientation(surface.link)
-            frame = geometry.multiply(link, (surface.position, surface.orientation))
+            frame = body.surface_pose(surface)
             where = f"in {surface.container}" if surface.container else f"on {surface.name}"
             container = f"{body.name}/{surface.container}" if surface.container else ""
             for x, y in _spread(surface.outline):
