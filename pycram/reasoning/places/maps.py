@@ -64,10 +64,13 @@ class Footprints:
             self.axes[number] = axes[number][:2, flat]
             self.halves[number] = halves[number, flat]
 
-    def distances(self, points: Array) -> Array:
-        """Return how far points (n, 2) are from the nearest rectangle, m; 0 inside of one."""
-        nearest = np.full(len(points), np.inf)
-        for center, axes, halves in zip(self.centers, self.axes, self.halves, strict=True):
+    def distances(self, points: Array, most: float) -> Array:
+        """Return how far points (n, 2) are from the nearest rectangle, m: 0 inside of one, ``most`` and more alike."""
+        nearest = np.full(len(points), most)
+        around = np.hypot(*self.halves.T)[:, None] + most
+        low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+        counted = ((self.centers > low - around) & (self.centers < high + around)).all(axis=1)
+        for center, axes, halves in zip(self.centers[counted], self.axes[counted], self.halves[counted], strict=True):
             beyond = np.maximum(np.abs((points - center) @ axes) - halves, 0.0)
             np.minimum(nearest, np.hypot(beyond[:, 0], beyond[:, 1]), out=nearest)
         return nearest
@@ -98,7 +101,7 @@ def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> 
         inner: radius of a circle within the outline, m.
         outer: radius of a circle around it, m.
     """
-    distance = obstacles.distances(centers)
+    distance = obstacles.distances(centers, outer)
     sure = _SURE * inner
     score: Array = np.clip((distance - sure) / max(outer - sure, 1e-6), 0.0, 1.0)
     return np.where(distance < sure, 0.0, 0.2 + 0.8 * score)

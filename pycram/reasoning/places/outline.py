@@ -42,5 +42,6 @@ def room(robot: Object, centers: Array) -> Array:
     for low, high in itertools.pairwise((_FLOOR, *_LAYERS)):
         outline = maps.Footprints(clone.boxes(robot), ground + low, ground + high).corners()
         inner, outer = maps.radii((outline - np.asarray(position[:2])) @ back)
-        score *= maps.clear(centers, maps.Footprints(others, ground + low, ground + high), inner, outer)
+        left = np.flatnonzero(score)
+        score[left] *= maps.clear(centers[left], maps.Footprints(others, ground + low, ground + high), inner, outer)
     return score

@@ -5,21 +5,26 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final, Protocol
 
+import numpy as np
+
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, Blocked, GraspFailed, PlaceFailed, PlanFailure, Unreachable
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.grasping import sides
 from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.grasping.handle_path import DeadEnd, plan
-from pycram.reasoning.grasping.handles import Handle
+from pycram.reasoning.grasping.handles import ANGLES, Handle
 from pycram.reasoning.grasping.putting import Refusals, placements
+from pycram.reasoning.grasping.sides import GRASPS, grasp_orientation
 from pycram.reasoning.grasping.taking import ways_to_hold
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.places.place import Pull, PutDown
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unfit
 from pycram.world.object import Object
+from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +34,7 @@ if TYPE_CHECKING:
     from pycram.reasoning.rejections import Rejection
     from recorder.geometry import Pose, Quaternion, Vector
 
+_TURNS: Final = 6  # about the vertical, in which what is put down may roughly stand
 _STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle has to be reached
 
 
@@ -45,6 +51,9 @@ class Goal(Protocol):
 
     def named(self) -> str:
         """Return what it is called."""
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:
+        """Return some poses, roughly, of which the tool would have to get to one with the robot's base at a pose."""
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return the side that an arm would come from with the robot's base at a pose, "" for none; or why it can't."""
@@ -74,6 +83,24 @@ def goal_of(robot: Object, target: Target) -> Goal:
         orientation = None if turn is None else checks.quaternion("orientation", turn)
         return Putting(robot, PutDown(checks.vector("reach", position), orientation))
     return Touch(robot, checks.vector("reach", parts))
+
+
+def promising(robot: Object, goals: Sequence[Goal], arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
+    """Return for poses of a robot's base whether each goal is roughly in reach of one of some arms.
+
+    It tells in which order to look; of arms that aren't solved in closed form it says that all are.
+    """
+    within = np.ones(len(bases), dtype=bool)
+    for goal in goals:
+        by_some = np.zeros(len(bases), dtype=bool)
+        for arm in arms:
+            tools = [goal.tools(arm, base) for base in bases]
+            targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each]
+            found = [bool(postures) for postures in Solver(robot, arm.tool_frame).closed_form(targets)]
+            owners = np.repeat(np.arange(len(bases)), [len(each) for each in tools])
+            by_some |= np.bincount(owners, weights=found, minlength=len(bases)) > 0
+        within &= by_some
+    return within.tolist() if within.any() else [True] * len(bases)
 
 
 def description_of(argument: str, robot: object) -> RobotDescription:
@@ -115,6 +142,10 @@ class Taking:
         """Return its name."""
         return self._body.name
 
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  whichever arm
+        """Return the tool in its middle, from all sides."""
+        return [(self.position, grasp_orientation(side, self._robot, base)) for side in GRASPS]
+
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return the side of the first grasp that would hold it."""
         if arm.hand is None:
@@ -149,11 +180,27 @@ class Putting:
         """Return where it is put."""
         return _named(self._target.position)
 
+    def _held(self, arm: Arm) -> Object | None:
+        """Return what an arm holds, if it is what shall be put down."""
+        in_hand = held(self._robot, arm)
+        return in_hand[0] if in_hand and self._target.body in (None, in_hand[0]) else None
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  wherever it stands
+        """Return where the tool would be that holds the object there, turned about the vertical."""
+        body = self._held(arm)
+        if body is None:
+            return []
+        tool = arm.tool_pose(self._robot.get_link_position_and_orientation(arm.tool_frame))
+        body_T_tool = geometry.multiply(geometry.invert(body.get_position_and_orientation()), tool)
+        turns = [geometry.from_rpy(0.0, 0.0, sides.yaw(body) + math.pi / 3 * step) for step in range(_TURNS)]
+        if self._target.orientation is not None:
+            turns = [self._target.orientation]
+        return [geometry.multiply((self._target.position, turn), body_T_tool) for turn in turns]
+
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the arm can put down there what it holds."""
-        in_hand = held(self._robot, arm)
-        body = in_hand[0] if in_hand else None
-        if body is None or (self._target.body is not None and body is not self._target.body):
+        body = self._held(arm)
+        if body is None:
             return Unfit(f"it doesn't hold {self._target.body.name if self._target.body else 'anything'}")
         refusals, rests = Refusals(), self._rests.setdefault(arm.name, {})
         target, turn = self._target.position, self._target.orientation
@@ -183,6 +230,13 @@ class Pulling:
         """Return the handle's name."""
         return self._target.handle
 
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:
+        """Return the tool at the handle when it is opened or closed, turned about its bar."""
+        target = self._target
+        handle = Handle(target.container, target.joint, target.handle)
+        grip = handle.grips(self._robot, arm.gripper, base)[0]
+        return [geometry.multiply(handle.pose(target.to), grip.tool(angle)) for angle in ANGLES[::2]]
+
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the arm can hold the handle all the way."""
         if arm.hand is None:
@@ -208,6 +262,10 @@ class Touch:
     def named(self) -> str:
         """Return where it is."""
         return _named(self.position)
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  as above
+        """Return the tool there, from all sides."""
+        return [(self.position, grasp_orientation(side, self._robot, base)) for side in GRASPS]
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the tool gets there with nothing in the way."""

@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
 _SPOTS: Final = 30  # that are drawn at once
 _BATCHES: Final = 2  # without a place, after which it is given up
-_CHUNK: Final = 8  # spots that are checked for collisions at once
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
 _FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
 _JITTER: Final = math.radians(6)
@@ -244,18 +243,23 @@ class _Search:
     # --- one place after the other -----------------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
-        """Return the first place that will do."""
-        for start in range(0, len(spots), _CHUNK):
-            chunk = spots[start : start + _CHUNK]
-            for spot, blocked in zip(chunk, self._collisions(chunk), strict=True):
+        """Return the first place that will do: the promising ones are looked at first."""
+        free = []
+        for spot, blocked in zip(spots, self._collisions(spots), strict=True):
+            if blocked:
                 self._done.append(spot.pose[0])
-                excluded = blocked or self._excluded(spot)
-                if isinstance(excluded, Place):
-                    batch.take(
-                        spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms}
-                    )
-                    return excluded
-                self._wishes.exclude(batch, spot, *excluded)
+                self._wishes.exclude(batch, spot, *blocked)
+            else:
+                free.append(spot)
+        likely = reaching.promising(self._robot, self._goals, self._arms, [spot.pose for spot in free])
+        first = [spot for spot, promises in zip(free, likely, strict=True) if promises]
+        for spot in (*first, *(spot for spot in free if spot not in first)):
+            self._done.append(spot.pose[0])
+            excluded = self._excluded(spot)
+            if isinstance(excluded, Place):
+                batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms})
+                return excluded
+            self._wishes.exclude(batch, spot, *excluded)
         return None
 
     def _collisions(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
