@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from pycram.actions.performing import perform
-from pycram.foundation.failures import BadArgument, NoPlace, PlanFailure, UnknownName
+from pycram.foundation.failures import AccessFailed, BadArgument, NoPlace, PlanFailure, UnknownName
 from pycram.motions import slot_checks
 from pycram.motions.designator import MotionDesignator
 from pycram.reasoning.collision.ray_cast import center
@@ -137,15 +137,17 @@ def ways(access: Access, arm: str | None, values: Sequence[float]) -> Iterator[M
         values: Of its joint, rad or m, the best first.
 
     Raises:
+        AccessFailed: No arm is free.
         NoPlace: There is none for any.
     """
     robot = BulletWorld.current_robot()
+    arms = _free_arms(robot, access, arm)
     failure: NoPlace | None = None
     found = False
     for value in values:
         pull = Pull(access.body, access.joint, access.handle, value)
         try:
-            for place in itertools.islice(standing_places(robot, reach=[pull], arms=arm and [arm]), _PLACES):
+            for place in itertools.islice(standing_places(robot, reach=[pull], arms=arms), _PLACES):
                 found = True
                 for each in place.arms:
                     yield {
@@ -158,6 +160,22 @@ def ways(access: Access, arm: str | None, values: Sequence[float]) -> Iterator[M
             failure = failure or none
     if not found and failure is not None:
         raise failure
+
+
+def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:
+    """Return the arms, or the one that is wanted, that have a gripper and hold nothing.
+
+    Raises:
+        AccessFailed: There are none.
+    """
+    arms = robot.description.arms.values() if robot.description else ()
+    chosen = [arm for arm in arms if wanted in (None, arm.name) and arm.hand is not None]
+    held = {each.carrier_link: each.body.name for each in robot.carried}
+    free = [arm.name for arm in chosen if arm.tool_frame not in held]
+    if not free:
+        full = ", ".join(f"the {arm.name} gripper holds {held[arm.tool_frame]}" for arm in chosen)
+        raise AccessFailed(access.joint, full or "the robot has no gripper for it", handle=access.handle)
+    return free
 
 
 def move(access: Access, arm: str, distance: float, place: Sequence[float], orientation: Sequence[float]) -> None:

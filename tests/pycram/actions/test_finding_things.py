@@ -9,7 +9,7 @@ import pytest
 from pycram.actions import ObjectNotFound, perform
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator
-from pycram.failures import GraspFailed, MissingPart, PerceptionError, UnknownName
+from pycram.failures import AccessFailed, GraspFailed, MissingPart, PerceptionError, UnknownName
 from pycram.knowledge import believed, learn
 from pycram.motions.environments import execution_environment
 from pycram.reasoning.grasping import fingers
@@ -125,6 +125,13 @@ def test_wrong_containers_say_what_there_is(room: Room) -> None:
         do("opening", container=room.container[:-1])
     with pytest.raises(DesignatorError, match="a container, its name, or an Object"):
         do("closing", container=3)
+
+
+def test_without_a_free_hand_nothing_is_opened(room: Room) -> None:
+    for name, body in (("left", room.cup), ("right", room.spoon)):
+        room.robot.attach(body, room.robot.description.arm(name).tool_frame)
+    with pytest.raises(AccessFailed, match="the left gripper holds cup, the right gripper holds spoon"):
+        do("opening", container=room.container)
 
 
 @pytest.mark.slow
