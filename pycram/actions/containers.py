@@ -113,18 +113,21 @@ def access_of(container: Access | Object, joint: str | None, handle: str | None)
     if isinstance(container, Access):
         return container
     body = container
-    for access, _ in containers():
-        if access.body is body and (joint in (None, access.joint)) and (handle in (None, access.handle)):
-            if joint is None and handle is None:
-                break
-            return access
+    meant = [
+        access
+        for access, _ in containers()
+        if access.body is body and joint in (None, access.joint) and handle in (None, access.handle)
+    ]
+    if len(meant) == 1:
+        return meant[0]
     if handle is not None and joint is None:
         body.check_link(handle)
         joint = next((name for name in body.joints if handle in carried.moved_links(body.urdf, [name])), None)
         if joint is None:
             raise BadArgument("handle", handle, f"a link of {body.name} that a joint moves")
     if joint is None or handle is None:
-        raise BadArgument("container", body, "the name of a container, or a piece of furniture with joint and handle")
+        names = ", ".join(access.name for access in meant) or "it has none"
+        raise BadArgument("container", body.name, f"one of its containers, or also its joint and handle; {names}")
     return Access(handle, body, joint, handle, Handle(body, joint, handle).closed, body.joint_limits(joint)[1])
 
 

@@ -9,7 +9,7 @@ import pytest
 from pycram.actions import ObjectNotFound, perform
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator
-from pycram.failures import AccessFailed, GraspFailed, MissingPart, PerceptionError, UnknownName
+from pycram.failures import AccessFailed, BadArgument, GraspFailed, MissingPart, PerceptionError, UnknownName
 from pycram.knowledge import believed, learn
 from pycram.motions.environments import execution_environment
 from pycram.reasoning.grasping import fingers
@@ -125,6 +125,8 @@ def test_wrong_containers_say_what_there_is(room: Room) -> None:
         do("opening", container=room.container[:-1])
     with pytest.raises(DesignatorError, match="a container, its name, or an Object"):
         do("closing", container=3)
+    with pytest.raises(BadArgument, match="one of its containers, or also its joint and handle; it has none"):
+        do("opening", container=room.cup)
 
 
 def test_without_a_free_hand_nothing_is_opened(room: Room) -> None:
