@@ -10,16 +10,23 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from pycram.models.furniture.faces import Face, faces
-from pycram.models.furniture.furniture import DOOR, DRAWER, Container, Furniture, Surface
+from pycram.models.furniture.furniture import (
+    DOOR,
+    DRAWER,
+    Container,
+    Furniture,
+    Surface,
+    closed_position,
+    open_position,
+)
 from pycram.models.furniture.naming import distinct, readable
-from pycram.models.furniture.pieces import pieces
+from pycram.models.furniture.pieces import Rays, pieces
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -36,19 +43,16 @@ _GROUND: Final = 10.0  # m^2 of a surface that is a floor
 _NARROW: Final = 0.2  # m, width of the top of a wall at most
 _UPRIGHT: Final = 4.0  # times as high as it is wide, a wall at least
 _RAYS: Final = 24  # to the sides
-_NEAR: Final = 0.3  # m beyond its outline, that something hides a surface
-_LOW: Final = 0.05  # m above a surface, of rays at most
+_NEAR: Final = 0.6  # m beyond its outline, that something hides a surface
+_HEIGHTS: Final = (0.3, 0.6, 0.9)  # of rays, shares of the free height above a surface: a hand needs all of it
+_HAND: Final = 0.2  # m of free height that a hand needs at most
 _LEVEL: Final = 0.5  # z of the axis of a joint that moves sideways
 _TRAVEL: Final = (0.05, 2.0)  # m of a drawer
 _HANDLE: Final = ("handle", "knob", "grip", "pull")  # in names of links
 
 _ANGLES: Final = np.arange(_RAYS) * 2 * math.pi / _RAYS
-_DIRECTIONS: Final = np.vstack([np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)]), (0.0, 0.0, 1.0)])
-
-
-def closed_position(joint: Joint) -> float:
-    """Return where a door or drawer is closed, rad or m: at 0, or as near as its limits let it."""
-    return min(max(joint.lower, 0.0), joint.upper)
+_DIRECTIONS: Final = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)])
+_UP: Final = np.array([0.0, 0.0, 1.0])
 
 
 def find(path: Path, urdf: Urdf) -> Furniture:
@@ -90,6 +94,7 @@ class _Search:
 
     def __init__(self, urdf: Urdf, poses: Mapping[str, Pose], every: Sequence[Piece], offered: Sequence[Face]) -> None:
         self._urdf, self._poses, self._every, self._offered = urdf, poses, every, offered
+        self._rays = Rays(every)
         self._movers: dict[str, Joint | None] = {}  # the nearest joint above each link that moves it
         for link in urdf.links:
             joint = urdf.parent_joint(link)
@@ -126,13 +131,13 @@ class _Search:
         """Return the joint of the door that hides a face, "" if it is open, None if nothing opens the way to it."""
         if face.clearance == math.inf:
             return ""
-        origin = face.middle + np.array([0.0, 0.0, min(face.clearance, 2 * _LOW) / 2])
-        met = np.array([piece.enter(origin, _DIRECTIONS) for piece in self._every])
-        first, distances = met.argmin(axis=0), met.min(axis=0)
-        radius = float(np.linalg.norm(face.outline, axis=1).max())
-        if (distances > radius + _NEAR).any():
+        heights = [share * min(face.clearance, _HAND) for share in _HEIGHTS]
+        origins = np.vstack([np.tile(face.middle + height * _UP, (_RAYS, 1)) for height in heights] + [face.middle])
+        first, distances = self._rays.first(origins, np.vstack([_DIRECTIONS] * len(heights) + [_UP]))
+        far = distances > float(np.linalg.norm(face.outline, axis=1).max()) + _NEAR
+        if far[-1] or far[:-1].reshape(len(heights), _RAYS).all(axis=0).any():
             return ""
-        movers = [self._movers[self._every[number].link] for number in first]
+        movers = [self._movers[self._every[number].link] for number in first[~far]]
         doors = Counter(joint.name for joint in movers if joint is not None and joint.name not in drawers)
         hinged = [name for name, _ in doors.most_common() if math.isfinite(self._urdf.joints[name].upper)]
         return hinged[0] if hinged else None
@@ -148,8 +153,10 @@ class _Search:
         surfaces = [
             self._surface(named[number], face, by_joint.get(opened, "")) for number, (face, opened) in enumerate(kept)
         ]
-        containers = [self._container(name, self._urdf.joints[joint], surfaces) for joint, name in by_joint.items()]
-        containers = [replace(each, kind=DRAWER if each.joint in drawers else DOOR) for each in containers]
+        containers = [
+            self._container(name, DRAWER if joint in drawers else DOOR, self._urdf.joints[joint], surfaces)
+            for joint, name in by_joint.items()
+        ]
         return Furniture(
             MappingProxyType({surface.name: surface for surface in surfaces}),
             MappingProxyType({container.name: container for container in containers}),
@@ -166,11 +173,18 @@ class _Search:
         outline = tuple((float(a), float(b)) for a, b in face.outline)
         return Surface(name, face.link, position, orientation, outline, face.clearance, container)
 
-    def _container(self, name: str, joint: Joint, surfaces: Sequence[Surface]) -> Container:
-        closed = closed_position(joint)
-        wide = max((joint.lower, joint.upper), key=lambda position: abs(position - closed))
+    def _container(self, name: str, kind: str, joint: Joint, surfaces: Sequence[Surface]) -> Container:
         inside = tuple(surface.name for surface in surfaces if surface.container == name)
-        return Container(name, DOOR, joint.child, joint.name, self._handle(joint), closed, wide, inside)
+        return Container(
+            name,
+            kind,
+            joint.child,
+            joint.name,
+            self._handle(joint),
+            closed_position(joint),
+            open_position(joint),
+            inside,
+        )
 
     def _handle(self, joint: Joint) -> str:
         """Return the link of a handle that a joint moves, by its name; "" if there is none."""
