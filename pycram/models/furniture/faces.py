@@ -131,11 +131,11 @@ def _free(
 ) -> tuple[NDArray[np.bool_], Array]:
     """Return at which points (n, m, 2) there is something to stand on, and how much is free above, m."""
     flat, shape = points.reshape(-1, 2), points.shape[:2]
-    standing = (vertical_extents(tops, flat)[1] >= height - _THICK).any(axis=1)
+    standing: NDArray[np.bool_] = np.any(vertical_extents(tops, flat)[1] >= height - _THICK, axis=1)
     if not above:
         return standing.reshape(shape), np.full(shape, np.inf)
     into, out = vertical_extents(above, flat)
-    clearance = np.where(out > height + _ROUGH, np.maximum(into - height, 0.0), np.inf).min(axis=1)
+    clearance: Array = np.min(np.where(out > height + _ROUGH, np.maximum(into - height, 0.0), np.inf), axis=1)
     return standing.reshape(shape), clearance.reshape(shape)
 
 
