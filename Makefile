@@ -8,7 +8,7 @@ BIN := .venv/bin
 # Tests start many processes. Where bytecode isn't kept, as containers often have it, each of them compiles all of it anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-fast test-long test-lowest test-reading lint bench resources proto system-packages clean
+.PHONY: demo test test-fast test-long test-lowest test-reading lint bench resources proto reference system-packages clean
 
 demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap, the next time set_the_table.2.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
@@ -43,6 +43,9 @@ resources: .venv/ready-dev  ## makes kitchen, floor and objects anew
 PROTO_OUT := .
 proto: .venv/ready-dev  ## compiles recorder/records/log.proto; its path is part of the descriptor's name, hence from here
 	$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=$(PROTO_OUT) --pyi_out=$(PROTO_OUT) recorder/records/log.proto
+
+reference: .venv/ready-dev  ## writes docs/reference.md, as the code of motions and actions tells it
+	$(BIN)/python -m pycram.reference docs/reference.md
 
 system-packages:  ## what tests of windows, viewers and the browser need (Debian, Ubuntu)
 	.ci/system-packages

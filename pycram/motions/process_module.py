@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
-from pycram.foundation.failures import BadArgument, NoWorld
+from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
 from pycram.foundation.names import qualified_name
 from pycram.foundation.refusals import refusing
 from pycram.language.actions import run
@@ -50,6 +50,12 @@ class ProcessModule(ABC):
     """
 
     one_at_a_time = True
+
+    failures: ClassVar[tuple[type[PlanFailure], ...]] = ()
+    """What it may raise, in any environment; of PyCRAM's modules the reference lists them."""
+
+    failures_in_time: ClassVar[tuple[type[PlanFailure], ...]] = ()
+    """What else it may raise where motions take simulated time."""
 
     resolvers: ClassVar[Resolvers[Chooser]] = Resolvers("process modules")
     """Functions that return a module for a designator, or None; called before the registered modules are looked up.

@@ -182,7 +182,7 @@ def project_all(
 def _name(action: object) -> str:
     if not callable(action):
         raise BadArgument("action", action, "a function of the plan, or a tuple of one and its arguments")
-    return name_of(action)
+    return name_of(action.func if isinstance(action, partial) else action)
 
 
 def _limits(timeout: float | None, memory: float | None) -> tuple[float | None, int | None]:
@@ -282,7 +282,8 @@ class _Projection:
         self._world = current()
         self._recording = _path()
         self._began = self._world.sim_step if self._world is not None else 0
-        self._task = Span("projection", name, parameters={} if memory is None else {"memory": memory})
+        given = action.keywords if isinstance(action, partial) else {}
+        self._task = Span("projection", name, parameters={**given, **({} if memory is None else {"memory": memory})})
         self._task_began = time.perf_counter_ns()
         self._begun = False
         tasks.push(self._interrupted)
@@ -343,13 +344,11 @@ def _path() -> Path | None:
     if beside is None:
         return None
     number = 1
-    taken = {each.name for each in beside.parent.glob(f"{beside.stem}.projection-*")} | getattr(
-        _numbers, "given", set()
-    )
-    while (name := f"{beside.stem}.projection-{number}{beside.suffix}") in taken:
+    taken = {*beside.parent.glob(f"{beside.stem}.projection-*"), *getattr(_numbers, "given", ())}
+    while (path := beside.with_name(f"{beside.stem}.projection-{number}{beside.suffix}")) in taken:
         number += 1
-    _numbers.given = {*getattr(_numbers, "given", ()), name}
-    return beside.with_name(name)
+    _numbers.given = {*getattr(_numbers, "given", ()), path}
+    return path
 
 
 # --- in the child -----------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.collision_pairs import pair_text
+from recorder.records.places import fates_text
 from recorder.records.values import argument_values
 
 if TYPE_CHECKING:
@@ -26,12 +27,14 @@ def is_choice(query: Query) -> bool:
 
 
 def rejections(query: Query) -> str:
-    """Why candidates of a query were rejected, in a line; empty if none was."""
-    return "; ".join(rejection_lines(query))
+    """Why candidates of a query were rejected, in a line; empty if none was. Of places only how many were for which."""
+    return fates_text(query) if query.grid.spots else "; ".join(rejection_lines(query))
 
 
 def rejection_lines(query: Query) -> Iterator[str]:
     """Why candidates of a query were rejected: a line for all that were for the same reason."""
+    if query.grid.spots:
+        yield fates_text(query)
     chosen = query.chosen if query.HasField("chosen") else -1
     for number, candidate in enumerate(query.candidates[:]):
         if number != chosen:

@@ -26,6 +26,7 @@ from recorder.records import (
     format_failure,
 )
 from recorder.records.choices import decision_text, rejections
+from recorder.records.projections import foreseen
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -111,7 +112,9 @@ def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
         return f"{name} goes on when the recording ends", _INFO
     took, status = f"{record.duration_ns / _MS:.1f} ms", record.status
     if status == _SUCCEEDED:
-        return f"{name} succeeded in {took}{_decided(record)}", _INFO
+        return f"{name} succeeded in {took}{_decided(record)}" + (
+            f": {text}" if (text := foreseen(record)) else ""
+        ), _INFO
     if status == _CANCELLED:
         return f"{name} was cancelled after {took}", _WARNING
     return f"{name} failed after {took}{_decided(record)}: {format_failure(record.failure)}", _ERROR

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
 from recorder.records.choices import chosen_name, decision_text, rejection_lines
+from recorder.records.projections import foreseen
 from recorder.records.text import text_of, values
 from recorder.tasks.node import Node, State, walk
 
@@ -24,7 +25,14 @@ if TYPE_CHECKING:
 _MARKS: Final = {State.SUCCEEDED: "+", State.FAILED: "X", State.CANCELLED: "-", State.RUNNING: "?", State.CREATED: "."}
 _MAX_ALIKE: Final = 6  # siblings that are shown one by one
 _MAX_WIDTH: Final = 100  # characters of parameters
-_WITH_PARAMETERS: Final = ("motion", "attempt", "failure-handling", "handler")  # whose parameters nothing else shows
+_WITH_PARAMETERS: Final = (
+    "action",
+    "projection",
+    "motion",
+    "attempt",
+    "failure-handling",
+    "handler",
+)  # whose parameters nothing else shows
 _WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")  # whose names imply it
 
 
@@ -108,7 +116,8 @@ def label(node: Node) -> str:
     shown = f"({parameters})" if parameters and node.kind in _WITH_PARAMETERS else ""
     if node.kind == "process-module" and node.decision is not None and (decided := decision_text(node.decision)):
         shown = f" ({decided})"
-    return f"{node.name}{shown}{'' if node.kind in _WITHOUT_KIND else ' ' + node.kind}"
+    foreseen_text = f": {text}" if node.finished is not None and (text := foreseen(node.finished)) else ""
+    return f"{node.name}{shown}{'' if node.kind in _WITHOUT_KIND else ' ' + node.kind}{foreseen_text}"
 
 
 def facts(
@@ -172,13 +181,27 @@ def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> l
     """Siblings, folded, and between them the lines of their parent's output, which are folded likewise."""
     shown: list[Node | str] = []
     printed = 0  # lines that are shown
-    for item in _folded(nodes, whole=whole):
+    for item in _folded(nodes if whole else _lifted(nodes), whole=whole):
         if not isinstance(item, str) and printed < len(output):
             before = bisect_left(output, (item.asked or item.started).seq, printed, key=attrgetter("seq"))
             shown += _said(output[printed:before], whole=whole)
             printed = before
         shown.append(item)
     return shown + _said(output[printed:], whole=whole)
+
+
+def _lifted(nodes: Sequence[Node]) -> list[Node]:
+    """Siblings, with an action's attempts in place of what counts them; of the only one, its parts in place of it."""
+    shown: list[Node] = []
+    for node in nodes:
+        tries = node.children if node.kind == "failure-handling" and "action" in node.parameters else []
+        if not tries or node.failed:
+            shown.append(node)
+        elif len(tries) == 1 and not tries[0].parameters and not tries[0].failed:
+            shown += _lifted(tries[0].children)
+        else:
+            shown += tries
+    return shown
 
 
 def _said(output: Sequence[Output], *, whole: bool) -> list[Node | str]:

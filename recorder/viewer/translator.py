@@ -16,6 +16,7 @@ from recorder.viewer.paths import TrajectoryPaths
 from recorder.viewer.plots import Plots
 from recorder.viewer.query_page import QueryPage
 from recorder.viewer.query_picture import QueryPicture
+from recorder.viewer.query_places import QueryPlaces
 from recorder.viewer.record_tables import RecordTables
 from recorder.viewer.scene import Scene
 from recorder.viewer.task_graph import TaskGraph
@@ -49,6 +50,7 @@ class Translator:
         self._attachments, self._cameras = Attachments(columns, scene), CameraFrustums(columns, scene)
         self._paths = TrajectoryPaths(columns, scene)
         self._task_marks, self._query_marks = TaskMarks(columns, scene), QueryMarks(columns, scene)
+        self._places = QueryPlaces(columns, scene)
         self._sim_ns = 0  # of the world of the latest record that has one
         self._previous_ns = 0  # wall time of the record before
         self._waiting = 0  # records
@@ -73,6 +75,7 @@ class Translator:
             self._page.show(record, now)
             self._picture.show(record, now)
             self._query_marks.show(record, now)
+            self._places.show(record, now)
         elif type(record) is Run and record.phase == Run.STARTED:
             self._graph.plan = record.name
         if record.world and type(record) is not Output:  # a plan may talk before it acts
@@ -98,6 +101,8 @@ class Translator:
         self._task_marks.show(record, now)
         if record.phase == Task.STARTED:
             self._query_marks.clear(now)
+            if record.kind == "motion":  # what follows in an action is of no other place
+                self._places.clear(now)
 
     def _show_change(self, record: Mutation | Keyframe, now: TimePoint) -> None:
         world, end = record.world, record.sim_step

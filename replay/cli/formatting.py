@@ -142,6 +142,13 @@ def sampled(moment: Sampled, *, exact: bool = False) -> str:
     return f"at {moment.asked:.3f} s, within {stretch}: as sampled at {moment.at:.3f} s, to 0.01 mm"
 
 
+def learned(source: str, step: int) -> str:
+    """Return how a robot came to believe something, as "seen at step 40"."""
+    words = {"held": "in its hand since", "told": "told by the world's state at", "placed": "let go of there at"}
+    word = words.get(source, f"{source} at")
+    return f"{word} step {step}" if step >= 0 else f"{word.rpartition(' ')[0]} before the recording"
+
+
 def carrier(held: Attachment) -> str:
     """Return a carrier, with the link that holds a body."""
     return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")

@@ -6,8 +6,10 @@ import threading
 import webbrowser
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
+from recorder.records import Task
+from recorder.records.projections import recording_name
 from replay.cli.console import native_output_to_stderr, print_json, print_message, print_result, print_text
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
@@ -17,15 +19,36 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
+_MAX_BESIDE: Final = 3  # recordings that are imagined; more than four views are too small to see
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add another recording, the first step, and where to show or save it."""
     parser.add_argument("other", metavar="LOG2", nargs="?", help="another recording, shown beside it")
+    parser.add_argument(
+        "--imagined", action="store_true", help=f"what its projections did beside it, the last {_MAX_BESIDE} of them"
+    )
     parser.add_argument("--at", metavar="STEP", help=f"begin at this step: {HINT}")
     parser.add_argument("--save", metavar="FILE", help="write it as .rrd instead of opening it")
     parser.add_argument("--open", action="store_true", help="open it, also if it is saved")
     parser.add_argument("--web", action="store_true", help="in the browser, as it is at the end, until Ctrl-C")
     parser.add_argument("--connect", metavar="URL", help="in the viewer that answers there")
+
+
+def imagined(log: Recording) -> list[Path]:
+    """Return the recordings of a recording's projections that lie beside it, in their order.
+
+    Raises:
+        ReplayError: There are none.
+    """
+    found = []
+    for task in log.records(Task):
+        name = recording_name(task)
+        if name and (path := log.path.with_name(name)).exists():
+            found.append(path)
+    if not found:
+        raise ReplayError(f"{log.path}: nothing that it imagined is recorded beside it, as NAME.projection-1.mcap")
+    return found
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -34,7 +57,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError("--web shows the recording in the browser, as it is at its end; give it alone")
     step = log.step(options.at) if options.at is not None else None
     with ExitStack() as opened, native_output_to_stderr():
-        logs = [log, *([opened.enter_context(Recording(options.other))] if options.other else [])]
+        beside = [Path(options.other)] if options.other else []
+        beside += imagined(log)[-_MAX_BESIDE:] if options.imagined else []
+        logs = [log, *(opened.enter_context(Recording(path)) for path in beside)]
         if options.web:
             return _serve(logs, wants_json=options.json)
         shown = _open(logs, step, options)

@@ -7,6 +7,8 @@ from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING
 
 from recorder.records import Fluent, Query, Refusal, Task
+from recorder.records.places import fates_text
+from recorder.records.projections import foreseen
 from recorder.tasks import Node
 from replay.cli import call_stacks, diff, why_causes
 from replay.explain.plan_source import Line
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from recorder.records import Plain
     from replay.explain.causes.cause import Cause
     from replay.explain.causes.why_data import ChangesSince, InvolvedBody, Why
+    from replay.explain.tried import TriedAction
 
 
 def facts(why: Why) -> dict[str, object]:
@@ -62,6 +65,7 @@ def facts(why: Why) -> dict[str, object]:
         "forgotten": why.forgotten,
         "threads": [record_data(record) for record in why.failed_threads],
         "choices": [record_data(choice) for choice in why.choices],
+        "tried": why.tried and _tried_facts(why.tried),
         "decision": _decision(why),
         "asked": [
             record_data(relevant.query)
@@ -88,6 +92,23 @@ def _thing(involved: InvolvedBody) -> dict[str, object]:
         "joints": dict(involved.joints),
         "distance": involved.distance,
         "bearing": involved.bearing,
+    }
+
+
+def _tried_facts(tried: TriedAction) -> dict[str, object]:
+    return {
+        "action": _task_facts(tried.action),
+        "attempts": [_task_facts(attempt) | {"error": attempt.error} for attempt in tried.attempts],
+        "imagined": [
+            _task_facts(each) | {"foreseen": foreseen(each.finished) if each.finished is not None else ""}
+            for each in tried.imagined
+        ],
+        "places": [
+            {"step": query.seq, "name": query.name, "considered": len(query.grid.spots), "text": fates_text(query)}
+            for query in tried.places
+        ],
+        "spent": tried.spent,
+        "last": tried.last,
     }
 
 

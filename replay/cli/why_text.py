@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
 from recorder.records.choices import chosen_name, decision_text, rejection_lines
-from replay.cli import diff, formatting, record_text, why_causes
+from replay.cli import diff, formatting, record_text, why_causes, why_tried
 from replay.cli.why_advice import asked_again, commands
 from replay.explain.causes.cause import Interrupted
 from replay.explain.causes.why_data import heading
@@ -40,6 +40,8 @@ def lines(why: Why, path: str) -> Iterator[str]:
     yield from _section("Why" if len(why.causes) < 2 else "Why: the causes that are on record", _causes(why.causes))
     yield from _section("Where in the plan", _where(why))
     yield from _section("What failed", _failed(why))
+    if why.tried is not None:
+        yield from _section(f"What {_call(why.tried.action)} tried", why_tried.lines(why.tried))
     yield from _section(f"State{_in_world(why)} at step {why.step}", _bodies(why))
     for branch in why.branches:
         yield from _section(

@@ -441,7 +441,7 @@ class _Rows:
 def _number(start: Run) -> int | None:
     """Return which run of its sweep it is."""
     known = "sweep" in start.DESCRIPTOR.fields_by_name and start.HasField("sweep")
-    return int(start.sweep.number) if known else None  # type: ignore[attr-defined]
+    return int(start.sweep.number) if known else None
 
 
 def _parameters(start: Run) -> list[tuple[str, str]]:

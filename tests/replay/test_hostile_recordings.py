@@ -27,7 +27,7 @@ import replay.cli.repair
 from pycram.models import store
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
-from recorder.records import TOPICS, BodyState, Keyframe, Mutation, Picture, Query, Run, Task
+from recorder.records import TOPICS, BodyState, Grid, Keyframe, Mutation, Picture, Query, Run, Task
 from recorder.records.values import MAX_DIGITS, MAX_NESTING
 from recorder.viewer.query_picture import MAX_PIXELS
 from replay.cli.main import main
@@ -616,6 +616,18 @@ def test_a_picture_is_no_larger_than_it_says(tmp_path: Path) -> None:
         def change(records: list[Record], _: dict[str, bytes], size: tuple[int, int] = (width, height)) -> None:
             query = first(records, Query)
             query.picture.CopyFrom(Picture(width=size[0], height=size[1], bodies=["milk"], pixels=pixels))
+
+        file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+        check(file, tmp_path, ["view", "--save", "x.rrd"], damaged=(width, height) != (4, 4))
+
+
+def test_a_map_of_places_is_no_larger_than_it_says(tmp_path: Path) -> None:
+    scores = zlib.compress(bytes(GIGABYTE // 4), level=1)
+    for width, height in ((4, 4), (2**31 - 1, 2**31 - 1), (-1, -1), (0, 0)):
+
+        def change(records: list[Record], _: dict[str, bytes], size: tuple[int, int] = (width, height)) -> None:
+            grid = Grid(origin=[0, 0, 0], resolution=0.05, width=size[0], height=size[1], scores=scores)
+            first(records, Query).grid.CopyFrom(grid)
 
         file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
         check(file, tmp_path, ["view", "--save", "x.rrd"], damaged=(width, height) != (4, 4))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pycram.foundation.failures import BadArgument, Blocked, PostureInCollision, Unreachable
-from pycram.motions.modules.simulated import AS_ASKED, SimulatedModule
+from pycram.foundation.failures import BadArgument, Blocked, NoPath, PostureInCollision, Unreachable
+from pycram.motions.modules.simulated import AS_ASKED, FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.kinematics import solver
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 class MoveJoints(SimulatedModule):
     """Puts one arm or both into a posture: a name such as "park", or joint values."""
+
+    failures = (PostureInCollision,)
+    failures_in_time = (NoPath, *FOLLOWING)
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
@@ -68,6 +71,9 @@ def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, flo
 
 class MoveTCP(SimulatedModule):
     """Brings the tool frame of an arm to a position, with an orientation if one is asked for."""
+
+    failures = (Unreachable, Blocked)
+    failures_in_time = (NoPath, PostureInCollision, *FOLLOWING)
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()

@@ -7,9 +7,17 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.collision_pair import CollisionPair, phrases
-from pycram.foundation.failures import AccessFailed, BadArgument, HandleBlocked, HandleUnreachable
+from pycram.foundation.failures import (
+    AccessFailed,
+    BadArgument,
+    HandleBlocked,
+    HandleUnreachable,
+    MissingPart,
+    NoPath,
+    PostureInCollision,
+)
 from pycram.models.visual import shapes_of
-from pycram.motions.modules.simulated import SimulatedModule
+from pycram.motions.modules.simulated import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
@@ -37,6 +45,9 @@ class Accessing(SimulatedModule):
 
     With a distance of 0 it closes. Everything is planned before anything moves: a failure leaves the world as it was.
     """
+
+    failures = (AccessFailed, HandleUnreachable, HandleBlocked, MissingPart)
+    failures_in_time = (NoPath, PostureInCollision, *FOLLOWING)
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()

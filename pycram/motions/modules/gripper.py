@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-from pycram.foundation.failures import GripperBlocked
-from pycram.motions.modules.simulated import SimulatedModule
+from pycram.foundation.failures import GripperBlocked, MissingPart
+from pycram.motions.modules.simulated import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.grasping import fingers
 from pycram.reasoning.rejections import Touching, short
@@ -49,6 +49,9 @@ class MoveGripper(SimulatedModule):
     What it lets go of falls, until everything is at rest or 5 s of simulated time are over. What it holds stops the
     fingers that would close.
     """
+
+    failures = (GripperBlocked, MissingPart)
+    failures_in_time = FOLLOWING
 
     def _execute(self, designator: Designator) -> GripperMoved:
         solution = designator.reference()

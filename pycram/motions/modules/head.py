@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.foundation.failures import LookingFailed, MissingPart
-from pycram.motions.modules.simulated import AS_ASKED, SimulatedModule
+from pycram.foundation.failures import LookingFailed, MissingPart, NoPath, PostureInCollision
+from pycram.motions.modules.simulated import AS_ASKED, FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.kinematics import pan_tilt
@@ -31,6 +31,9 @@ class MoveHead(SimulatedModule):
 
     A head that only pans or only tilts, or a camera that is fixed, brings it into the picture.
     """
+
+    failures = (LookingFailed, MissingPart)
+    failures_in_time = (NoPath, PostureInCollision, *FOLLOWING)
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pycram.foundation.failures import InCollision, NotDrivable
-from pycram.motions.modules.simulated import AS_ASKED, SimulatedModule
+from pycram.foundation.failures import InCollision, NoPath, NotDrivable
+from pycram.motions.modules.simulated import AS_ASKED, FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.driving import check_drives, check_ground
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 class Navigation(SimulatedModule):
     """Puts the robot to a pose, with what it holds; refuses a pose in collision and leaves the world as it was."""
+
+    failures = (InCollision, NotDrivable)
+    failures_in_time = (NoPath, *FOLLOWING)
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import UsageError
+from pycram.foundation.failures import Displaced, TrackingLost, TrajectoryEnded, UsageError
 from pycram.motions.execution import INSTANT
 from pycram.motions.process_module import ProcessModule
 from pycram.world.world import BulletWorld
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 AS_ASKED: Final = "as asked"
 """The only candidate, where a plan leaves nothing to choose."""
+
+FOLLOWING: Final = (TrackingLost, Displaced, TrajectoryEnded)
+"""Failures of whatever follows a trajectory."""
 
 
 class NoDescription(UsageError):

@@ -22,6 +22,7 @@ from replay.explain.plan_source import Source
 from replay.explain.root_cause import RootCause, root_cause
 from replay.explain.run_summary import summary
 from replay.explain.task_tree import choices
+from replay.explain.tried import tried
 from replay.state.difference import difference
 from replay.state.fold import state_at
 from replay.state.json_data import mentions
@@ -134,6 +135,7 @@ def _task_failure(
         other_failures=len(before.origins) - len(alike),
         forgotten=before.forgotten,
         choices=tuple(choices(log, task)),
+        tried=tried(log, task),
         queries=tuple(_with_changes(log, query, world) for query in queries),
         earlier_queries=earlier,
         since_same_success=_since(log, same, state),

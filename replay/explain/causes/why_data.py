@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from replay.explain.parsed_traceback import ParsedException
     from replay.explain.plan_source import Line
     from replay.explain.run_summary import Summary
+    from replay.explain.tried import TriedAction
     from replay.state.difference import Difference
     from replay.state.state import Attachment, Body, World
 
@@ -136,6 +137,7 @@ class Why:
         other_failures: number of other tasks that failed before.
         forgotten: number of failures before those, which weren't looked at, as there are too many.
         choices: the queries with which the failed motion's process module chose what to do, in their order.
+        tried: what the action tried that the task is a part of; None if it is part of none.
         queries: those that the plan relied on, in their order.
         earlier_queries: number of further queries about the same.
         since_same_success: changes since the same kind of task succeeded for the last time; None if it never did.
@@ -163,6 +165,7 @@ class Why:
     other_failures: int = 0
     forgotten: int = 0
     choices: tuple[Query, ...] = ()
+    tried: TriedAction | None = None
     queries: tuple[RelevantQuery, ...] = ()
     earlier_queries: int = 0
     since_same_success: ChangesSince | None = None

@@ -1,0 +1,55 @@
+"""Bringing an object somewhere."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pycram.actions.action import ActionDesignator, action
+from pycram.actions.fetching import prepare, ways
+from pycram.actions.hands import arms, held_by, holder
+from pycram.actions.objects import object_of
+from pycram.actions.performing import ActionFailed, perform
+from pycram.foundation.failures import NoPlace, PlanFailure
+
+if TYPE_CHECKING:
+    from pycram.world.object import Object
+
+
+@action("transporting", choices=ways, prepare=prepare)
+def transporting(
+    object: Any,  # noqa: A002  the slot's name
+    target: Any,
+    arm: str | None = None,
+    grasp: str | None = None,
+    place: Any = None,
+    clear: bool = False,
+) -> Any:
+    """Fetches an object and delivers it.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        target: Where it is to be put: a LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        arm: Name of the arm; by default each is tried that is free.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
+        place: Where the robot stands to take it, a LocationDesignator; by default places from which it reaches it.
+        clear: Whether to clear away at once what is in the way of it.
+    """
+    body = object_of(object)
+    perform(ActionDesignator(type="fetching", object=body, arm=arm, grasp=grasp, place=place, clear=clear))
+    deliver = ActionDesignator(type="delivering", object=body, target=target)
+    try:
+        return perform(deliver)
+    except (NoPlace, ActionFailed) as failure:  # for the arm that holds it
+        hand_over(body, failure)
+        return perform(deliver.copy())
+
+
+def hand_over(body: Object, failure: PlanFailure) -> None:
+    """Give what an arm holds to another one, which may get to where the first doesn't.
+
+    Raises:
+        PlanFailure: That failure, if there is no other arm that is free.
+    """
+    if holder(body) is None or not any(held_by(arm) is None for arm in arms()):
+        raise failure
+    perform(ActionDesignator(type="handing-over", object=body))

@@ -1,0 +1,308 @@
+"""What is to be reached from a place, and whether an arm does: by the rules of the motion that would do it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument, Blocked, GraspFailed, PlaceFailed, PlanFailure, Unreachable
+from pycram.reasoning.choosing import UNRECORDED
+from pycram.reasoning.collision import checker
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.grasping import sides
+from pycram.reasoning.grasping.grasps import candidates
+from pycram.reasoning.grasping.handle_path import DeadEnd, plan
+from pycram.reasoning.grasping.handles import ANGLES, Handle
+from pycram.reasoning.grasping.putting import Refusals, placements
+from pycram.reasoning.grasping.sides import GRASPS, grasp_orientation
+from pycram.reasoning.grasping.taking import ways_to_hold
+from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.places.place import Pull, PutDown
+from pycram.reasoning.queries.query import world_of
+from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unfit
+from pycram.world.object import Object
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.models.robots.description import Arm, RobotDescription
+    from pycram.reasoning.places.place import Target
+    from pycram.reasoning.rejections import Rejection
+    from recorder.geometry import Pose, Quaternion, Vector
+
+_TURNS: Final = 6  # about the vertical, in which what is put down may roughly stand
+_STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle has to be reached
+
+
+class Goal(Protocol):
+    """Something that is to be reached.
+
+    Attributes:
+        position: where, m.
+    """
+
+    @property
+    def position(self) -> Vector:
+        """Where, m."""
+
+    def named(self) -> str:
+        """Return what it is called."""
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:
+        """Return some poses, roughly, of which the tool would have to get to one with the robot's base at a pose."""
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return the side that an arm would come from with the robot's base at a pose, "" for none; or why it can't."""
+
+
+def goal_of(robot: Object, target: Target) -> Goal:
+    """Return what a target means for a robot.
+
+    Raises:
+        BadArgument: it is no target, or in another world.
+    """
+    if isinstance(target, Object):
+        world_of(robot, target)
+        return Taking(robot, target)
+    if isinstance(target, Pull):
+        world_of(robot, target.container)
+        target.container.check_link(target.handle)
+        return Pulling(robot, target)
+    if isinstance(target, PutDown):
+        return Putting(robot, target)
+    try:
+        parts = list(target)
+    except TypeError:
+        raise BadArgument("reach", target, "an object, a position, a PutDown or a Pull") from None
+    if len(parts) == 2:
+        position, turn = parts
+        orientation = None if turn is None else checks.quaternion("orientation", turn)
+        return Putting(robot, PutDown(checks.vector("reach", position), orientation))
+    return Touch(robot, checks.vector("reach", parts))
+
+
+def promising(robot: Object, goals: Sequence[Goal], arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
+    """Return for poses of a robot's base whether each goal is roughly in reach of one of some arms.
+
+    It tells in which order to look; of arms that aren't solved in closed form it says that all are.
+    """
+    within = np.ones(len(bases), dtype=bool)
+    for goal in goals:
+        by_some = np.zeros(len(bases), dtype=bool)
+        for arm in arms:
+            solver = Solver(robot, arm.tool_frame)
+            if not solver.in_closed_form:
+                by_some[:] = True
+                break
+            tools = [goal.tools(arm, base) for base in bases]
+            targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each]
+            found = [bool(postures) for postures in solver.closed_form(targets)]
+            owners = np.repeat(np.arange(len(bases)), [len(each) for each in tools])
+            by_some |= np.bincount(owners, weights=found, minlength=len(bases)) > 0
+        within &= by_some
+    promises: list[bool] = within.tolist()
+    return promises
+
+
+def description_of(argument: str, robot: object) -> RobotDescription:
+    """Return a robot's description.
+
+    Raises:
+        BadArgument: it is no robot, or has none.
+    """
+    if not isinstance(robot, Object) or robot.description is None:
+        raise BadArgument(argument, robot, "a robot with a description")
+    return robot.description
+
+
+def drives(robot: Object) -> bool:
+    """Return whether a robot's base drives."""
+    return robot.description is None or robot.description.drives
+
+
+def held(robot: Object, arm: Arm | None = None) -> list[Object]:
+    """Return what a robot carries, directly and through other things; with an arm, what hangs on its tool frame."""
+    found = [each.body for each in robot.carried if arm is None or each.carrier_link == arm.tool_frame]
+    for body in found:
+        found.extend(each.body for each in body.carried)
+    return found
+
+
+class Taking:
+    """An object that is to be picked up.
+
+    Attributes:
+        body: the object.
+    """
+
+    def __init__(self, robot: Object, body: Object) -> None:
+        self._robot, self.body = robot, body
+
+    @property
+    def position(self) -> Vector:
+        """Its middle, m."""
+        return center(self.body)
+
+    def named(self) -> str:
+        """Return its name."""
+        return self.body.name
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  whichever arm
+        """Return the tool in its middle, from all sides."""
+        return [(self.position, grasp_orientation(side, self._robot, base)) for side in GRASPS]
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return the side of the first grasp that would hold it."""
+        if self.body.fixed:
+            return Unfit(f"{self.body.name} is fixed")
+        if arm.hand is None:
+            return Unfit("it has no gripper")
+        in_hand = held(self._robot, arm)
+        if in_hand:
+            return Unfit(f"it holds {in_hand[0].name}")
+        solver = Solver(self._robot, arm.tool_frame)  # most places are out of reach: they are told quickly
+        grasps = [
+            *candidates(self.body, self._robot, arm, base=base),
+            *candidates(self.body, self._robot, arm, base=base, off_center=True),
+        ]
+        near = solver.search([(grasp.position, grasp.orientation, base) for grasp in grasps], quick=True)
+        if not any(postures[0].reaches() for postures in near):
+            return OutOfReach(min((postures[0].position_error for postures in near), default=None))
+        failures: list[PlanFailure] = []
+        for grasp, *_ in ways_to_hold(self._robot, arm, self.body, None, failures, UNRECORDED, base):
+            return grasp.name
+        return _rejection(failures[0])
+
+
+class Putting:
+    """Something held that is to be put down."""
+
+    def __init__(self, robot: Object, target: PutDown) -> None:
+        self._robot, self._target = robot, target
+        self._rests: dict[str, dict[Quaternion, Vector | PlaceFailed]] = {}
+
+    @property
+    def position(self) -> Vector:
+        """Where it is put, m."""
+        return self._target.position
+
+    def named(self) -> str:
+        """Return where it is put."""
+        return _named(self._target.position)
+
+    def _held(self, arm: Arm) -> Object | None:
+        """Return what an arm holds, if it is what shall be put down."""
+        in_hand = held(self._robot, arm)
+        return in_hand[0] if in_hand and self._target.body in (None, in_hand[0]) else None
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  wherever it stands
+        """Return where the tool would be that holds the object there, turned about the vertical."""
+        body = self._held(arm)
+        if body is None:
+            return []
+        tool = arm.tool_pose(self._robot.get_link_position_and_orientation(arm.tool_frame))
+        body_T_tool = geometry.multiply(geometry.invert(body.get_position_and_orientation()), tool)
+        turns = [geometry.from_rpy(0.0, 0.0, sides.yaw(body) + math.pi / 3 * step) for step in range(_TURNS)]
+        if self._target.orientation is not None:
+            turns = [self._target.orientation]
+        return [geometry.multiply((self._target.position, turn), body_T_tool) for turn in turns]
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return "" if the arm can put down there what it holds."""
+        body = self._held(arm)
+        if body is None:
+            return Unfit(f"it doesn't hold {self._target.body.name if self._target.body else 'anything'}")
+        refusals, rests = Refusals(), self._rests.setdefault(arm.name, {})
+        target, turn = self._target.position, self._target.orientation
+        found = placements(self._robot, arm, body, target, turn, refusals, UNRECORDED, base, quickly=True, rests=rests)
+        if next(found, None) is not None:
+            return ""
+        if refusals.pairs:
+            return Touching([refusals.pairs[name] for name in sorted(refusals.pairs)])
+        if refusals.misses:
+            return OutOfReach(min(refusals.misses))
+        return NoRoom(refusals.no_room[0].reason)
+
+
+class Pulling:
+    """A handle that is to be moved."""
+
+    def __init__(self, robot: Object, target: Pull) -> None:
+        self._robot, self._target = robot, target
+
+    @property
+    def position(self) -> Vector:
+        """Where the handle is now, m."""
+        x, y, z = self._target.container.get_link_position(self._target.handle)
+        return x, y, z
+
+    def named(self) -> str:
+        """Return the handle's name."""
+        return self._target.handle
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:
+        """Return the tool at the handle when it is opened or closed, turned about its bar."""
+        target = self._target
+        handle = Handle(target.container, target.joint, target.handle)
+        grip = handle.grips(self._robot, arm.gripper, base)[0]
+        return [geometry.multiply(handle.pose(target.to), grip.tool(angle)) for angle in ANGLES[::2]]
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return "" if the arm can hold the handle all the way."""
+        if arm.hand is None:
+            return Unfit("it has no gripper")
+        in_hand = held(self._robot, arm)
+        if in_hand:
+            return Unfit(f"it holds {in_hand[0].name}")
+        target = self._target
+        start = target.container.get_joint_position(target.joint)
+        steps = max(1, math.ceil(abs(target.to - start) / _STEP))
+        values = [start + (target.to - start) * step / steps for step in range(steps + 1)]
+        handle = Handle(target.container, target.joint, target.handle)
+        path = plan(self._robot, arm, handle, values, base, quick=True)
+        return path.rejection() if isinstance(path, DeadEnd) else ""
+
+
+class Touch:
+    """A position that the tool is to get to, in any orientation."""
+
+    def __init__(self, robot: Object, position: Vector) -> None:
+        self._robot, self.position = robot, position
+
+    def named(self) -> str:
+        """Return where it is."""
+        return _named(self.position)
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  as above
+        """Return the tool there, from all sides."""
+        return [(self.position, grasp_orientation(side, self._robot, base)) for side in GRASPS]
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return "" if the tool gets there with nothing in the way."""
+        postures = Solver(self._robot, arm.tool_frame).search([(self.position, None, base)], thorough=True)[0]
+        if not postures[0].reaches():
+            return OutOfReach(postures[0].position_error)
+        nearest: list[Rejection] = []
+        for posture in postures:
+            pairs = checker.in_the_way(self._robot, posture.positions, base)
+            if not pairs:
+                return ""
+            nearest.append(Touching(pairs))
+        return min(nearest, key=lambda reason: reason.miss())
+
+
+def _rejection(failure: PlanFailure) -> Rejection:
+    """Return why an arm can't, as records have it."""
+    if isinstance(failure, Blocked):
+        return Touching(failure.pairs)
+    if isinstance(failure, Unreachable):
+        return OutOfReach(failure.distance)
+    return Unfit(failure.reason if isinstance(failure, GraspFailed) else str(failure))
+
+
+def _named(position: Sequence[float]) -> str:
+    return f"[{', '.join(f'{part:.2f}' for part in position)}]"

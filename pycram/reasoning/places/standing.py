@@ -1,0 +1,322 @@
+"""Where a robot can stand to reach or see something (CRAM's ``reachable-for``, ``visible-for``)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.foundation import checks
+from pycram.foundation.failures import MissingPart
+from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.places import maps, reaching
+from pycram.reasoning.places.arm_reach import arm_reach
+from pycram.reasoning.places.batch import Batch, Spot
+from pycram.reasoning.places.grid import Grid, generator, spread
+from pycram.reasoning.places.outline import room, surroundings
+from pycram.reasoning.places.place import Place
+from pycram.reasoning.places.reaching import drives
+from pycram.reasoning.places.seeing import seen_share
+from pycram.reasoning.places.wishes import Wishes
+from pycram.reasoning.queries.query import world_of
+from pycram.reasoning.queries.visibility import VISIBLE_SHARE
+from pycram.reasoning.rejections import Touching, Unseen, Untried
+from pycram.scheduling.future import unwrap
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.models.robots.description import Arm
+    from pycram.reasoning.places.place import Target
+    from pycram.reasoning.places.reaching import Goal
+    from pycram.reasoning.rejections import Rejection
+    from pycram.world.object import Object
+    from recorder.geometry import Pose, Vector
+
+    Array = NDArray[np.float64]
+
+_SPOTS: Final = (30, 120)  # that are drawn at once, and once more where none of them will do
+_DOUBTFUL: Final = 10  # of each that are looked at though no arm seems to reach from there
+_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
+_FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
+_JITTER: Final = (math.radians(6), math.radians(40))  # of the heading, in the first and the second draw
+_APART: Final = 0.07  # m between places that are offered
+_TRIED: Final = 0.02  # m around places that won't do: another heading may
+_POOR: Final = 1e-3  # of the best score, below which a place isn't drawn
+_SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
+_ROOM: Final = 1.5  # m around a point, where nothing else says how far
+_NEAR: Final = 0.7  # m at which a place near a point counts half
+_SHORT_WAY: Final = 8.0  # m of driving that count half
+_LEVEL: Final = 0.05  # m above what is reached: what is lower isn't between
+_HERE: Final = "where it stands"
+
+
+def standing_places(
+    robot: Object,
+    *,
+    reach: Sequence[Target] = (),
+    arms: Sequence[str] | None = None,
+    both: bool = False,
+    see: Object | None = None,
+    near: Sequence[float] | None = None,
+    avoid: Sequence[Sequence[float]] = (),
+    seed: int | None = None,
+) -> Iterator[Place]:
+    """Return places where a robot can stand, arms as they are now, best first, each checked when its turn comes.
+
+    A place is where `moving` would put the robot; an arm reaches there what `pick-up`, `place` or `accessing` would
+    reach. Each place that is asked for is one query on record, with the map and why other places won't do. A robot that
+    is bolted down has one place. The world may have changed before the next one is asked for.
+
+    Args:
+        robot: the robot.
+        reach: what shall be reached from there, all of it.
+        arms: names of arms that may reach; all by default.
+        both: each of these arms shall reach, not only one of them.
+        see: what its camera shall see from there.
+        near: xyz or xy of a point that it shall be near, m.
+        avoid: positions xyz or xy of places that are left out, with what is right beside them, m.
+        seed: of the places; the run's by default.
+
+    Raises:
+        BadArgument: an impossible value.
+        UnknownName: the robot has no such arm.
+        MissingPart: it has no arm, or no camera, that is needed.
+        NoPlace: when the first is asked for: there is none.
+    """
+    robot = unwrap(robot)
+    description = reaching.description_of("robot", robot)
+    targets = [unwrap(target) for target in reach]
+    chosen = [description.arm(name) for name in (description.arms if arms is None else arms)]
+    if targets and not chosen:
+        raise MissingPart(robot.name, "arm")
+    if see is not None:
+        see = unwrap(see)
+        world_of(robot, see)
+        if description.camera is None:
+            raise MissingPart(robot.name, "camera")
+    points = [None if near is None else _point("near", near), *(_point("avoid", each) for each in avoid)]
+    goals = [reaching.goal_of(robot, target) for target in targets]
+    return _Search(robot, goals, chosen, both, see, points[0], [each for each in points[1:] if each], seed).places()
+
+
+def _point(name: str, given: Sequence[float]) -> Vector:
+    return checks.vector(name, (*given, 0.0) if len(given) == 2 else given)
+
+
+class _Search:
+    """Places for a robot, one after the other."""
+
+    def __init__(
+        self,
+        robot: Object,
+        goals: Sequence[Goal],
+        arms: Sequence[Arm],
+        both: bool,
+        see: Object | None,
+        near: Vector | None,
+        avoid: Sequence[Vector],
+        seed: int | None,
+    ) -> None:
+        self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
+        self._see, self._near, self._seed = see, near, seed
+        self._avoid: list[Vector] = list(avoid)  # with the places that were offered
+        self._vain: list[Vector] = []  # places that won't do
+        wanted = [f"reach {goal.named()}" for goal in goals] + ([f"see {see.name}"] if see is not None else [])
+        self._wanted = " and ".join(wanted) or "stand"
+        self._wishes = Wishes(f"{robot.name} to {self._wanted}")
+        self._arguments: Mapping[str, object] = {
+            "robot": robot,
+            **({"reach": [goal.named() for goal in goals]} if goals else {}),
+            **({"arms": [arm.name for arm in arms]} if goals else {}),
+            **({"see": see} if see is not None else {}),
+            **({"near": near} if near is not None else {}),
+            **({"avoid": list(avoid)} if avoid else {}),
+        }
+
+    def places(self) -> Iterator[Place]:
+        """Yield places, each from a query of its own."""
+        world, found, vain = self._robot.world, False, 0
+        for number in itertools.count():
+            batch = Batch("standing_places", self._arguments)
+            with batch.asked(world, trace=False):
+                clone_of(world, "reach").sync()
+                spots = self._drawn(batch, number, vain)
+                place = self._first(batch, spots)
+                vain = 0 if place else vain + 1
+                over = not spots or not drives(self._robot) or vain == len(_SPOTS)
+                if place is None and over and not found:
+                    raise self._wishes.failure()
+            if place is not None:
+                found = True
+                yield place
+            if over:
+                return
+
+    # --- all places at once ------------------------------------------------------------------------------------------
+
+    def _maps(self) -> tuple[Grid, Array, Array]:
+        """Return the cells, the product (cells,) of the maps, and the heading (cells,) for each, rad."""
+        robot = self._robot
+        here, turn = robot.get_position_and_orientation()
+        grid = self._grid(here)
+        centers = grid.centers()
+        wishes: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
+        yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
+        if self._goals or self._see is not None:
+            faced, yaws = self._faced(centers, here[2])
+            wishes.append((self._wanted, faced))
+            wishes += [(self._wanted, self._straight(centers, goal)) for goal in self._goals]
+        if drives(robot):
+            wishes.append(("collision", room(robot, centers)))
+        if self._near is not None:
+            wishes.append(("near", maps.near(centers, self._near, _NEAR)))
+        scores, _ = self._wishes.product(wishes)
+        scores[scores < _POOR] = 0.0
+        left = maps.away(centers, self._avoid, _APART) * maps.away(centers, self._vain, _TRIED)
+        return grid, scores * left, yaws
+
+    def _straight(self, centers: Array, goal: Goal) -> Array:
+        """Return little where something is between a place and a goal, at the height of what would be reached."""
+        x, y, z = goal.position
+        target = [goal.body] if isinstance(goal, reaching.Taking) else []
+        between = maps.Footprints(surroundings(self._robot, *target), z, z + _LEVEL)
+        return maps.straight(centers, (x, y), between)
+
+    def _grid(self, here: Sequence[float]) -> Grid:
+        """Return the cells from which everything may be reached and seen."""
+        areas: list[tuple[Sequence[float], float]] = []
+        if self._goals:
+            radius = max(arm_reach(self._robot, arm).radius for arm in self._arms)
+            areas += [(goal.position, radius) for goal in self._goals]
+        if self._see is not None:
+            areas.append((center(self._see), _SIGHT[1]))
+        if not areas:
+            areas.append((self._near or here, _ROOM))
+        low = [max(point[axis] - radius for point, radius in areas) for axis in (0, 1)]
+        high = [min(point[axis] + radius for point, radius in areas) for axis in (0, 1)]
+        return Grid.over(low, high, here[2])
+
+    def _faced(self, centers: Array, ground: float) -> tuple[Array, Array]:
+        """Return for all cells how well everything is reached or seen with the best heading, and that heading."""
+        points = [goal.position for goal in self._goals] or ([center(self._see)] if self._see is not None else [])
+        offsets = np.asarray(points)[None, :, :2] - centers[:, None]  # (cells, points, 2)
+        distances, bearings = np.hypot(offsets[..., 0], offsets[..., 1]), np.arctan2(offsets[..., 1], offsets[..., 0])
+        middle = offsets.mean(axis=1)
+        facing = np.arctan2(middle[:, 1], middle[:, 0])
+        best, yaws = np.full(len(centers), -1.0), facing.copy()
+        for offset in _OFFSETS if self._goals else (0.0,):
+            score = np.full(len(centers), 1.0 - _FACING * abs(offset) / (math.pi / 2))
+            for number, point in enumerate(points):
+                if self._goals:
+                    score *= self._by_arms(
+                        point[2] - ground, distances[:, number], bearings[:, number] - facing - offset
+                    )
+            if self._see is not None:
+                good, far = _SIGHT
+                away = np.hypot(*(np.asarray(center(self._see)[:2]) - centers).T)
+                score *= np.where(away < good, away / good, np.clip((far - away) / (far - good), 0.0, 1.0))
+            better = score > best
+            best[better], yaws[better] = score[better], (facing + offset)[better]
+        return best, yaws
+
+    def _by_arms(self, height: float, distance: Array, bearing: Array) -> Array:
+        """Return how well one of the arms, or each of them, reaches points."""
+        every = []
+        base_T_world = geometry.invert(self._robot.get_position_and_orientation())
+        for arm in self._arms:
+            shoulder = geometry.transform(base_T_world, self._robot.get_link_position(arm.base_link))
+            every.append(arm_reach(self._robot, arm).scores(height - shoulder[2], distance, bearing))
+        together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
+        return together
+
+    def _drawn(self, batch: Batch, number: int, vain: int) -> Sequence[Spot]:
+        """Return places that are drawn from the maps, for the n-th batch from 0, after some others in vain."""
+        robot = self._robot
+        position, turn = robot.get_position_and_orientation()
+        here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
+        grid, scores, yaws = self._maps()
+        spots = []
+        if not any(math.dist(here[0][:2], each[:2]) < _APART for each in (*self._avoid, *self._vain)):
+            spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
+        if drives(robot):
+            random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
+            upright = geometry.product(geometry.from_rpy(0.0, 0.0, -geometry.to_rpy(turn)[2]), turn)
+            for cell, (x, y) in spread(grid, scores, _SPOTS[vain], random):
+                yaw = round(float(yaws[cell] + random.uniform(-_JITTER[vain], _JITTER[vain])), 4)
+                pose = (x, y, here[0][2]), geometry.product(geometry.from_rpy(0.0, 0.0, yaw), upright)
+                spots.append(Spot(f"[{x:.2f}, {y:.2f}]", pose, yaw, float(scores[cell])))
+        return batch.draw(grid, scores, spots)
+
+    # --- one place after the other -----------------------------------------------------------------------------------
+
+    def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
+        """Return the first place that will do: the promising ones are looked at first."""
+        free = []
+        for spot, blocked in zip(spots, self._collisions(spots), strict=True):
+            if blocked:
+                self._vain.append(spot.pose[0])
+                self._wishes.exclude(batch, spot, *blocked)
+            else:
+                free.append(spot)
+        likely = reaching.promising(self._robot, self._goals, self._arms, [spot.pose for spot in free])
+        first = [spot for spot, promises in zip(free, likely, strict=True) if promises]
+        doubtful = [spot for spot, promises in zip(free, likely, strict=True) if not promises]
+        for spot in doubtful[_DOUBTFUL:]:
+            batch.reject(spot.name, Untried())
+        for spot in (*first, *doubtful[:_DOUBTFUL]):
+            excluded = self._excluded(spot)
+            if isinstance(excluded, Place):
+                self._avoid.append(spot.pose[0])
+                batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms})
+                return excluded
+            self._vain.append(spot.pose[0])
+            self._wishes.exclude(batch, spot, *excluded)
+        return None
+
+    def _collisions(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
+        """Return for each place what the robot would touch there; None for nothing, and where it stands."""
+        found: list[tuple[str, Rejection] | None] = []
+        if not spots:
+            return found
+        with CollisionChecker(self._robot, (), all_links=True) as checker:
+            for spot, candidate in zip(spots, checker.predict_at([spot.pose for spot in spots]), strict=True):
+                first = None if spot.name == _HERE else next(checker.collisions(candidate), None)
+                if first is None:
+                    found.append(None)
+                else:
+                    pair, touches = first
+                    depth = max(-touch.distance for touch in touches)
+                    found.append((f"collision with {pair[2].name}", Touching([checker.named(pair, depth)])))
+        return found
+
+    def _excluded(self, spot: Spot) -> Place | tuple[str, Rejection]:
+        """Return a place that will do, or which wish excludes it, and why."""
+        able = list(self._arms)
+        grasps: dict[str, str] = {}
+        for goal in self._goals:
+            reasons: list[Rejection] = []
+            reached: list[Arm] = []
+            for arm in self._arms:
+                found = goal.reached(arm, spot.pose)
+                if isinstance(found, str):
+                    reached.append(arm)
+                    grasps.update({arm.name: found} if found else {})
+                else:
+                    reasons.append(found)
+            if not reached or (self._both and reasons):
+                return f"reach {goal.named()}", min(reasons, key=lambda reason: reason.miss())
+            able = [arm for arm in able if arm in reached]
+        if self._see is not None:
+            seen = seen_share(self._robot, self._see, spot.pose)
+            if seen.share <= VISIBLE_SHARE:
+                return f"see {self._see.name}", Unseen(seen.share, list(seen.hiding))
+        names = tuple(arm.name for arm in able) if self._goals else ()
+        return Place(*spot.pose, names, spot.score, "", {name: grasps[name] for name in names if name in grasps})

@@ -1,0 +1,147 @@
+"""The reference of motions and actions, docs/reference.md, as their code tells it: ``python -m pycram.reference``.
+
+Slots, values, units and defaults are those by which designators are checked, the failures those that process modules
+declare, the texts those of docstrings. So what a page says that is written by it is so.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pycram.actions import ActionFailed, LocationDesignator, ObjectDesignator
+from pycram.actions.action import TYPES as ACTIONS
+from pycram.foundation.failures import NoPlace, PlanFailure
+from pycram.motions.modules import default_modules
+from pycram.motions.motion_types import TYPES as MOTIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from pycram.actions import ActionType
+    from pycram.motions.motion_types import MotionType, Slot, Slotted
+    from pycram.motions.process_module import ProcessModule
+
+_HEAD: Final = """\
+# Reference: motions and actions
+
+What plans can ask for, with slots, values, units, defaults and failures. This page is written by `make reference` from
+the code that checks designators and does what they ask for. Lengths are in m, angles in rad, poses in the world frame;
+quaternions are [x, y, z, w]. An optional slot may be left out, or be None.
+"""
+_ACTIONS: Final = """\
+`pycram.actions.perform(ActionDesignator(type=..., ...))` does an action: what is left open is chosen, and the
+next choice is tried when one fails. Names of slots are written with `_` as keyword arguments, `reachable_for=`, and
+with one at the end where Python has that word, `in_=`. Where there is nothing to choose from, as an object isn't found
+or no place will do (`NoPlace`), an action fails with that before anything moves. Every action takes also
+"""
+_MOTIONS: Final = """\
+`ProcessModule.perform(MotionDesignator(type=..., ...))`, or `perform`, does a motion. A slot takes a designator of an
+object or a place instead of its value, too. In the `continuous` environment, where motions take simulated time, they
+may fail in more ways.
+"""
+_ARMS: Final = "`NAME-arm` stands for a slot for each arm that the robot has, as `left-arm`."
+
+
+def reference() -> str:
+    """Return the page, as Markdown."""
+    types = [each for _, each in sorted(ACTIONS.items())]
+    common = [slot for slot in types[0].slots if all(slot in each.slots for each in types)]
+    modules = default_modules()
+    failures: set[type[PlanFailure]] = {ActionFailed, NoPlace}
+    parts = [_HEAD, "## Actions\n", _ACTIONS, _table(common)]
+    parts += [_action(each, [slot for slot in each.slots if slot not in common]) for each in types]
+    parts += ["## Objects and places\n"]
+    parts += [_designator(each) for each in (ObjectDesignator, LocationDesignator)]
+    parts += ["## Motions\n", _MOTIONS]
+    for motion in MOTIONS.values():
+        module = modules[motion.cmd]
+        failures |= {*module.failures, *module.failures_in_time}
+        parts.append(_motion(motion, module))
+    parts += ["## Failures\n", *map(_failure, sorted(failures, key=lambda kind: kind.__name__))]
+    return "\n".join(parts)
+
+
+def _action(kind: ActionType, slots: Sequence[Slot]) -> str:
+    fails = "`ActionFailed`, when no choice has done" if kind.choices else "what fails in it"
+    parts = [f"### {kind.type}\n", f"{kind.text}\n", _table(slots), f"Fails with {fails}.\n"]
+    return "\n".join(parts)
+
+
+def _designator(kind: type[LocationDesignator | ObjectDesignator]) -> str:
+    text = (inspect.getdoc(kind) or "").replace("``", "`")
+    return "\n".join([f"### {kind.__name__}\n", f"{text}\n", _table(kind.takes.slots), *_demands(kind.takes)])
+
+
+def _motion(motion: MotionType, module: ProcessModule) -> str:
+    parts = [f"### {motion.type}\n", f"{inspect.getdoc(module) or ''}\n", _table(motion.slots), *_demands(motion)]
+    if any("NAME" in slot.name for slot in motion.slots):
+        parts.append(f"{_ARMS}\n")
+    parts.append(f"Fails with {_names(module.failures)}.")
+    if module.failures_in_time:
+        parts[-1] += f" In simulated time also with {_names(module.failures_in_time)}."
+    return "\n".join([*parts, ""])
+
+
+def _demands(kind: Slotted) -> Iterator[str]:
+    """Yield which slots have to be there together."""
+    if len(kind.one_of) > 1:
+        names = " or ".join(f"`{name}`" for name in kind.one_of)
+        yield f"{'Exactly' if kind.only_one else 'At least'} one of {names} has to be there.\n"
+
+
+def _table(slots: Iterable[Slot]) -> str:
+    rows = ["| Slot | Value | If it is left out |", "|---|---|---|"]
+    for slot in slots:
+        names = " or ".join(f"`{name}`" for name in (slot.name, *slot.aliases))
+        values, told = _default(slot.values)
+        missing = "required" if slot.required else slot.missing or told
+        rows.append(f"| {names} | {_cell(values)} | {_cell(missing)} |")
+    return "\n".join([*rows, ""])
+
+
+def _default(values: str) -> tuple[str, str]:
+    """Return what a slot may hold, and what its text says of the default."""
+    found = re.fullmatch(r"(.*); (?:by default (.*)|(.*) by default(.*))", values, re.DOTALL)
+    return (found[1], found[2] or found[3] + found[4]) if found else (values, "")
+
+
+def _cell(text: str) -> str:
+    text = re.sub(r"\s+", " ", text).replace("|", "\\|")
+    return text[:1].upper() + text[1:]
+
+
+def _line(text: str) -> str:
+    """Return a docstring's sentence as one line without its full stop."""
+    line = re.sub(r"\s+", " ", text)
+    return line if line.endswith("...") else line.removesuffix(".")
+
+
+def _names(failures: Iterable[type[PlanFailure]]) -> str:
+    return ", ".join(f"`{kind.__name__}`" for kind in failures)
+
+
+def _failure(kind: type[PlanFailure]) -> str:
+    """Return what a failure says and holds, as its docstring tells it."""
+    text, _, fields = (inspect.getdoc(kind) or "").partition("\n\nAttributes:\n")
+    text = re.sub(r":class:`(\w+)`", r"`\1`", _line(text))
+    found = re.findall(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", fields, re.MULTILINE)
+    told = "; ".join(f"`{name}`: {_line(meaning)}" for name, meaning in found)
+    base = kind.__mro__[1]
+    more = "" if base is PlanFailure else f", a kind of `{base.__name__}`"
+    return f"- **{kind.__name__}**{more}: {text}." + (f" Its fields: {told}." if told else "")
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Write it into a file, or print it."""
+    if arguments:
+        Path(arguments[0]).write_text(reference(), encoding="utf-8")
+    else:
+        sys.stdout.write(reference())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
