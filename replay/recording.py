@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.why_data import Why
     from replay.restore.ask import Answer, Move
     from replay.restore.question import Question
-    from replay.state.state import State
+    from replay.state.state import Belief, State
 
 
 class Recording(RecordReader):
@@ -46,6 +46,22 @@ class Recording(RecordReader):
         restored exactly is simulated up to then.
         """
         return state_at(self, self.step(step), moment_of(step))
+
+    def believed(
+        self, step: int | str, what: str, *, robot: str | None = None, world: str | None = None
+    ) -> Belief | None:
+        """Return what a robot believed of an object after a step, or of those of a type what it had learned last.
+
+        Args:
+            step: the step.
+            what: name or type of objects.
+            robot: name of the robot; any by default.
+            world: name of the world; by default the open one that was opened last.
+
+        Returns:
+            None if it had neither seen nor held any.
+        """
+        return next(iter(self.state_at(step).world(world).believed(what, robot)), None)
 
     def tree(self, step: int | str | None = None) -> Tree:
         """Return the task tree, as it was after a step if one is given; the classes are those of ``pycram.tasks``."""

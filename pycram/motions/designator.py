@@ -17,7 +17,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from pycram.foundation.error_chain import chained
 from pycram.foundation.failures import BadArgument
@@ -27,7 +27,7 @@ from pycram.motions import motion_types
 from pycram.motions.equated import Equated
 from pycram.motions.requests import recorded
 from pycram.motions.resolvers import Resolvers
-from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same
+from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same, slot_name
 from pycram.motions.solutions import Resolution, Solution, Solutions
 from pycram.scheduling.future import Future, branches_in, unwrap
 
@@ -35,16 +35,19 @@ if TYPE_CHECKING:
     from typing import Self
 
     from pycram.motions.resources import Resources
+    from pycram.scheduling.future import Pending
 
-__all__ = ["Designator", "DesignatorError", "MotionDesignator", "Solution"]
+__all__ = ["Designator", "DesignatorError", "MotionDesignator", "ResolvedDesignator", "Solution"]
 
 
 class Designator(Equated, ABC):
-    """A description of something, as a list of slots.
+    """A description of something, as slots: ``Designator([("type", "milk")])`` or ``Designator(type="milk")``.
 
     Args:
-        description: Its slots, (key, value) pairs or a mapping. A value may be a future of a ``par`` block.
+        description: Its slots, (key, value) pairs or a mapping. A value may be a future of a ``par`` block, or another
+            designator, which is resolved when this one is.
         parent: A designator to equate it with.
+        slots: Further slots; ``reachable_for`` is the slot ``reachable-for``, ``in_`` the slot ``in``.
 
     Attributes:
         timestamp: When it became effective, in seconds since the Unix epoch; None before.
@@ -54,9 +57,9 @@ class Designator(Equated, ABC):
     """
 
     @refusing("designator", name="Designator")
-    def __init__(self, description: Description, parent: Designator | None = None) -> None:
+    def __init__(self, description: Description = (), parent: Designator | None = None, **slots: object) -> None:
         super().__init__()
-        self._slots = pairs(description)
+        self._slots = pairs(description) + pairs((slot_name(name), value) for name, value in slots.items())
         self._lock = threading.Lock()
         self._effective = False
         self._data: Value = None
@@ -110,6 +113,34 @@ class Designator(Equated, ABC):
     def data(self) -> Value:
         """The data of :meth:`make_effective`; None otherwise."""
         return self._data
+
+    def branches(self) -> Iterator[Pending]:
+        """Yield the branches of all futures among its slots, and among those of designators in these; don't wait."""
+        for _, value in self._slots:
+            yield from value.branches() if isinstance(value, Designator) else branches_in(value)
+
+    def check(self) -> None:
+        """Check its slots as far as that needs no search.
+
+        Raises:
+            UsageError: One is missing, unknown or wrong.
+        """
+
+    def values_for(self, slot: str, given: Mapping[str, Value]) -> Iterator[Mapping[str, Value]]:  # noqa: ARG002  for those that stand for something
+        """Yield what it stands for as the value of another one's slot, for each of its solutions.
+
+        Args:
+            slot: The other one's slot.
+            given: The other one's slots.
+
+        Yields:
+            The slot's value by the slot's name, and what else it says of the other one, by names of slots.
+
+        Raises:
+            DesignatorError: It stands for nothing there.
+        """
+        kind = type(self).__name__
+        raise DesignatorError(f"a {kind} can't be the value of slot {slot}", slot=slot, value=self)
 
     # --- solutions ---------------------------------------------------------------------------------------------------
 
@@ -214,28 +245,33 @@ class Designator(Equated, ABC):
         return f"{type(self).__name__}({list(self._slots)!r})"
 
 
-Resolver: TypeAlias = Callable[["MotionDesignator"], Iterable[Solution] | None]
+Resolver: TypeAlias = Callable[[Any], Iterable[Solution] | None]
 
 
-class MotionDesignator(Designator):
-    """A motion of the robot, with the parameters that the plan cares about (thesis 4.5; types in tables 4.4-4.14).
+class ResolvedDesignator(Designator):
+    """A designator whose solutions are found by resolvers, one by one.
 
-    Resolvers find the solutions: functions that take the designator and return solutions, a list or a generator, or
-    None for designators of other types. Users add theirs with :meth:`add_resolver`, also a decorator. They are called
-    in order, those of a subclass before its parents', and last PyCRAM's own, which knows the eleven types of the
-    thesis. If a resolver raises DesignatorError, the next one is called; the error is raised if none has a solution.
+    Resolvers are functions that take the designator and return solutions, a list or a generator, or None for
+    designators of other types. Users add theirs with :meth:`add_resolver`, also a decorator. They are called in order,
+    those of a subclass before its parents', and last PyCRAM's own. If a resolver raises DesignatorError, the next one
+    is called; the error is raised if none has a solution.
     """
 
-    resolvers: ClassVar[Resolvers[Resolver]] = Resolvers("motion designators")
+    resolvers: ClassVar[Resolvers[Resolver]] = Resolvers("designators")
 
     def __init_subclass__(cls, **kwargs: object) -> None:
         super().__init_subclass__(**kwargs)
         cls.resolvers = Resolvers(cls.__name__)
 
-    def __init__(self, description: Description, parent: Designator | None = None) -> None:
-        super().__init__(description, parent)
+    def __init__(self, description: Description = (), parent: Designator | None = None, **slots: object) -> None:
+        super().__init__(description, parent, **slots)
         self._solutions = Solutions(self._resolve)
         self._index = 0
+
+    @staticmethod
+    @abstractmethod
+    def _own_resolver() -> Resolver:
+        """Return PyCRAM's own resolver, which is called last."""
 
     @classmethod
     def add_resolver(cls, resolver: Resolver) -> Resolver:
@@ -256,15 +292,6 @@ class MotionDesignator(Designator):
         """The value of its slot ``type``, "" if it has none."""
         value = self.prop_value("type")
         return value if isinstance(value, str) else ""
-
-    def resources(self) -> Resources | None:
-        """Return what it needs of the robot: by its type, and once it is effective, by the ``cmd`` of its solution.
-
-        Only PyCRAM's own are known; others get the whole robot, unless their process module or a subclass says less.
-        """
-        if self.effective and isinstance(solution := self._referenced(), Mapping):
-            return motion_types.resources_of(solution)
-        return motion_types.resources_by_type(self)
 
     def next_solution(self) -> Self | None:
         """Return the designator of the next solution; see :meth:`Designator.next_solution`."""
@@ -307,7 +334,7 @@ class MotionDesignator(Designator):
         errors: list[DesignatorError] = []
         found = False
         own = [resolver for cls in type(self).__mro__ for resolver in vars(cls).get("resolvers", ())]
-        for resolver in (*own, motion_types.resolve):
+        for resolver in (*own, self._own_resolver()):
             try:
                 for solution in _solutions_of(resolver, self):
                     found = True
@@ -318,7 +345,27 @@ class MotionDesignator(Designator):
             raise chained(errors[-1], errors[:-1])
 
 
-def _solutions_of(resolver: Resolver, designator: MotionDesignator) -> Iterator[Solution]:
+class MotionDesignator(ResolvedDesignator):
+    """A motion of the robot, with the parameters that the plan cares about (thesis 4.5; types in tables 4.4-4.14).
+
+    PyCRAM's own resolver knows the eleven types of the thesis.
+    """
+
+    @staticmethod
+    def _own_resolver() -> Resolver:
+        return motion_types.resolve
+
+    def resources(self) -> Resources | None:
+        """Return what it needs of the robot: by its type, and once it is effective, by the ``cmd`` of its solution.
+
+        Only PyCRAM's own are known; others get the whole robot, unless their process module or a subclass says less.
+        """
+        if self.effective and isinstance(solution := self._referenced(), Mapping):
+            return motion_types.resources_of(solution)
+        return motion_types.resources_by_type(self)
+
+
+def _solutions_of(resolver: Resolver, designator: Designator) -> Iterator[Solution]:
     given = resolver(designator)
     if not isinstance(given, Iterable | None) or isinstance(given, str | Mapping):
         raise BadArgument(f"what {qualified_name(resolver)} gave", given, "solutions, a list of dictionaries, or None")
@@ -330,5 +377,4 @@ def _solutions_of(resolver: Resolver, designator: MotionDesignator) -> Iterator[
 
 def unfinished(designator: Designator) -> list[str]:
     """Return the names of running branches among a designator's slots that may wait for something requested later."""
-    branches = branches_in([value for _, value in designator.description])
-    return [branch.name for branch in branches if not branch.done and not branch.ordered]
+    return [branch.name for branch in designator.branches() if not branch.done and not branch.ordered]

@@ -17,7 +17,6 @@ from pycram.motions.environments import current_environment
 from pycram.motions.requests import performing
 from pycram.motions.resources import ResourceQueue, Ticket, forget_tickets
 from pycram.scheduling.cancellation import Binding, checkpoint
-from pycram.scheduling.future import branches_in
 from recorder.records import Decision
 from recorder.tracing.span import Span
 
@@ -81,7 +80,7 @@ class Motion:
 
     def _await_slots(self) -> None:
         """Wait for futures among its slots while it holds no resources: their branches may need some."""
-        for branch in branches_in([value for _, value in self._designator.description]):
+        for branch in self._designator.branches():
             branch.result()
 
     def _resolve(self) -> Module:

@@ -7,7 +7,7 @@ the process module, inferred if the plan left it out.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias, TypeVar
 
 from pycram.foundation.failures import BadArgument
 from pycram.motions import slot_checks
@@ -18,12 +18,13 @@ from pycram.world.world import BulletWorld
 from recorder.suggestions import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from pycram.motions.slot_checks import Check
     from pycram.motions.solutions import Solution
 
 Value: TypeAlias = Any
+Type = TypeVar("Type", bound="Slotted")
 
 
 class Described(Protocol):
@@ -46,6 +47,7 @@ class Slot:
         check: Check of its value.
         default: Infers a missing value from the given ones; None leaves it out of the solution.
         aliases: Other names for it.
+        text: What it is; that of the check by default.
     """
 
     name: str
@@ -53,12 +55,36 @@ class Slot:
     required: bool = False
     default: Callable[[dict[str, Value]], Value] | None = None
     aliases: tuple[str, ...] = ()
+    text: str = ""
 
     def describe(self) -> str:
         """Describe it, for messages."""
         names = " or ".join((self.name, *self.aliases))
         need = "required" if self.required else "optional"
-        return f"{names} ({need}): {(self.check.__doc__ or '').strip().rstrip('.')}"
+        return f"{names} ({need}): {self.text or (self.check.__doc__ or '').strip().rstrip('.')}"
+
+
+class Slotted(Protocol):
+    """A type of designators, with its slots; see :class:`MotionType`."""
+
+    @property
+    def type(self) -> str:
+        """Its name."""
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """Its slots beside ``type``."""
+
+    @property
+    def one_of(self) -> tuple[str, ...]:
+        """Slots of which at least one is required."""
+
+    @property
+    def only_one(self) -> bool:
+        """Whether exactly one is."""
+
+    def describe(self) -> str:
+        """Describe its slots, for messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +114,7 @@ class MotionType:
 
     def describe(self) -> str:
         """Describe its slots, for messages."""
-        lines = [f"a {self.type} designator takes", "  type (required): " + repr(self.type)]
-        lines += [f"  {slot.describe()}" for slot in self.slots]
-        if self.one_of:
-            how = "exactly one" if self.only_one else "at least one"
-            lines.append(f"  {how} of {', '.join(self.one_of)} has to be there")
-        return "\n".join(lines)
+        return described(self)
 
 
 class _PosturesOfArms(MotionType):
@@ -134,6 +155,14 @@ def _arm_resources(given: dict[str, Value]) -> Resources:
     return Resources({f"{arm}-{part}" for arm in _arms(given, "arm") for part in ("arm", "gripper")}, {"base"})
 
 
+def _pick_up_resources(given: dict[str, Value]) -> Resources:
+    giver = given.get("from")
+    taking = _arm_resources(given)
+    return Resources(
+        taking.moves | {f"{giver}-{part}" for part in ("arm", "gripper")} if giver else taking.moves, {"base"}
+    )
+
+
 def _gripper_resources(given: dict[str, Value]) -> Resources:
     return Resources({f"{arm}-gripper" for arm in _arms(given, "gripper")})
 
@@ -169,8 +198,13 @@ TYPES: Final = {
         MotionType(
             "pick-up",
             "pick",
-            (Slot("object", slot_checks.body, required=True), _ARM, Slot("grasp", slot_checks.grasp)),
-            _arm_resources,
+            (
+                Slot("object", slot_checks.body, required=True),
+                _ARM,
+                Slot("grasp", slot_checks.grasp),
+                Slot("from", slot_checks.arm, text="name of the arm that holds it, and lets go of it then"),
+            ),
+            _pick_up_resources,
         ),
         MotionType(
             "place",
@@ -251,35 +285,80 @@ def resolve(designator: Described) -> Iterator[Solution]:
     Raises:
         DesignatorError: Its type is unknown, or a slot is missing, unknown or wrong.
     """
+    motion_type, given = given_slots(designator, TYPES)
+    motion = motion_type.for_robot()
+    for filled in _filled(motion, given):
+        checked = checked_slots(motion, filled)
+        solution = {"cmd": motion.cmd, **dict(motion.fixed), **checked}
+        for slot in motion.slots:
+            if slot.name not in solution and slot.default is not None:
+                try:
+                    solution[slot.name] = slot.default(checked)
+                except BadArgument as error:
+                    problem, takes = f"missing slot {slot.name}: {error.expected}", motion.describe()
+                    raise DesignatorError(problem, type=motion.type, slot=slot.name, takes=takes) from error
+        yield solution
+        if motion.type == "moving" and "orientation" in given:
+            yield {**solution, "orientation": _heading(checked)}
+
+
+def given_slots(designator: Described, types: Mapping[str, Type], kind: str = "") -> tuple[Type, dict[str, Value]]:
+    """Return a designator's type, and its other slots with values other than None, waiting for futures.
+
+    Args:
+        designator: The designator.
+        types: The types that there are, by name.
+        kind: Of what, for messages.
+
+    Raises:
+        DesignatorError: Its type is none of these, or a slot is given twice.
+    """
     given: dict[str, Value] = {}
     for key, value in designator.description:
         if key in given:
             raise DesignatorError(f"slot {key} is given twice", type=designator.type, slot=key, value=unwrap(value))
         if value is not None:
             given[key] = unwrap(value)
-    kind = given.pop("type", None)
-    if not isinstance(kind, str) or kind not in TYPES:
-        known = ", ".join(TYPES)
-        unknown = f"has the unknown type {kind!r}{did_you_mean(kind, TYPES)}"
-        problem = f"the designator {'has no slot type' if kind is None else unknown}"
-        raise DesignatorError(problem, type=str(kind or ""), slot="type", value=kind, takes=f"types: {known}")
-    motion = TYPES[kind].for_robot()
-    checked = _checked(motion, given)
-    solution = {"cmd": motion.cmd, **dict(motion.fixed), **checked}
-    for slot in motion.slots:
-        if slot.name not in solution and slot.default is not None:
-            try:
-                solution[slot.name] = slot.default(checked)
-            except BadArgument as error:
-                problem, takes = f"missing slot {slot.name}: {error.expected}", motion.describe()
-                raise DesignatorError(problem, type=motion.type, slot=slot.name, takes=takes) from error
-    yield solution
-    if motion.type == "moving" and "orientation" in checked:
-        yield {**solution, "orientation": _heading(checked)}
+    name = given.pop("type", None)
+    if not isinstance(name, str) or name not in types:
+        unknown = f"has the unknown type {name!r}{did_you_mean(name, types)}"
+        problem = f"the {kind}designator {'has no slot type' if name is None else unknown}"
+        raise DesignatorError(
+            problem, type=str(name or ""), slot="type", value=name, takes=f"types: {', '.join(types)}"
+        )
+    return types[name], given
 
 
-def _checked(motion: MotionType, given: dict[str, Value]) -> dict[str, Value]:
-    """Return the checked values by the slots' names."""
+def _filled(motion: MotionType, given: Mapping[str, Value]) -> Iterator[dict[str, Value]]:
+    """Yield slots with what the designators among their values stand for: with each solution of these in turn."""
+    names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
+    for key, value in given.items():
+        stands_for = getattr(type(value), "values_for", None)
+        if stands_for is not None and key in names and names[key].check is not slot_checks.kind:
+            rest = {name: other for name, other in given.items() if name != key}
+            for values in stands_for(value, key, given):
+                found = {name: each for name, each in values.items() if name in names or name == key}
+                yield from _filled(motion, {**found, **rest})
+            return
+    yield dict(given)
+
+
+def described(kind: Slotted, name: str = "") -> str:
+    """Return a description of a type's slots, for messages; of designators with a type of their own by their name."""
+    lines = [f"{name} takes"] if name else [f"a {kind.type} designator takes", f"  type (required): {kind.type!r}"]
+    lines += [f"  {slot.describe()}" for slot in kind.slots]
+    if kind.one_of:
+        how = "exactly one" if kind.only_one else "at least one"
+        lines.append(f"  {how} of {', '.join(kind.one_of)} has to be there")
+    return "\n".join(lines)
+
+
+def checked_slots(motion: Slotted, given: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the checked values of slots, by the slots' names.
+
+    Raises:
+        DesignatorError: A slot is missing, unknown or wrong.
+    """
     names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
     takes = motion.describe()
     checked: dict[str, Value] = {}

@@ -60,6 +60,11 @@ def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
     return slots
 
 
+def slot_name(argument: str) -> str:
+    """Return the slot that a keyword argument names: ``reachable_for`` is ``reachable-for``, ``in_`` is ``in``."""
+    return argument.rstrip("_").replace("_", "-")
+
+
 def own(value: T) -> T:
     """Return a value with copies of its lists, dictionaries, sets and arrays; other objects in it stay the same."""
     copied: T = _own(value, {})

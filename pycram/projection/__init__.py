@@ -182,7 +182,7 @@ def project_all(
 def _name(action: object) -> str:
     if not callable(action):
         raise BadArgument("action", action, "a function of the plan, or a tuple of one and its arguments")
-    return name_of(action)
+    return name_of(action.func if isinstance(action, partial) else action)
 
 
 def _limits(timeout: float | None, memory: float | None) -> tuple[float | None, int | None]:
@@ -282,7 +282,8 @@ class _Projection:
         self._world = current()
         self._recording = _path()
         self._began = self._world.sim_step if self._world is not None else 0
-        self._task = Span("projection", name, parameters={} if memory is None else {"memory": memory})
+        given = action.keywords if isinstance(action, partial) else {}
+        self._task = Span("projection", name, parameters={**given, **({} if memory is None else {"memory": memory})})
         self._task_began = time.perf_counter_ns()
         self._begun = False
         tasks.push(self._interrupted)

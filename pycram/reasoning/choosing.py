@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from pycram.reasoning.rejections import Rejection
     from pycram.world.world import BulletWorld
+    from recorder.tracing.journal import Journal
 
 _MAX_GROUPS: Final = 8  # of candidates that are listed; the rest is counted
 _MAX_NAMES: Final = 4  # of the candidates of a group
@@ -36,6 +37,7 @@ class Question:
         evidence: what it rests on.
         picture: what the camera saw, if one was asked.
         considered: what was considered for the answer, if it was one of several.
+        steps: of its record in each recording, once it is answered.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Question:
     evidence: Mapping[str, object] = field(default_factory=dict)
     picture: records.Picture | None = None
     considered: Choice | None = None
+    steps: Mapping[Journal, int] = field(default_factory=dict)
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
@@ -86,7 +89,7 @@ class Question:
                 record = self._record(error, trace=trace)
                 record.duration_ns = time.perf_counter_ns() - start
                 world, sim_step = where()
-                span.emit(record, world=world, sim_step=sim_step)
+                self.steps = span.emit(record, world=world, sim_step=sim_step)
 
     def _record(self, error: BaseException | None, *, trace: bool) -> records.Query:
         record = records.Query(
@@ -142,13 +145,19 @@ class Choice(Question):
         self.answer = candidate if answer is None else answer
         self.evidence = evidence
 
-    def add_candidates(self, record: records.Query) -> None:
-        """Put the candidates into a record: those rejected for the same reason as one, the chosen one last."""
+    def add_candidates(self, record: records.Query) -> Mapping[str, int]:
+        """Put the candidates into a record: those rejected for the same reason as one, the chosen one last.
+
+        Returns:
+            For each candidate that is in the record, which one it belongs to there.
+        """
+        numbers: dict[str, int] = {}
         groups: dict[object, list[tuple[Rejection, str, int]]] = {}
         for name, (reason, count) in self._rejected.items():
             groups.setdefault((type(reason), reason.alike()), []).append((reason, name, count))
         for group in list(groups.values())[:_MAX_GROUPS]:
             group.sort(key=lambda item: item[0].miss())
+            numbers |= dict.fromkeys((name for _, name, _ in group), len(record.candidates))
             reason = group[0][0]
             record.candidates.add(
                 names=[name for _, name, _ in group[:_MAX_NAMES]],
@@ -161,8 +170,9 @@ class Choice(Question):
             record.candidates.add(count=left_out)
         record.chosen = -1
         if self.chosen:
-            record.chosen = len(record.candidates)
+            record.chosen = numbers[self.chosen] = len(record.candidates)
             record.candidates.add(names=[self.chosen])
+        return numbers
 
 
 def considering() -> Choice:

@@ -1,15 +1,16 @@
 """Saved states: what a world's objects were like at one moment, and how a world gets that back.
 
 A state has the pose and velocity of each object, the positions and velocities of its joints and what their motors keep,
-the attachments, gravity, and which object is the robot: all to the last bit, but for orientations of what has moved,
-which the engine normalises again (2e-16 at most). While a body follows a trajectory no state is saved, and restoring
-one ends all trajectories. What the solver knows of contacts isn't in
-it, so the future after it is a likely one. Simulated time never goes back, and colours stay, as in a reset.
+the attachments, gravity, which object is the robot, and what robots believed of objects: all to the last bit, but for
+orientations of what has moved, which the engine normalises again (2e-16 at most). While a body follows a trajectory no
+state is saved, and restoring one ends all trajectories. What the solver knows of contacts isn't in it, so the future
+after it is a likely one. Simulated time never goes back, and colours stay, as in a reset.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import BadArgument, ObjectsChanged, WorldClosed
@@ -20,9 +21,12 @@ from recorder import records
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
+    from pycram.world.beliefs import Steps
     from pycram.world.object import Object
     from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
+    from recorder.records.beliefs import Key
+    from recorder.tracing.journal import Journal
 
 _AT_REST: Final = (0.0,) * 6
 
@@ -35,11 +39,13 @@ class SavedState:
         world: The world.
         objects: Those that it had.
         command: The record of its restoring.
+        steps: Of the records by which its beliefs were learned; not of those of another process.
     """
 
     world: BulletWorld
     objects: tuple[Object, ...]
     command: records.Restore
+    steps: Mapping[Key, Steps] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<state of {self.world.name} at {self.command.sim_step / records.STEPS_PER_SECOND:.3f} s>"
@@ -61,8 +67,9 @@ def save(world: BulletWorld) -> SavedState:
             attachments=[held.record() for body in world.objects for held in body.carried],
             gravity=world.gravity,
             robot=world.robot.name if world.robot else "",
+            beliefs=world.beliefs.records(),
         )
-        return SavedState(world, tuple(world.objects), command)
+        return SavedState(world, tuple(world.objects), command, world.beliefs.saved())
 
 
 def restore(world: BulletWorld, saved: SavedState) -> None:
@@ -74,11 +81,23 @@ def restore(world: BulletWorld, saved: SavedState) -> None:
     """
     if not isinstance(saved, SavedState) or saved.world is not world:
         raise BadArgument("saved", saved, f"what save() of {world.name} has returned")
-    put_back(world, saved.command, saved.objects)
+    put_back(world, saved.command, saved.objects, saved.steps)
 
 
-def put_back(world: BulletWorld, command: records.Restore, objects: Collection[Object] | None = None) -> None:
-    """Give a world a recorded state; with objects, those of then, one that was loaded again is another one."""
+def put_back(
+    world: BulletWorld,
+    command: records.Restore,
+    objects: Collection[Object] | None = None,
+    steps: Mapping[Key, Steps] | None = None,
+) -> None:
+    """Give a world a recorded state.
+
+    Args:
+        world: The world.
+        command: The state.
+        objects: Those of then: one that was loaded again is another one. None: those of their names will do.
+        steps: Of the records by which its beliefs were learned; None: the command has them.
+    """
     with world.transactions.begin(records.Mutation(restore=command)) as transaction:
         present = world.objects if objects is None else [body for body in world.objects if body in objects]
         bodies = {body.name: body for body in present}
@@ -107,6 +126,9 @@ def put_back(world: BulletWorld, command: records.Restore, objects: Collection[O
         x, y, z = command.gravity
         world.engine.set_gravity((x, y, z))
         update(world, gravity=(x, y, z))
+        world.beliefs.restored(steps or {})
+        if steps is not None:
+            transaction.number = partial(_number, transaction.command.restore, steps)
         world._robot = bodies.get(command.robot)  # noqa: SLF001  as set_robot does, in one record with the rest
 
 
@@ -124,6 +146,12 @@ def _check(command: records.Restore, bodies: Mapping[str, Object]) -> None:
                 bodies[name].check_link(link)
     if len(command.gravity) != 3:
         raise BadArgument("saved", command.gravity[:], "three numbers of gravity")
+
+
+def _number(command: records.Restore, steps: Mapping[Key, Steps], journal: Journal) -> None:
+    """Give what was believed the steps that it has in a recording."""
+    for belief in command.beliefs:
+        belief.step = steps.get((belief.robot, belief.object), {}).get(journal, -1)
 
 
 def _has_same_links(one: records.Attachment, other: records.Attachment) -> bool:

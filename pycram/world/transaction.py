@@ -26,12 +26,13 @@ from recorder.tracing import journal, span, stack_room
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from pycram.world.attachment import Attachment
     from pycram.world.event import Event
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
+    from recorder.tracing.journal import Journal
 
 #: A keyframe costs 0.3 ms and 3 kB; with one each 100 transactions any step is folded from at most 100 records.
 TRANSACTIONS_PER_KEYFRAME: Final = 100
@@ -49,6 +50,7 @@ class Transaction:
         attached: Attachments that are new or have a new relative pose, by the names of carrier and body.
         detached: Attachments that ended.
         samples: States within a simulation.
+        number: Sets what the command says of other steps, before a recording takes it.
         callbacks: Called with the lock held when the transaction is recorded; each gives a call to make after that.
     """
 
@@ -59,6 +61,7 @@ class Transaction:
     attached: dict[tuple[str, str], Attachment] = field(default_factory=dict)
     detached: list[Attachment] = field(default_factory=list)
     samples: list[records.Sample] = field(default_factory=list)
+    number: Callable[[Journal], None] | None = None
     callbacks: list[Callable[[], Callable[[], None]]] = field(default_factory=list)
 
     def mark_modified(self, *bodies: Object) -> None:
@@ -137,8 +140,10 @@ class TransactionManager:
             yield transaction
             for name in transaction.removed:
                 self._recorded.pop(name, None)
-            if journal.recording():
-                self._record(transaction)
+            steps = self._record(transaction) if journal.recording() else {}
+            self._world.beliefs.follow(transaction, steps)
+            if self._since_keyframe >= TRANSACTIONS_PER_KEYFRAME and not self._world.closed:
+                self._record_keyframe()
             if self.observer is not None:
                 self.observer.committed(transaction)
             self.lock.defer(callback() for callback in transaction.callbacks)
@@ -158,7 +163,7 @@ class TransactionManager:
         if self.query:
             raise ChangeRefused(action, self.query)
 
-    def _record(self, transaction: Transaction) -> None:
+    def _record(self, transaction: Transaction) -> Mapping[Journal, int]:
         world, record = self._world, transaction.command
         effect = record.effect
         for name, body in transaction.modified.items():
@@ -171,13 +176,20 @@ class TransactionManager:
         effect.attached.extend(attachment.record() for attachment in transaction.attached.values())
         effect.detached.extend(attachment.record() for attachment in transaction.detached)
         effect.samples.extend(transaction.samples)
-        span.emit(record, world=world.name, sim_step=world.sim_step)
         self._since_keyframe += 1
-        if self._since_keyframe >= TRANSACTIONS_PER_KEYFRAME and not world.closed:
-            journal.emit(self.keyframe(), world=world.name, sim_step=world.sim_step)
+        return span.emit(record, world=world.name, sim_step=world.sim_step, number=transaction.number)
+
+    def _record_keyframe(self) -> None:
+        world, frame = self._world, self.keyframe()
+
+        def number(journal: Journal) -> None:
+            del frame.beliefs[:]
+            frame.beliefs.extend(world.beliefs.records(journal))
+
+        journal.emit(frame, world=world.name, sim_step=world.sim_step, number=number)
 
     def keyframe(self) -> records.Keyframe:
-        """Return the world's whole state as a record."""
+        """Return the world's whole state as a record; the steps in what is believed are none of any recording."""
         world = self._world
         frame = records.Keyframe(
             mode=world.mode,
@@ -193,6 +205,7 @@ class TransactionManager:
                 frame.bodies.append(state)
             self._recorded[body.name] = now
             frame.attachments.extend(attachment.record() for attachment in body.carried)
+        frame.beliefs.extend(world.beliefs.records())
         frame.following.extend(followed.following for followed in world.trajectories.active.values())
         self._since_keyframe = 0
         return frame

@@ -19,6 +19,7 @@ from pycram.physics.window import checked_display
 from pycram.scheduling.cancellation import uninterruptible
 from pycram.world import current, driving, saved_state, settling, simulation
 from pycram.world.attachment import end
+from pycram.world.beliefs import WorldBeliefs
 from pycram.world.current import CurrentWorld
 from pycram.world.event import Event
 from pycram.world.followed import Trajectories
@@ -90,6 +91,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self.exiting = False
         self.transactions = TransactionManager(self)
         self.trajectories = Trajectories(self)
+        self.beliefs = WorldBeliefs(self)
         self.waits = Waits()
         self._objects: dict[str, Object] = {}
         self._robot: Object | None = None
@@ -413,6 +415,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             for body in self.objects:
                 journal.attach(body.model.files)
             frame = self.transactions.keyframe()
+            del frame.beliefs[:]
+            frame.beliefs.extend(self.beliefs.records(journal))
             frame.world, frame.sim_step = self.name, self.sim_step
             frame.thread = current_name()
             journal.append(frame)

@@ -21,7 +21,8 @@ from recorder.errors import RecordingError
 from recorder.mcap.output_file import CHANGED_HINT, HINT, Changed, Watched, open_output, reason
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
-from recorder.records import TOPICS, Keyframe, Mutation, Run, Task, escaped
+from recorder.records import TOPICS, Keyframe, Mutation, Query, Run, Task, escaped
+from recorder.records.beliefs import is_look
 from recorder.records.definition import format_number
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
@@ -139,7 +140,7 @@ class McapSink:
                 self._add_foxglove(record)
                 at_once = False
             else:
-                self._buffer.append(((topic, "", 0), seq, now, payload, record))
+                self._buffer.append((self._shared_key(topic, record), seq, now, payload, record))
                 # no file opens without the start of the run
                 at_once = record.status in _FAILURES if isinstance(record, Task) else isinstance(record, Run)
             self._count += 1
@@ -149,6 +150,12 @@ class McapSink:
                     self._flush()
             elif self._pending == 1:
                 self._wake.set()
+
+    def _shared_key(self, topic: str, record: Record) -> _Key:
+        """The channel of what isn't of one world; looks are, as what robots believe is a part of its state."""
+        if isinstance(record, Query) and is_look(record):
+            return topic, record.world, self._lifetime(record)
+        return topic, "", 0
 
     def _lifetime(self, record: Record) -> int:
         """Number of its world among those of the same name, from 1: a name is free again when its world has ended."""

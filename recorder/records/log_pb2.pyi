@@ -385,19 +385,51 @@ class SavedBody(_message.Message):
     joint_targets: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, body: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., joint_positions: _Optional[_Iterable[float]] = ..., joint_velocities: _Optional[_Iterable[float]] = ..., joint_targets: _Optional[_Iterable[float]] = ...) -> None: ...
 
+class Belief(_message.Message):
+    __slots__ = ("robot", "object", "source", "position", "orientation", "sim_step", "step")
+    class Source(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        SOURCE_UNSPECIFIED: _ClassVar[Belief.Source]
+        SEEN: _ClassVar[Belief.Source]
+        TOLD: _ClassVar[Belief.Source]
+        HELD: _ClassVar[Belief.Source]
+        PLACED: _ClassVar[Belief.Source]
+    SOURCE_UNSPECIFIED: Belief.Source
+    SEEN: Belief.Source
+    TOLD: Belief.Source
+    HELD: Belief.Source
+    PLACED: Belief.Source
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    OBJECT_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    ORIENTATION_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    STEP_FIELD_NUMBER: _ClassVar[int]
+    robot: str
+    object: str
+    source: Belief.Source
+    position: _containers.RepeatedScalarFieldContainer[float]
+    orientation: _containers.RepeatedScalarFieldContainer[float]
+    sim_step: int
+    step: int
+    def __init__(self, robot: _Optional[str] = ..., object: _Optional[str] = ..., source: _Optional[_Union[Belief.Source, str]] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., sim_step: _Optional[int] = ..., step: _Optional[int] = ...) -> None: ...
+
 class Restore(_message.Message):
-    __slots__ = ("sim_step", "bodies", "attachments", "gravity", "robot")
+    __slots__ = ("sim_step", "bodies", "attachments", "gravity", "robot", "beliefs")
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
     BODIES_FIELD_NUMBER: _ClassVar[int]
     ATTACHMENTS_FIELD_NUMBER: _ClassVar[int]
     GRAVITY_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
+    BELIEFS_FIELD_NUMBER: _ClassVar[int]
     sim_step: int
     bodies: _containers.RepeatedCompositeFieldContainer[SavedBody]
     attachments: _containers.RepeatedCompositeFieldContainer[Attachment]
     gravity: _containers.RepeatedScalarFieldContainer[float]
     robot: str
-    def __init__(self, sim_step: _Optional[int] = ..., bodies: _Optional[_Iterable[_Union[SavedBody, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., gravity: _Optional[_Iterable[float]] = ..., robot: _Optional[str] = ...) -> None: ...
+    beliefs: _containers.RepeatedCompositeFieldContainer[Belief]
+    def __init__(self, sim_step: _Optional[int] = ..., bodies: _Optional[_Iterable[_Union[SavedBody, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., gravity: _Optional[_Iterable[float]] = ..., robot: _Optional[str] = ..., beliefs: _Optional[_Iterable[_Union[Belief, _Mapping]]] = ...) -> None: ...
 
 class Drag(_message.Message):
     __slots__ = ("body", "link", "sim_step")
@@ -500,7 +532,7 @@ class Mutation(_message.Message):
     def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., strikes: _Optional[_Iterable[_Union[Strike, _Mapping]]] = ..., open_world: _Optional[_Union[OpenWorld, _Mapping]] = ..., close_world: _Optional[_Union[CloseWorld, _Mapping]] = ..., load_body: _Optional[_Union[LoadBody, _Mapping]] = ..., remove_body: _Optional[_Union[RemoveBody, _Mapping]] = ..., move_body: _Optional[_Union[MoveBody, _Mapping]] = ..., move_joints: _Optional[_Union[MoveJoints, _Mapping]] = ..., attach_body: _Optional[_Union[AttachBody, _Mapping]] = ..., detach_body: _Optional[_Union[DetachBody, _Mapping]] = ..., set_gravity: _Optional[_Union[SetGravity, _Mapping]] = ..., set_realtime: _Optional[_Union[SetRealtime, _Mapping]] = ..., set_color: _Optional[_Union[SetColor, _Mapping]] = ..., set_robot: _Optional[_Union[SetRobot, _Mapping]] = ..., simulate: _Optional[_Union[Simulate, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., restore: _Optional[_Union[Restore, _Mapping]] = ..., begin_trajectory: _Optional[_Union[BeginTrajectory, _Mapping]] = ..., stop_trajectory: _Optional[_Union[StopTrajectory, _Mapping]] = ..., effect: _Optional[_Union[Effect, _Mapping]] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., drags: _Optional[_Iterable[_Union[Drag, _Mapping]]] = ..., by_fork: bool = ...) -> None: ...
 
 class Keyframe(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "mode", "gravity", "realtime", "loaded", "bodies", "attachments", "robot", "following")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "mode", "gravity", "realtime", "loaded", "bodies", "attachments", "robot", "following", "beliefs")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
@@ -518,6 +550,7 @@ class Keyframe(_message.Message):
     ATTACHMENTS_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     FOLLOWING_FIELD_NUMBER: _ClassVar[int]
+    BELIEFS_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
     sim_step: int
@@ -535,7 +568,8 @@ class Keyframe(_message.Message):
     attachments: _containers.RepeatedCompositeFieldContainer[Attachment]
     robot: str
     following: _containers.RepeatedCompositeFieldContainer[Following]
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., strikes: _Optional[_Iterable[_Union[Strike, _Mapping]]] = ..., mode: _Optional[str] = ..., gravity: _Optional[_Iterable[float]] = ..., realtime: bool = ..., loaded: _Optional[_Iterable[_Union[LoadBody, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., robot: _Optional[str] = ..., following: _Optional[_Iterable[_Union[Following, _Mapping]]] = ...) -> None: ...
+    beliefs: _containers.RepeatedCompositeFieldContainer[Belief]
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., strikes: _Optional[_Iterable[_Union[Strike, _Mapping]]] = ..., mode: _Optional[str] = ..., gravity: _Optional[_Iterable[float]] = ..., realtime: bool = ..., loaded: _Optional[_Iterable[_Union[LoadBody, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., robot: _Optional[str] = ..., following: _Optional[_Iterable[_Union[Following, _Mapping]]] = ..., beliefs: _Optional[_Iterable[_Union[Belief, _Mapping]]] = ...) -> None: ...
 
 class Task(_message.Message):
     __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "phase", "status", "parent", "kind", "name", "parameters", "solution", "result_json", "failure", "duration_ns", "source_file", "source_line", "attempt", "callers", "decision", "began_ns", "checkpoint")
@@ -743,8 +777,36 @@ class Picture(_message.Message):
     pixels: bytes
     def __init__(self, width: _Optional[int] = ..., height: _Optional[int] = ..., bodies: _Optional[_Iterable[str]] = ..., pixels: _Optional[bytes] = ...) -> None: ...
 
+class Spot(_message.Message):
+    __slots__ = ("position", "yaw", "score", "candidate")
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    YAW_FIELD_NUMBER: _ClassVar[int]
+    SCORE_FIELD_NUMBER: _ClassVar[int]
+    CANDIDATE_FIELD_NUMBER: _ClassVar[int]
+    position: _containers.RepeatedScalarFieldContainer[float]
+    yaw: float
+    score: float
+    candidate: int
+    def __init__(self, position: _Optional[_Iterable[float]] = ..., yaw: _Optional[float] = ..., score: _Optional[float] = ..., candidate: _Optional[int] = ...) -> None: ...
+
+class Grid(_message.Message):
+    __slots__ = ("origin", "resolution", "width", "height", "scores", "spots")
+    ORIGIN_FIELD_NUMBER: _ClassVar[int]
+    RESOLUTION_FIELD_NUMBER: _ClassVar[int]
+    WIDTH_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    SCORES_FIELD_NUMBER: _ClassVar[int]
+    SPOTS_FIELD_NUMBER: _ClassVar[int]
+    origin: _containers.RepeatedScalarFieldContainer[float]
+    resolution: float
+    width: int
+    height: int
+    scores: bytes
+    spots: _containers.RepeatedCompositeFieldContainer[Spot]
+    def __init__(self, origin: _Optional[_Iterable[float]] = ..., resolution: _Optional[float] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., scores: _Optional[bytes] = ..., spots: _Optional[_Iterable[_Union[Spot, _Mapping]]] = ...) -> None: ...
+
 class Query(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "name", "arguments", "answer_json", "evidence", "duration_ns", "failure", "picture", "candidates", "chosen", "source_file", "source_line", "callers", "by_fork", "own_answer_json")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "name", "arguments", "answer_json", "evidence", "duration_ns", "failure", "picture", "candidates", "chosen", "source_file", "source_line", "callers", "grid", "by_fork", "own_answer_json")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
@@ -766,6 +828,7 @@ class Query(_message.Message):
     SOURCE_FILE_FIELD_NUMBER: _ClassVar[int]
     SOURCE_LINE_FIELD_NUMBER: _ClassVar[int]
     CALLERS_FIELD_NUMBER: _ClassVar[int]
+    GRID_FIELD_NUMBER: _ClassVar[int]
     BY_FORK_FIELD_NUMBER: _ClassVar[int]
     OWN_ANSWER_JSON_FIELD_NUMBER: _ClassVar[int]
     seq: int
@@ -789,9 +852,10 @@ class Query(_message.Message):
     source_file: str
     source_line: int
     callers: _containers.RepeatedCompositeFieldContainer[SourceLine]
+    grid: Grid
     by_fork: bool
     own_answer_json: str
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., strikes: _Optional[_Iterable[_Union[Strike, _Mapping]]] = ..., name: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., answer_json: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., duration_ns: _Optional[int] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., picture: _Optional[_Union[Picture, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[Candidate, _Mapping]]] = ..., chosen: _Optional[int] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., by_fork: bool = ..., own_answer_json: _Optional[str] = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., strikes: _Optional[_Iterable[_Union[Strike, _Mapping]]] = ..., name: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., answer_json: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., duration_ns: _Optional[int] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., picture: _Optional[_Union[Picture, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[Candidate, _Mapping]]] = ..., chosen: _Optional[int] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., grid: _Optional[_Union[Grid, _Mapping]] = ..., by_fork: bool = ..., own_answer_json: _Optional[str] = ...) -> None: ...
 
 class Fluent(_message.Message):
     __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "name", "before_json", "after_json", "source", "bodies", "source_file", "source_line", "callers", "by_fork")

@@ -292,7 +292,14 @@ def caused_by(event: Mapping[Journal, int]) -> Iterator[None]:
         _cause.reset(token)
 
 
-def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None = None) -> Mapping[Journal, int]:
+def emit(
+    record: Record,
+    *,
+    world: str = "",
+    sim_step: int = 0,
+    task: int | None = None,
+    number: Callable[[Journal], None] | None = None,
+) -> Mapping[Journal, int]:
     """Completes a record's envelope and appends it to every open journal.
 
     Args:
@@ -300,6 +307,7 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
         world: name of the world that it is about.
         sim_step: simulated steps of that world.
         task: id of its task; by default the current one.
+        number: called before each journal takes it: sets what the record says of other steps, which are others in each.
 
     Returns:
         Its step in each journal.
@@ -315,6 +323,8 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     record.thread = current_name()
     steps = {}
     for journal in _listening():
+        if number is not None:
+            number(journal)
         journal.append(record)
         steps[journal] = record.seq
     return steps

@@ -27,7 +27,7 @@ from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.local_variables import failure_with_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from contextvars import ContextVar, Token
     from types import FrameType, TracebackType
     from typing import Self
@@ -260,14 +260,16 @@ def running() -> Iterator[list[Task]]:
         yield records
 
 
-def emit(record: Located, *, world: str = "", sim_step: int = 0) -> Mapping[Journal, int]:
+def emit(
+    record: Located, *, world: str = "", sim_step: int = 0, number: Callable[[Journal], None] | None = None
+) -> Mapping[Journal, int]:
     """Records something with the plan's line that led to it, unless its task has the same; see :func:`journal.emit`."""
     if not journal.is_unrecorded():
         task = _current.get()
         asked = task.source if task is not None else None
         if asked is None or call_site() not in (asked.line, ("", 0)):
             record.MergeFromString(_line_fields(type(record), current_call_stack()))
-    return journal.emit(record, world=world, sim_step=sim_step)
+    return journal.emit(record, world=world, sim_step=sim_step, number=number)
 
 
 def _line_fields(kind: type[Located], stack: CallStack) -> bytes:

@@ -1,19 +1,22 @@
-"""``state``: poses, joints and attachments after a step."""
+"""``state``: poses, joints, attachments and what robots believe after a step."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+from recorder.records import STEPS_PER_SECOND
 from recorder.records.following import time_of
 from replay.cli import formatting
 from replay.cli.arguments import add_step
 from replay.cli.console import print_message, print_result
+from replay.state.difference import NOTABLE_METRES
 from replay.state.fold import last_open_step
 from replay.state.json_data import state_data
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
     from recorder.geometry import Pose
     from recorder.records import Following, Plain
@@ -94,6 +97,19 @@ def _world(state: State, world: World, bodies: list[Body], *, details: bool, lin
                 yield f"    {_followed(world, following)}"
         if links:
             yield from (f"    {_pose(link, 48, pose)}" for link, pose in state.link_poses(body).items())
+    yield from _beliefs(world, {body.name for body in bodies})
+
+
+def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
+    """Yield what robots believe of some objects, and how far that is from where they are."""
+    for belief in reversed(world.believed()):
+        if {belief.robot, belief.object}.isdisjoint(shown):
+            continue
+        source, since = formatting.believed(belief), belief.sim_step / STEPS_PER_SECOND
+        away = math.dist(belief.position, world.bodies[belief.object].position)
+        wrong = f"; it is {away:.3f} m from there" if away >= NOTABLE_METRES else ""
+        position = ", ".join(f"{part:.4f}" for part in belief.position)
+        yield f"  {belief.robot} believes {belief.object} at [{position}]: {source}, at {since:.3f} s{wrong}"
 
 
 def _followed(world: World, following: Following) -> str:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
-from recorder.records import TOPICS, Envelope, Keyframe, Mutation, Record
+from recorder.records import TOPICS, Envelope, Keyframe, Mutation, Query, Record
+from recorder.records.beliefs import is_look, may_be_look
 from recorder.records.definition import PACKAGE, known
 from replay.errors import LogClosed
 from replay.file.mcap_format import HEADER, describe
@@ -139,13 +140,18 @@ class Chunks:
         """Note that a record of a chunk has a step that can't be."""
         self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
 
+    def share_worlds(self) -> bool:
+        """Return whether worlds share channels, so that records have to be read to know whose they are."""
+        return any(self._owners[at] is None for at, kind in self._kinds.items() if kind in (Mutation, Keyframe))
+
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
-        """Yield the mutations and keyframes of a chunk, with the worlds that their channels are for."""
+        """Yield the mutations, keyframes and looks of a chunk, with the worlds that their channels are for."""
         entries = self._load(number)
         for at, channel in enumerate(entries.channels):
-            if self._kinds[channel] in (Mutation, Keyframe):
+            kind = self._kinds[channel]
+            if kind in (Mutation, Keyframe) or (kind is Query and may_be_look(entries.payloads[at])):
                 record = self._decode(number, entries, at)
-                if record is not None:
+                if record is not None and (not isinstance(record, Query) or is_look(record)):
                     yield record, self._owners[channel]
 
     # --- search for a step -------------------------------------------------------------------------------------------

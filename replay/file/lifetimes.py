@@ -10,7 +10,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from recorder.records import Keyframe, Mutation, Record
+from recorder.records import Keyframe, Mutation, Query, Record
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from replay.file.chunks import Chunks
 
 Owner: TypeAlias = "tuple[str, int]"  # a world's name, and the number of its lifetime, from 1
+_Lists: TypeAlias = "tuple[list[int], list[int], list[int]]"  # numbers of chunks: with changes, keyframes, looks
 _Mark: TypeAlias = "tuple[type[Record], Owner]"  # a type of record that a chunk has of a world
 
 
@@ -32,6 +33,7 @@ class Lifetime:
         stop: the step at which the next one of its name was opened; None if there is none.
         changes: numbers of the chunks with its mutations or keyframes.
         keyframes: numbers of the chunks with its keyframes.
+        looks: numbers of the chunks with queries that taught its robots where objects are.
     """
 
     world: str
@@ -40,6 +42,7 @@ class Lifetime:
     stop: int | None
     changes: Sequence[int]
     keyframes: Sequence[int]
+    looks: Sequence[int]
 
     @property
     def title(self) -> str:
@@ -64,25 +67,26 @@ def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
     chunks_of = _chunks_by_lifetime(chunks)
     starts = _starts(chunks, chunks_of)
     lifetimes = []
-    for owner, (changes, keyframes) in sorted(chunks_of.items(), key=lambda item: (item[1][0][0], starts[item[0]])):
+    for owner, lists in sorted(chunks_of.items(), key=lambda item: (item[1][0][0], starts[item[0]])):
         world, number = owner
         stop = starts.get((world, number + 1))
-        lifetimes.append(Lifetime(world, number, starts[owner] if number > 1 else 0, stop, changes, keyframes))
+        lifetimes.append(Lifetime(world, number, starts[owner] if number > 1 else 0, stop, *lists))
     return tuple(lifetimes)
 
 
-def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, tuple[list[int], list[int]]]:
-    """Return the numbers of the chunks that have changes of each lifetime, and of those with keyframes."""
-    chunks_of: dict[Owner, tuple[list[int], list[int]]] = {}
+def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
+    """Return the numbers of the chunks that have changes of each lifetime, of those with keyframes, and with looks."""
+    chunks_of: dict[Owner, _Lists] = {}
+    shared = chunks.share_worlds()
     last_number: dict[str, int] = {}  # number of the latest lifetime by name of the world
     lists_by_channels: dict[bytes, list[list[int]]] = {}  # that a chunk belongs to, by ids of its channels
     for number, channels in enumerate(chunks.channel_maps()):
         ids = b"" if channels is None else channels[::10] + channels[1::10]  # low bytes, then high bytes
         lists = lists_by_channels.get(ids)
         if lists is None:
-            kinds = [(kind, owner) for kind, owner in chunks.channels(number) if kind in (Mutation, Keyframe)]
+            kinds = [each for each in chunks.channels(number) if each[0] in (Mutation, Keyframe, Query)]
             marks: list[_Mark] = [(kind, owner) for kind, owner in kinds if owner is not None]
-            exact = bool(ids) and len(marks) == len(kinds)
+            exact = bool(ids) and (len(marks) == len(kinds) or not shared)
             if not exact:
                 marks = [(type(record), _owner(record, owner, last_number)) for record, owner in chunks.changes(number)]
             for _, (world, lifetime) in marks:
@@ -92,7 +96,7 @@ def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, tuple[list[int], list[int
                 lists_by_channels[ids] = lists
         for numbers in lists:
             numbers.append(number)
-    return chunks_of
+    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # of others, all changes are lost
 
 
 def _owner(record: Record, channel_owner: Owner | None, last_number: dict[str, int]) -> Owner:
@@ -113,24 +117,27 @@ def closes_world(record: Record) -> bool:
     return isinstance(record, Mutation) and record.HasField("close_world")
 
 
-def _lists(chunks_of: dict[Owner, tuple[list[int], list[int]]], marks: Iterable[_Mark]) -> list[list[int]]:
+def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[int]]:
     """Return the lists that a chunk belongs to, by what it has."""
     lists = []
     kinds: defaultdict[Owner, set[type[Record]]] = defaultdict(set)
     for kind, owner in marks:
         kinds[owner].add(kind)
     for owner, present in kinds.items():
-        changes, keyframes = chunks_of.setdefault(owner, ([], []))
-        lists.append(changes)
+        changes, keyframes, looks = chunks_of.setdefault(owner, ([], [], []))
+        if Keyframe in present or Mutation in present:
+            lists.append(changes)
         if Keyframe in present:
             lists.append(keyframes)
+        if Query in present:
+            lists.append(looks)
     return lists
 
 
-def _starts(chunks: Chunks, chunks_of: dict[Owner, tuple[list[int], list[int]]]) -> dict[Owner, int]:
+def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
     """Return the first steps of lifetimes; 0 where nothing depends on it, to avoid reading."""
     beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # by chunk
-    for owner, (changes, _) in chunks_of.items():
+    for owner, (changes, *_) in chunks_of.items():
         beginning[changes[0]].append(owner)
     starts = dict.fromkeys(chunks_of, 0)
     for number, owners in beginning.items():

@@ -22,7 +22,7 @@ from pycram.world.current import open_worlds
 from pycram.world.read_only import update
 from pycram.world.snapshot import Snapshot, restore_snapshot
 from pycram.world.world import BulletWorld, Object
-from recorder.records import STEPS_PER_SECOND
+from recorder import records
 from recorder.tracing import journal
 from replay.errors import Damaged
 from replay.restore.recorded_world import description_of, model_of, world_state
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from recorder.records import LoadBody
     from replay.file.record_reader import RecordReader
-    from replay.state.state import Body, Sampled, World
+    from replay.state.state import Belief, Body, Sampled, World
 
 __all__ = ["load_body", "open_world", "reading", "rebuild", "unrecorded", "world_at"]
 
@@ -65,8 +65,9 @@ def world_at(
             from replay.restore.reexecute import executed_again  # noqa: PLC0415  it opens and loads worlds by this module
 
             restored = executed_again(log, step, state.name, mode)
+            restored.beliefs.rebuild(map(_recorded, state.beliefs.values()))
             if within is not None and within.world == state.name:
-                restored.simulate_steps(math.floor(within.asked * STEPS_PER_SECOND) - restored.sim_step)
+                restored.simulate_steps(math.floor(within.asked * records.STEPS_PER_SECOND) - restored.sim_step)
         else:
             restored = rebuild(log, state, _suffix(step, within), mode)
     try:
@@ -125,6 +126,7 @@ def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") 
             driving.resume(world.get_object(following.begin.body), following)
         if state.robot:
             world.set_robot(world.get_object(state.robot))
+        world.beliefs.rebuild(map(_recorded, state.beliefs.values()))
     except BaseException:
         world.exit()
         raise
@@ -162,6 +164,20 @@ def load_body(
         list(loaded.color if color is None else color) or None,
         description=description_of(loaded.robot_description),
         model=model_of(log, loaded),
+    )
+
+
+def _recorded(belief: Belief) -> records.Belief:
+    """Return a belief as records have it: of what is held, its pose is the hand's."""
+    held = belief.source == "held"
+    return records.Belief(
+        robot=belief.robot,
+        object=belief.object,
+        source=belief.source.upper(),
+        position=() if held else belief.position,
+        orientation=() if held else belief.orientation,
+        sim_step=belief.sim_step,
+        step=belief.step,
     )
 
 

@@ -10,24 +10,37 @@ import math
 from bisect import bisect_left, bisect_right
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Following, Keyframe, Mutation
+from recorder.records import (
+    STEPS_PER_SECOND,
+    Belief as Believed,
+    Following,
+    Keyframe,
+    Mutation,
+    Query,
+    argument_values,
+    beliefs,
+)
 from recorder.records.following import has_ended
 from replay.errors import Damaged
 from replay.file.lifetimes import closes_world
 from replay.file.repair import range_text
-from replay.state.state import Attachment, Body, Sampled, State, World
+from replay.state.state import Attachment, Belief, Body, Sampled, State, World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from recorder import records
-    from recorder.geometry import Quaternion, Vector
+    from recorder.geometry import Pose, Quaternion, Vector
     from replay.file.lifetimes import Lifetime
     from replay.file.record_reader import RecordReader
 
 FAR: Final = 1e9
 """m, rad, m/s or rad/s, of anything in a state: objects are put up to 1e6 m away, and may fall for hours from there."""
 
+CHANGES: Final = (Mutation, Keyframe, Query)
+"""What a state is folded from; of queries, those that taught a robot where objects are."""
+
+_NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # where a body is whose loading is lost
 _AT_REST: Final = (0.0,) * 6
 _SHORTEST, _LONGEST = 0.99, 1.01  # squared lengths of a unit quaternion
 
@@ -87,8 +100,9 @@ def _fold_lifetime(log: RecordReader, lifetime: Lifetime, step: int, worlds: dic
     base = _last_keyframe(log, lifetime, step)
     begin = lifetime.changes[0] if base is None else log.chunk_of(base.seq)
     start = lifetime.start if base is None else base.seq
-    chunks = lifetime.changes[bisect_left(lifetime.changes, begin) : bisect_right(lifetime.changes, end)]
-    for record in log.records_of(lifetime, (Mutation, Keyframe), chunks):
+    numbers = lifetime.changes, lifetime.looks
+    chunks = sorted({number for each in numbers for number in each[bisect_left(each, begin) : bisect_right(each, end)]})
+    for record in log.records_of(lifetime, CHANGES, chunks):
         if start <= record.seq <= step:
             try:
                 apply(worlds, record)
@@ -110,9 +124,11 @@ def _last_keyframe(log: RecordReader, lifetime: Lifetime, step: int) -> Keyframe
 
 def apply(worlds: dict[str, WorldBuilder], record: records.Record) -> None:
     """Bring worlds, by name, from before a record to after it; records that don't change worlds are ignored."""
+    name, before = record.world, worlds.get(record.world)
+    if isinstance(record, Query) and before is not None and beliefs.is_look(record):
+        before.look(record)
     if not isinstance(record, Mutation | Keyframe):
         return
-    name, before = record.world, worlds.get(record.world)
     lifetime = before.facts["lifetime"] if before is not None else 1
     if isinstance(record, Keyframe):
         worlds[name] = WorldBuilder.of_keyframe(record)
@@ -135,6 +151,7 @@ class WorldBuilder:
         bodies: by name.
         attachments: by names of carrier and body.
         following: trajectories that bodies follow, by number.
+        beliefs: what robots believe of objects.
     """
 
     def __init__(self, name: str, mode: str = "DIRECT") -> None:
@@ -142,6 +159,7 @@ class WorldBuilder:
         self.bodies: dict[str, _BodyBuilder] = {}
         self.attachments: dict[tuple[str, str], Attachment] = {}
         self.following: dict[int, Following] = {}
+        self.beliefs: beliefs.Beliefs = {}
 
     @classmethod
     def of_keyframe(cls, frame: Keyframe) -> WorldBuilder:
@@ -157,13 +175,19 @@ class WorldBuilder:
         world._set_states(frame.bodies)
         world._attach(frame.attachments)
         world.following = {each.begin.number: each for each in frame.following}
+        beliefs.restore(world.beliefs, frame.beliefs)
         return world
 
     def build(self) -> World:
         """Return its current state."""
         bodies = {name: body.build() for name, body in self.bodies.items()}
         parts = {"bodies": bodies, "attachments": dict(self.attachments), "following": dict(self.following)}
-        return World(**self.facts, **parts)  # type: ignore[arg-type]
+        believed = {key: _belief(belief, bodies) for key, belief in self.beliefs.items() if key[1] in bodies}
+        return World(**self.facts, **parts, beliefs=believed)  # type: ignore[arg-type]
+
+    def look(self, record: Query) -> None:
+        """Apply a query that taught a robot where objects are."""
+        beliefs.look(self.beliefs, argument_values(record.evidence), record.sim_step, record.seq)
 
     def apply(self, record: Mutation) -> None:
         """Apply a mutation: its command where that alone changes the state, then its effect."""
@@ -189,6 +213,28 @@ class WorldBuilder:
             self.facts |= {"open": False, "realtime": False, "robot": ""}
         self._follow(command, record)
         self._apply_effect(record.effect)
+        self._believe(record)
+
+    def _believe(self, record: Mutation) -> None:
+        """Take note of what robots take and put down, and of what they forget."""
+        effect = record.effect
+        carriers = None
+        if effect.attached or effect.detached:
+            carriers = {body: carrier for carrier, body in self.attachments}
+        beliefs.follow(
+            self.beliefs,
+            record,
+            record.sim_step,
+            record.seq,
+            removed=effect.removed,
+            carriers=carriers,
+            robots=[name for name, body in self.bodies.items() if body.loaded.type == "robot"] if carriers else (),
+            pose_of=self._pose,
+        )
+
+    def _pose(self, body: str) -> Pose:
+        known = self.bodies.get(body)
+        return (known.position, known.orientation) if known is not None else _NOWHERE
 
     def _follow(self, command: str | None, record: Mutation) -> None:
         """Take note of which trajectories begin, are stopped, and end."""
@@ -294,6 +340,14 @@ class _BodyBuilder:
             dict(self.joint_velocities),
             self.color,
         )
+
+
+def _belief(belief: Believed, bodies: Mapping[str, Body]) -> Belief:
+    """Return a belief; of what a robot holds, it is where the hand has it."""
+    body = bodies[belief.object]
+    held = belief.source == Believed.HELD
+    pose = body.pose if held else (_vector(belief.position), _quaternion(belief.orientation))
+    return Belief(belief.robot, belief.object, *pose, beliefs.word(belief.source), belief.sim_step, belief.step)
 
 
 def _vector(values: Sequence[float]) -> Vector:

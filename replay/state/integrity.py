@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from recorder.records import Envelope, Event, Keyframe, Mutation, Run, Task
+from recorder.records import Envelope, Event, Keyframe, Mutation, Query, Run, Task
 from replay.state.deviation import Deviation, first_deviation
 from replay.state.fold import apply, fold
 from replay.state.json_data import message_data, world_data
@@ -91,7 +91,7 @@ class Integrity:
         if isinstance(record, Keyframe) and self.knows(record.world) and not cause:
             deviation = self._compare(record)
             cause = "" if deviation is None else "the keyframe differs from the fold of the records before it"
-        if isinstance(record, Mutation | Keyframe) and not cause:
+        if isinstance(record, Mutation | Keyframe | Query) and not cause:
             cause = self._apply(record)
         return Problem(step, cause, deviation, self.tasks.path(record.task)) if cause else None
 
@@ -115,9 +115,9 @@ class Integrity:
             return self.tasks.check_run(record) if isinstance(record, Run) else ""
         return self.tasks.check(record)
 
-    def _apply(self, record: Mutation | Keyframe) -> str:
+    def _apply(self, record: Mutation | Keyframe | Query) -> str:
         """Bring its world to after a change; one that isn't known is left out behind missing records."""
-        opens = isinstance(record, Keyframe) or record.HasField("open_world")
+        opens = not isinstance(record, Mutation) or record.HasField("open_world")
         if not opens and self.tasks.partial and not self.knows(record.world):
             return ""
         try:

@@ -128,6 +128,19 @@ def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
             for number, each in world.following.items()
             if only in (None, each.begin.body)
         },
+        "beliefs": [
+            {
+                "robot": belief.robot,
+                "body": belief.object,
+                "position": list(belief.position),
+                "orientation": list(belief.orientation),
+                "source": belief.source,
+                "sim_step": belief.sim_step,
+                "step": belief.step,
+            }
+            for belief in world.beliefs.values()
+            if only in (None, belief.robot, belief.object)
+        ],
     }
 
 

@@ -93,6 +93,34 @@ class Attachment:
 
 
 @dataclass(frozen=True, slots=True)
+class Belief:
+    """Where a robot believes an object to be; :mod:`recorder.records.beliefs` says what it is made of.
+
+    Attributes:
+        robot: name of the robot.
+        object: name of the object.
+        position: where, of its base in the world, m; of what the robot holds, where the hand has it.
+        orientation: of the same, xyzw.
+        source: "seen"; "told", by the world's state; "held"; "placed", where the robot let go of it.
+        sim_step: simulated steps of 1/240 s when that was learned.
+        step: the record that taught it: a look, or what it took or put down; -1: it is older than the recording.
+    """
+
+    robot: str
+    object: str
+    position: Vector
+    orientation: Quaternion
+    source: str
+    sim_step: int
+    step: int
+
+    @property
+    def pose(self) -> Pose:
+        """Position and orientation."""
+        return self.position, self.orientation
+
+
+@dataclass(frozen=True, slots=True)
 class World:
     """A world.
 
@@ -108,6 +136,7 @@ class World:
         bodies: by name, in the order of loading.
         attachments: by names of carrier and body.
         following: trajectories that bodies follow, by number.
+        beliefs: what robots believe of objects, by names of robot and object; what was learned last comes last.
     """
 
     name: str
@@ -121,6 +150,7 @@ class World:
     bodies: Mapping[str, Body] = field(default_factory=dict)
     attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)
     following: Mapping[int, Following] = field(default_factory=dict)
+    beliefs: Mapping[tuple[str, str], Belief] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -145,6 +175,22 @@ class World:
     def carrier(self, body: str) -> Attachment | None:
         """Return how a body is carried; None if it isn't."""
         return next((held for held in self.attachments.values() if held.body == body), None)
+
+    def believed(self, what: str | None = None, robot: str | None = None) -> list[Belief]:
+        """Return what robots believe, what was learned last first.
+
+        Args:
+            what: name or type of objects; None for all.
+            robot: name of the robot; None for all.
+        """
+        return [
+            belief
+            for belief in reversed(list(self.beliefs.values()))
+            if robot in (None, belief.robot) and what in (None, belief.object, self._type(belief.object))
+        ]
+
+    def _type(self, body: str) -> str:
+        return self.bodies[body].type if body in self.bodies else ""
 
     def carried(self, carrier: str) -> list[Attachment]:
         """Return what a body carries itself."""

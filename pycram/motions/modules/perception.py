@@ -10,10 +10,14 @@ from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.queries.visibility import visible
 from pycram.reasoning.rejections import Inferior, Unseen
+from recorder.records.beliefs import sightings
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from pycram.motions.designator import Designator
     from pycram.world.object import Object
+    from recorder.records import Plain
 
 RECOGNISABLE: Final = 0.5
 """Share of an object that has to be seen to know it."""
@@ -30,21 +34,28 @@ class Detecting(SimulatedModule):
             raise MissingPart(robot.name, "camera")
         reasons: dict[str, str] = {}
         seen: list[tuple[float, Object]] = []
-        with robot.world.lock, choosing("best_seen", robot.world, type=kind) as choice:
-            for body in robot.world.get_objects_by_type(kind):
-                verdict = visible(body, camera.frame, robot=robot, threshold=RECOGNISABLE)
-                evidence: dict[str, Any] = dict(verdict.evidence)
-                if verdict:
-                    seen.append((float(evidence["share"]), body))
-                    choice.reject(body.name, Inferior("share", evidence["share"]))
-                else:
-                    reasons[body.name] = _reason(evidence)
-                    choice.reject(body.name, Unseen(evidence["share"], list(evidence["hidden_by"])))
-            if not seen:
-                raise PerceptionError(kind, reasons)
-            best = max(seen, key=lambda item: item[0])[1]
-            choice.take(best.name, best)
+        with robot.world.lock:
+            with choosing("best_seen", robot.world, type=kind) as choice:
+                for body in robot.world.get_objects_by_type(kind):
+                    verdict = visible(body, camera.frame, robot=robot, threshold=RECOGNISABLE)
+                    evidence: dict[str, Any] = dict(verdict.evidence)
+                    if verdict:
+                        seen.append((float(evidence["share"]), body))
+                        choice.reject(body.name, Inferior("share", evidence["share"]))
+                    else:
+                        reasons[body.name] = _reason(evidence)
+                        choice.reject(body.name, Unseen(evidence["share"], list(evidence["hidden_by"])))
+                if not seen:
+                    raise PerceptionError(kind, reasons)
+                best = max(seen, key=lambda item: item[0])[1]
+                choice.take(best.name, best, **_sightings(robot, "seen", [body for _, body in seen]))
+            robot.world.beliefs.look(choice.evidence, choice.steps)
         return best
+
+
+def _sightings(robot: Object, source: str, bodies: Iterable[Object]) -> dict[str, Plain]:
+    """Return as evidence where objects are."""
+    return sightings(robot.name, source, {body.name: body.get_position_and_orientation() for body in bodies})
 
 
 def _reason(evidence: dict[str, Any]) -> str:
@@ -60,13 +71,15 @@ class WorldStateDetecting(SimulatedModule):
     def _execute(self, designator: Designator) -> Object:
         kind = designator.reference()["object-type"]
         robot = self.robot()
-        with robot.world.lock, choosing("nearest", robot.world, type=kind) as choice:
-            here = robot.get_position()
-            found = [(math.dist(body.get_position(), here), body) for body in robot.world.get_objects_by_type(kind)]
-            if not found:
-                raise PerceptionError(kind)
-            for distance, body in found:
-                choice.reject(body.name, Inferior("distance", distance))
-            nearest = min(found, key=lambda item: item[0])[1]
-            choice.take(nearest.name, nearest)
-            return nearest
+        with robot.world.lock:
+            with choosing("nearest", robot.world, type=kind) as choice:
+                here = robot.get_position()
+                found = [(math.dist(body.get_position(), here), body) for body in robot.world.get_objects_by_type(kind)]
+                if not found:
+                    raise PerceptionError(kind)
+                for distance, body in found:
+                    choice.reject(body.name, Inferior("distance", distance))
+                nearest = min(found, key=lambda item: item[0])[1]
+                choice.take(nearest.name, nearest, **_sightings(robot, "told", [nearest]))
+            robot.world.beliefs.look(choice.evidence, choice.steps)
+        return nearest

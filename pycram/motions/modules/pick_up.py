@@ -5,32 +5,30 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, NoPath, PlanFailure, Unreachable
+from pycram.foundation.failures import Blocked, GraspFailed, GripperBlocked, NoPath, PlanFailure
 from pycram.motions.modules.simulated import SimulatedModule
-from pycram.reasoning.choosing import Choice, choosing
+from pycram.reasoning.choosing import choosing
+from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.grasping import choice as grasp_choice, fingers
-from pycram.reasoning.grasping.grasps import FREE, candidates, leaning
-from pycram.reasoning.rejections import Misfit, Slips, Touching, Unreached, short
+from pycram.reasoning.grasping import fingers
+from pycram.reasoning.grasping.taking import ways_to_hold
+from pycram.reasoning.rejections import Touching, Unreached, short
 from pycram.world import overlaps
 from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from pycram.foundation.collision_pair import CollisionPair
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
     from pycram.motions.execution import Step
-    from pycram.reasoning.grasping.choice import GraspPlan
-    from pycram.reasoning.grasping.fingers import Closing
-    from pycram.reasoning.grasping.grasps import Grasp
+    from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
     from recorder.geometry import PoseLike
 
-_MAX_GRASPS: Final = 6  # that are tried, one after the other
 _MAX_SEARCHED: Final = 3  # to which a path is searched in vain
 _MOVING: Final = (0.3, 3.0)  # m/s, rad/s from which on it falls or rolls; what rocks after it was set down can be taken
-_LEANING: Final = math.radians(5)  # that the message tells
 _STILL: Final = (0.005, math.radians(5))  # m and rad by which it may move while the hand comes
 _BEHIND: Final = (-1.0, 0.0, 0.0)  # where the gripper comes from, in the tool frame
 
@@ -38,7 +36,8 @@ _BEHIND: Final = (-1.0, 0.0, 0.0)  # where the gripper comes from, in the tool f
 class PickUp(SimulatedModule):
     """Reaches for an object, closes the gripper around it and takes it: with a finger on both sides, touching no more.
 
-    Everything is planned before anything moves, and looked at again when the hand is there and when it has closed.
+    Everything is planned before anything moves, and looked at again when the hand is there and when it has closed. From
+    another hand of the robot it takes an object beside that hand, which then lets go and is drawn back.
     """
 
     def _execute(self, designator: Designator) -> Object:
@@ -46,36 +45,53 @@ class PickUp(SimulatedModule):
         robot = self.robot()
         arm = self.description(robot).arm(solution["arm"])
         body: Object = solution["object"]
-        world, side = robot.world, solution.get("grasp")
+        giver = self.description(robot).arm(solution["from"]) if "from" in solution else None
+        world, side, given = robot.world, solution.get("grasp"), giver and giver.name
         with self.execution.whole(world):
-            with world.lock, choosing("grasp", world, object=body, arm=arm.name, side=side) as choice:
-                self._check_free(robot, arm, body)
+            with (
+                world.lock,
+                choosing("grasp", world, object=body, arm=arm.name, side=side, **{"from": given}) as choice,
+            ):
+                self._check_free(robot, arm, body, giver)
                 stood, opened = body.get_position_and_orientation(), arm.gripper.positions("open")
 
                 def approach(posture: Mapping[str, float]) -> Step:
                     return self.execution.approach(robot, arm, posture, _BEHIND, opened=opened, ignored=[body])
 
-                reach, closed = _plan(robot, arm, body, None if side is None else (side,), approach, choice)
+                sides = None if side is None else (side,)
+                reach, closed = _plan(robot, arm, body, sides, approach, choice, giver)
             reach()
             with world.lock:
-                self._check_still(robot, arm, body, stood)
+                self._check_still(robot, arm, body, stood, giver)
                 close = self.execution.grip(robot, closed)
             close()
             with world.lock:
-                sides = fingers.sides_held(robot, arm, body)
-                if sides < 2:
-                    where = "on one side only" if sides else "nowhere"
-                    raise GraspFailed(arm.name, body.name, f"its fingers have closed, and touch it {where}")
+                _check_sides(robot, arm, body)
+                release = None if giver is None else _release(robot, giver, body)
+                if giver is not None:
+                    robot.detach(body)
                 robot.attach(body, arm.tool_frame)
-                lift = self.execution.lift(robot, arm)
+                lift = self.execution.lift(robot, arm) if giver is None else None
+            if giver is not None and release is not None:
+                self.execution.grip(robot, release)()
+                with world.lock:
+                    lift = self.execution.retreat(robot, giver)
             if lift is not None:
                 lift()
+            if giver is not None:
+                with world.lock:
+                    _check_sides(robot, arm, body)
         return body
 
-    def _check_free(self, robot: Object, arm: Arm, body: Object) -> None:
+    def _check_free(self, robot: Object, arm: Arm, body: Object, giver: Arm | None) -> None:
         if body.fixed:
             raise GraspFailed(arm.name, body.name, "it is fixed")
-        if body.carrier is not None:
+        if giver is not None and (giver.name == arm.name or self.held(robot, giver) is not body):
+            reason = (
+                f"it takes it from the {giver.name} one, which {'is itself' if giver is arm else 'does not hold it'}"
+            )
+            raise GraspFailed(arm.name, body.name, reason)
+        if giver is None and body.carrier is not None:
             raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
         held = self.held(robot, arm)
         if held is not None:
@@ -92,9 +108,11 @@ class PickUp(SimulatedModule):
                     inside = f"it is {depth * 1e3:.0f} mm inside of {other.name}"
                     raise GraspFailed(arm.name, body.name, inside)
 
-    def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike) -> None:
-        """Check that an object is where it was when the hand set out for it, and free."""
-        if body.carrier is not None:
+    def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike, giver: Arm | None) -> None:
+        """Check that an object is where it was when the hand set out for it, and free, or still in the other hand."""
+        if giver is not None and self.held(robot, giver) is not body:
+            raise GraspFailed(arm.name, body.name, f"the {giver.name} one has let go of it while the hand came")
+        if giver is None and body.carrier is not None:
             raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
         position, turn = body.get_position_and_orientation()
         moved, turned = math.dist(position, stood[0]), geometry.angle(turn, stood[1])
@@ -116,7 +134,8 @@ class PickUp(SimulatedModule):
                 )
                 return (
                     f"{holder.name} holds it already, with the {other.name} arm; to hand it over, place it with that "
-                    f"one and pick it up with the {arm.name} one; without moving, {over}"
+                    f"one and pick it up with the {arm.name} one, or pick it up from that one (slot from); "
+                    f"without moving, {over}"
                 )
         return f"{holder.name} holds it already; {free}"
 
@@ -128,70 +147,66 @@ def _plan(
     names: Sequence[str] | None,
     approach: Callable[[Mapping[str, float]], Step],
     choice: Choice,
+    giver: Arm | None,
 ) -> tuple[Step, Mapping[str, float]]:
     """Return what brings the arm to an object, and the posture of its closed gripper, for the grasp that touches least.
+
+    A hand that holds the object isn't touched either.
 
     Raises:
         GraspFailed: No side fits, or the fingers wouldn't hold it from any.
         Unreachable: No posture brings the gripper there; Blocked if something is in the way.
         NoPath: No path was found to where it would be taken.
     """
-    refused: list[Grasp] = []
     failures: list[PlanFailure] = []
     searched = 0
-    while len(failures) < _MAX_GRASPS and searched < _MAX_SEARCHED:
-        plan = grasp_choice.best(body, robot, arm.tool_frame, names, refused, choice)
-        if plan.grasp is None or plan.posture is None:
-            failures.append(_nothing(robot, arm, body, names, plan))
-            break
-        closing = fingers.closed_around(robot, arm, plan.posture.positions, body)
-        failure = _problem(arm, body, plan, closing)
-        if closing is not None and failure is None:
-            try:
-                reach = approach(plan.posture.positions)
-            except NoPath as no_path:
-                failures.append(no_path)
-                searched += 1
-                choice.reject(str(plan.grasp), Unreached(no_path.checks, no_path.distance, no_path.pairs))
-            else:
-                position, orientation = short(plan.grasp.position), short(plan.grasp.orientation)
-                choice.take(str(plan.grasp), position=position, orientation=orientation)
-                return reach, closing.positions
-        if failure is not None:
-            failures.append(failure)
-            slips = Slips(closing.sides if closing else 0)
-            choice.reject(str(plan.grasp), Touching(failure.pairs) if isinstance(failure, Blocked) else slips)
-        refused.append(plan.grasp)
+    for grasp, posture, closing in ways_to_hold(robot, arm, body, names, failures, choice):
+        if giver is not None and (pairs := _meeting(robot, arm, giver, posture.positions)):
+            failures.append(Blocked(arm.name, center(body), pairs))
+            choice.reject(str(grasp), Touching(pairs))
+            continue
+        try:
+            reach = approach(posture.positions)
+        except NoPath as no_path:
+            failures.append(no_path)
+            choice.reject(str(grasp), Unreached(no_path.checks, no_path.distance, no_path.pairs))
+            searched += 1
+            if searched == _MAX_SEARCHED:
+                break
+        else:
+            choice.take(str(grasp), position=short(grasp.position), orientation=short(grasp.orientation))
+            return reach, closing.positions
     raise failures[0]  # of the grasp that touches least
 
 
-def _nothing(robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, plan: GraspPlan) -> PlanFailure:
-    """Return why no grasp was found."""
-    if plan.posture is None:
-        tilt = geometry.angle(leaning(body), geometry.IDENTITY[1])
-        lies = f"as it leans, by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
-        if arm.gripper.suction:
-            return GraspFailed(arm.name, body.name, f"{lies}it is nowhere flat enough for the suction cup")
-        sides = Choice("grasp", {})  # also where nobody records
-        candidates(body, robot, arm, names, choice=sides)
-        misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]
-        widths = [misfit.width for misfit in misfits if misfit.width is not None]
-        return DoesNotFit(arm.name, body.name, widths, arm.gripper.gap, arm.gripper.aperture - FREE, lies)
-    if plan.self_collisions:
-        return Blocked(arm.name, center(body), plan.self_collisions)
-    return Unreachable(arm.name, center(body), plan.posture.position_error)
+def _check_sides(robot: Object, arm: Arm, body: Object) -> None:
+    sides = fingers.sides_held(robot, arm, body)
+    if sides < 2:
+        where = "on one side only" if sides else "nowhere"
+        raise GraspFailed(arm.name, body.name, f"its fingers have closed, and touch it {where}")
 
 
-def _problem(arm: Arm, body: Object, plan: GraspPlan, closing: Closing | None) -> PlanFailure | None:
-    """Return why a grasp doesn't do; None if it does."""
-    if plan.obstacles:
-        return Blocked(arm.name, center(body), [collision["pair"] for collision in plan.obstacles.values()])
-    if plan.penetrating is not None:
-        return Blocked(arm.name, center(body), [plan.penetrating])
-    if closing is None:
-        return GraspFailed(arm.name, body.name, "its fingers would close on nothing")
-    if closing.obstacles:
-        return Blocked(arm.name, center(body), closing.obstacles, "when the fingers close")
-    if closing.sides < 2:
-        return GraspFailed(arm.name, body.name, "its fingers would touch it on one side only")
-    return None
+def _meeting(robot: Object, arm: Arm, giver: Arm, posture: Mapping[str, float]) -> list[CollisionPair]:
+    """Return which links of two hands would meet, where one takes what the other holds: their hulls are tight."""
+    hands = [{each.gripper.palm, *each.gripper.fingers} for each in (arm, giver)]
+    opened = arm.gripper.positions("open")
+    with CollisionChecker(robot, [*posture, *opened]) as checker:
+        (candidate,) = checker.predict([{**posture, **opened}])
+        met = [
+            (pair, checker.depth(candidate, pair))
+            for pair in checker.self_pairs([candidate])[0]
+            if any(pair[1] in one and pair[3] in other for one, other in (hands, hands[::-1]))
+        ]
+        return [checker.named(pair, depth) for pair, depth in met if depth >= DEPTH]
+
+
+def _release(robot: Object, giver: Arm, body: Object) -> Mapping[str, float]:
+    """Return the posture in which a gripper has let go of an object.
+
+    Raises:
+        GripperBlocked: Something stops its fingers before.
+    """
+    motion = fingers.moved(robot, giver, 1.0, release=body)
+    if motion.stopped_by and motion.gap < fingers.CLEAR:
+        raise GripperBlocked(giver.name, body.name, motion.stopped_by)
+    return motion.positions

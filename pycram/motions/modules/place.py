@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -13,32 +13,27 @@ from pycram.motions.execution import TIMEOUT
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
-from pycram.reasoning.grasping import fingers, placing, sides
-from pycram.reasoning.kinematics import solver
-from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unreached, short
+from pycram.reasoning.grasping import placing
+from pycram.reasoning.grasping.putting import Refusals, placements
+from pycram.reasoning.rejections import Unreached, short
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
     from pycram.motions.execution import Step
     from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
-    from recorder.geometry import Pose, PoseLike, Quaternion
+    from recorder.geometry import Pose, PoseLike
 
 _AWAY: Final = 0.02  # m from where it was let go
 _TURNED: Final = math.radians(10)  # from the orientation that was asked for, or from upright
 _TOUCHING: Final = 1e-3  # m of air that count as touching
 _LOAD: Final = 0.01  # of its weight that a finger bears which holds it up
-_LIFTS: Final = (0.005, 0.01, 0.015)  # m from which something may fall
-_MAX_LIFTED: Final = 4  # poses that are tried so
 _MAX_SEARCHED: Final = 3  # postures to which a path is searched in vain
-_FROM_BELOW: Final = 0.5  # of a unit vector pointing up, in which the hand would come
 _ABOVE: Final = (0.0, 0.0, 1.0)  # where it is lowered from
-_UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
-_YAWS: Final = 12  # orientations about the vertical in which putting down is tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,25 +113,6 @@ class Place(SimulatedModule):
         return None if posture is None else self.execution.move(robot, posture)
 
 
-@dataclass(slots=True)
-class _Refusals:
-    """Why poses and postures won't do.
-
-    Attributes:
-        no_room: there is none for the object.
-        misses: m that the nearest posture stays away.
-        pairs: links that would meet, by the name of what is in the way.
-        low: poses in which the hand would meet what the object is put on.
-        no_path: searches for a path to a posture that would do.
-    """
-
-    no_room: list[PlaceFailed] = field(default_factory=list)
-    misses: list[float] = field(default_factory=list)
-    pairs: dict[str, CollisionPair] = field(default_factory=dict)
-    low: list[Pose] = field(default_factory=list)
-    no_path: list[NoPath] = field(default_factory=list)
-
-
 def _plan(
     robot: Object,
     arm: Arm,
@@ -162,44 +138,17 @@ def _plan(
         NoPath: No path was found to the first few.
         Unreachable: No posture brings the object there.
     """
-    body_T_tool = geometry.multiply(
-        geometry.invert(body.get_position_and_orientation()),
-        arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame)),
-    )
-    hand = {arm.gripper.palm, *arm.gripper.fingers}
-    refusals = _Refusals()
-    turns = _orientations(robot, body, body_T_tool, orientation)
-    for pose, quick, lift in _poses(body, target, turns, refusals, choice):
-        name = _name(pose[1]) + (f", let go {1e3 * lift:.0f} mm higher" if lift else "")
-        position, turn = geometry.multiply(pose, body_T_tool)
-        for posture in solver.postures(robot, arm.tool_frame, position, turn, quick=quick):
-            if not posture.reaches():
-                refusals.misses.append(posture.position_error)
-                choice.reject(name, OutOfReach(posture.position_error, posture.turn_error))
-                continue
-            pairs = checker.in_the_way(robot, posture.positions)
-            if not pairs:
-                opening = fingers.moved(robot, arm, 1.0, posture=posture.positions, release=body, pose=pose)
-                if opening.gap >= fingers.CLEAR or not opening.stopped_by:
-                    step = _way(partial(lower, posture.positions, (position, turn)), name, refusals, choice)
-                    if step is None:
-                        continue
-                    choice.take(name, position=short(pose[0]), orientation=short(pose[1]))
-                    return _Plan(step, pose, opening.positions)
-                pairs = list(opening.stopped_by)
-            elif (
-                quick
-                and not lift
-                and all(pair.link in hand and robot.world.get_object(pair.body).is_environment for pair in pairs)
-            ):
-                refusals.low.append(pose)
-            choice.reject(name, Touching(pairs))
-            for pair in pairs:
-                refusals.pairs.setdefault(pair.body, pair)
+    refusals = Refusals()
+    for placement in placements(robot, arm, body, target, orientation, refusals, choice):
+        step = _way(partial(lower, placement.posture, placement.tool), placement.name, refusals, choice)
+        if step is not None:
+            position, turn = placement.pose
+            choice.take(placement.name, position=short(position), orientation=short(turn))
+            return _Plan(step, placement.pose, placement.opened)
     raise _refused(arm, body, target, orientation, refusals)
 
 
-def _way(lower: Callable[[], Step], name: str, refusals: _Refusals, choice: Choice) -> Step | None:
+def _way(lower: Callable[[], Step], name: str, refusals: Refusals, choice: Choice) -> Step | None:
     """Return what brings the arm to a posture; None if no path was found.
 
     Raises:
@@ -216,7 +165,7 @@ def _way(lower: Callable[[], Step], name: str, refusals: _Refusals, choice: Choi
 
 
 def _refused(
-    arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None, refusals: _Refusals
+    arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None, refusals: Refusals
 ) -> PlanFailure:
     """Return the failure that says why an object can't be put down."""
     if refusals.no_path:
@@ -229,40 +178,6 @@ def _refused(
     taken = refusals.no_room[0]
     pairs = [replace(pair, gripper=arm.name) for pair in taken.pairs]
     return PlaceFailed(body.name, target, taken.reason, orientation=orientation, pairs=pairs)
-
-
-def _poses(
-    body: Object, target: Sequence[float], turns: Iterable[Quaternion], refusals: _Refusals, choice: Choice
-) -> Iterator[tuple[Pose, bool, float]]:
-    """Yield poses in which an object may be put down, to be searched for quickly; then all again, thoroughly.
-
-    Last come those in which only the hand would meet what is below, a little higher: what sticks out on both sides of
-    something narrow may hang lower there than where the fingers are.
-
-    Yields:
-        The pose, whether to search quickly, and by how much it is higher than where the object touches something, m.
-    """
-    tried: list[Pose] = []
-    for turn in turns:
-        try:
-            position = placing.set_down(body, target, turn)
-        except PlaceFailed as failure:  # there may be room for it when it is turned
-            refusals.no_room.append(failure)
-            choice.reject(_name(turn), NoRoom(failure.reason))
-            continue
-        tried.append((position, turn))
-        yield tried[-1], True, 0.0
-    yield from ((pose, False, 0.0) for pose in tried)
-    for lift in _LIFTS:
-        for (x, y, z), turn in refusals.low[:_MAX_LIFTED]:
-            yield ((x, y, z + lift), turn), True, lift
-
-
-def _name(turn: Quaternion) -> str:
-    """Return what distinguishes an orientation from others in which an object may stand."""
-    x, y, _ = geometry.rotate(turn, (1.0, 0.0, 0.0))
-    upside_down = geometry.rotate(turn, (0.0, 0.0, 1.0))[2] < 0.0
-    return f"yaw {math.degrees(math.atan2(y, x)):.0f}{' upside down' if upside_down else ''}"
 
 
 def _reasons(
@@ -348,29 +263,3 @@ def _touching(body: Object) -> list[CollisionPair]:
             own, met = checker.link_name(body, nearest.link_a), checker.link_name(other, nearest.link_b)
             found.append(CollisionPair(body.name, own, other.name, met, max(0.0, -nearest.distance)))
     return found
-
-
-def _orientations(
-    robot: Object, body: Object, body_T_tool: Pose, orientation: Sequence[float] | None
-) -> Iterator[Quaternion]:
-    """Yield orientations in which an object may be put down, the most natural for the arm first.
-
-    What was taken when it lay upside down would need a hand from below to be put down upright: it may lie as it lay.
-    """
-    if orientation is not None:
-        x, y, z, w = orientation
-        yield (x, y, z, w)
-        return
-    natural = [sides.grasp_orientation(grasp, robot) for grasp in sides.GRASPS]
-    start = sides.yaw(body)
-    upright = [geometry.from_rpy(0.0, 0.0, start + 2 * math.pi * i / _YAWS) for i in range(_YAWS)]
-    from_below = geometry.rotate(body_T_tool[1], (1.0, 0.0, 0.0))[2] > _FROM_BELOW
-
-    def strain(turn: Quaternion) -> float:
-        tool = geometry.product(turn, body_T_tool[1])
-        return min(geometry.angle(tool, side) for side in natural)
-
-    yield from sorted(upright, key=strain)
-    if from_below:
-        flipped = [geometry.product(turn, _UPSIDE_DOWN) for turn in upright]
-        yield from sorted(flipped, key=strain)

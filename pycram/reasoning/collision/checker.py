@@ -379,15 +379,16 @@ def touched(
         return checker.touched(candidate)
 
 
-def in_the_way(robot: Object, positions: Mapping[str, float]) -> list[CollisionPair]:
+def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None = None) -> list[CollisionPair]:
     """Return what a robot would collide with in a posture, by the links that overlap most, and which of its own links.
 
     Args:
         robot: the robot; its world's lock is held.
         positions: joint values in rad or m by name that differ from the present ones.
+        base: pose of the robot's base; the present one by default.
     """
     with CollisionChecker(robot, positions) as checker:
-        (candidate,) = checker.predict([positions])
+        (candidate,) = checker.predict([positions], base)
         found = checker.touched(candidate)
         return [collision["pair"] for collision in found.values()] + checker.self_collisions(candidate)
 

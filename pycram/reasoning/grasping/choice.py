@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pycram.reasoning.collision.checker import Collision, Pair
     from pycram.reasoning.kinematics.arm import Posture
     from pycram.world.object import Object
+    from recorder.geometry import Pose
 
     #: Two links that touch, and where.
     Touch = tuple[Pair, list[ClosestPoint]]
@@ -74,27 +75,29 @@ def best(
     names: Sequence[str] | None = None,
     refused: Collection[Grasp] = (),
     choice: Choice = UNRECORDED,
+    base: Pose | None = None,
 ) -> GraspPlan:
     """Return the grasp that touches least: in the middle of the object; beside it if it is long and only that is free.
 
     Args:
         body: the target.
-        robot: the robot, as it stands.
+        robot: the robot.
         link: an arm's tool frame, or any other link, which then just has to get to the target's center.
         names: the sides that are allowed; all by default.
         refused: grasps that are left out.
         choice: gets why the others aren't taken.
+        base: pose that the robot's base is taken to have; where it stands by default.
     """
     arm = robot.description.arm_of(link) if robot.description else None
     solver = Solver(robot, link)
     if arm is None or arm.hand is None:  # it takes nothing, and gets to places as any link does
-        return _best_of([Grasp("any", center(body), IDENTITY[1], 0.0)], body, robot, solver, None, choice)
-    central = candidates(body, robot, arm, names, choice=choice)
-    plan = _best_of([grasp for grasp in central if grasp not in refused], body, robot, solver, arm, choice)
+        return _best_of([Grasp("any", center(body), IDENTITY[1], 0.0)], body, robot, solver, None, choice, base)
+    central = candidates(body, robot, arm, names, base=base, choice=choice)
+    plan = _best_of([grasp for grasp in central if grasp not in refused], body, robot, solver, arm, choice, base)
     if plan.grasp is None or plan.obstacles:
-        every = candidates(body, robot, arm, names, off_center=True, choice=choice)
+        every = candidates(body, robot, arm, names, off_center=True, base=base, choice=choice)
         beside = [grasp for grasp in every if grasp not in refused]
-        free = _best_of(beside, body, robot, solver, arm, choice, limit=_FREE)
+        free = _best_of(beside, body, robot, solver, arm, choice, base, limit=_FREE)
         if free.grasp is not None:
             return free
     return plan
@@ -107,6 +110,7 @@ def _best_of(
     solver: Solver,
     arm: Arm | None,
     choice: Choice,
+    base: Pose | None,
     *,
     limit: Cost = _INFINITE,
 ) -> GraspPlan:
@@ -114,9 +118,9 @@ def _best_of(
     if not grasps:
         return GraspPlan(None, None)
     if arm is None:
-        solved = solver.search([(grasp.position, None, None) for grasp in grasps])
+        solved = solver.search([(grasp.position, None, base) for grasp in grasps])
     else:
-        targets = [(grasp.position, grasp.orientation, None) for grasp in grasps]
+        targets = [(grasp.position, grasp.orientation, base) for grasp in grasps]
         solved = solver.closed_form(targets)
         if not any(solved):  # a search finds what is at the edge of what the arm can: only if there is need
             solved = solver.search(targets)
@@ -134,7 +138,8 @@ def _best_of(
         return GraspPlan(None, min(missed, key=lambda posture: posture.position_error, default=None))
     opened = arm.gripper.positions("open") if arm else {}
     with CollisionChecker(robot, [*solver.joints, *opened], [] if arm else [body]) as checker:
-        return _Choice(body, checker, options, opened, checker.links_beyond(solver.joints), choice).best(limit)
+        hand = checker.links_beyond(solver.joints)
+        return _Choice(body, checker, options, opened, hand, choice, base).best(limit)
 
 
 class _Choice:
@@ -151,6 +156,7 @@ class _Choice:
         opened: joint values of the open gripper.
         hand: links that all postures for a grasp bring to one pose.
         choice: gets what is known of the grasps in the end.
+        base: pose that the robot's base is taken to have; None where it stands.
     """
 
     def __init__(
@@ -161,13 +167,14 @@ class _Choice:
         opened: Mapping[str, float],
         hand: Collection[str],
         choice: Choice,
+        base: Pose | None,
     ) -> None:
         self._target = target
         self._choice = choice
         self._checker = checker
         self._options = options
         every = [{**posture.positions, **opened} for _, postures in options for posture in postures]
-        candidates = iter(checker.predict(every))  # all at once: it takes little longer than one
+        candidates = iter(checker.predict(every, base))  # all at once: it takes little longer than one
         self._candidates = [list(itertools.islice(candidates, len(postures))) for _, postures in options]
         self._hand = hand
         self._arm = checker.moving - set(hand)

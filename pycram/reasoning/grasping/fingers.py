@@ -74,6 +74,7 @@ def moved(
     posture: Mapping[str, float] | None = None,
     release: Object | None = None,
     pose: Pose | None = None,
+    base: Pose | None = None,
 ) -> FingerMotion:
     """Return how far the fingers of an arm get from where they are.
 
@@ -86,13 +87,14 @@ def moved(
         posture: joint values of the arm by name; the present ones by default.
         release: what is let go of, which doesn't stop the fingers.
         pose: of that; where it is by default.
+        base: pose that the robot's base is taken to have; where it stands by default.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
     clone.sync()
     there = {**robot.get_joint_positions(), **(posture or {})}
     frame = robot.urdf.forward_kinematics(there, arm.tool_frame)
-    tool = arm.tool_pose(geometry.multiply(robot.get_position_and_orientation(), frame))[0]
+    tool = arm.tool_pose(geometry.multiply(base or robot.get_position_and_orientation(), frame))[0]
     others = _near(clone, tool, [body for body in robot.world.objects if body not in (robot, release)])
     if not others and release is None:  # in free air, without a copy of the hand
         free, stops = _sweep(lambda _: {}, share_open(robot, gripper), goal)
@@ -104,6 +106,8 @@ def moved(
         return _depths(engine, hand, gripper, others)
 
     try:
+        if base is not None:
+            engine.set_pose(hand, base)
         engine.pose_joints(hand, there)
         free, stops = _sweep(depths, share_open(robot, gripper), goal)
         gap = 2 * CLEAR
@@ -134,7 +138,9 @@ class Closing:
     obstacles: Sequence[CollisionPair] = ()
 
 
-def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: Object) -> Closing | None:
+def closed_around(
+    robot: Object, arm: Arm, posture: Mapping[str, float], body: Object, base: Pose | None = None
+) -> Closing | None:
     """Return how a gripper closes on an object, from open until the first finger touches it; None if none ever does.
 
     Of a hand with many fingers the others go on, each until it touches, as their motors would.
@@ -144,6 +150,7 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
         arm: the arm.
         posture: joint values by name that bring its gripper to the object.
         body: the object, which stays where it is.
+        base: pose that the robot's base is taken to have; where it stands by default.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
@@ -161,6 +168,8 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
         )
 
     try:
+        if base is not None:
+            engine.set_pose(hand, base)
         engine.pose_joints(hand, {**robot.get_joint_positions(), **posture})
         if gripper.suction:
             at_cup = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)

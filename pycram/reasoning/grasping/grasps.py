@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
-    from recorder.geometry import Quaternion, Vector
+    from recorder.geometry import Pose, Quaternion, Vector
 
 FREE: Final = 0.004
 """Metres of the aperture that have to stay free."""
@@ -79,6 +79,7 @@ def candidates(
     names: Sequence[str] | None = None,
     *,
     off_center: bool = False,
+    base: Pose | None = None,
     choice: Choice = UNRECORDED,
 ) -> Sequence[Grasp]:
     """Return grasps of an object, best first.
@@ -89,12 +90,14 @@ def candidates(
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.
         off_center: something long from the top, between its middle and its ends; else everything in the middle.
+        base: pose that the robot's base is taken to have; where it stands by default.
         choice: gets from which sides it doesn't fit, and why.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     if off_center:
         offsets = _along_length(body) if names is None or "top" in names else ()
         names = ("top",)
+    facing = heading(robot, base)
     lying = body.get_orientation()
     lean = _lean(lying)
     stood = geometry.product(geometry.conjugate(lean), lying)
@@ -103,7 +106,7 @@ def candidates(
     if shifts:
         caster = RayCaster(body, lean)
         for shift in shifts:
-            for grasp in _upright(caster, stood, robot, arm, names, shift, choice):
+            for grasp in _upright(caster, stood, robot, arm, facing, names, shift, choice):
                 away = [a - b for a, b in zip(grasp.position, caster.center, strict=True)]
                 x, y, z = (a + b for a, b in zip(geometry.rotate(lean, away), caster.center, strict=True))
                 turn = geometry.product(lean, grasp.orientation)
@@ -112,7 +115,7 @@ def candidates(
     if shifts:
         caster = RayCaster(body)
         for shift in shifts:
-            found.extend(_upright(caster, lying, robot, arm, names, shift, choice))
+            found.extend(_upright(caster, lying, robot, arm, facing, names, shift, choice))
     return _distinguished(found)
 
 
@@ -170,13 +173,13 @@ def _upright(
     lying: Quaternion | Sequence[float],
     robot: Object,
     arm: Arm,
+    facing: Quaternion,
     names: Sequence[str] | None,
     shift: Vector,
     choice: Choice,
 ) -> list[Grasp]:
     """Return grasps of an object that stands upright, or is taken to, with an orientation; moved aside by a shift."""
     beside = " off center" if any(shift) else ""
-    facing = heading(robot)
     dx, dy, _ = shift
     x, y, z = caster.center
     middle = (x + dx, y + dy, z)
@@ -206,7 +209,7 @@ def _upright(
             choice.reject(label, min(misfits, key=lambda each: each.miss()))
     rims = arm.gripper.fingers and middle == caster.center and (names is None or "top" in names)
     if rims and all(grasp.name != "top" for grasp in found):
-        found.extend(_rims(caster, robot, arm, choice))
+        found.extend(_rims(caster, robot, arm, facing, choice))
     return found
 
 
@@ -292,7 +295,7 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
             yield Uneven(None if math.isnan(uneven) else uneven)
 
 
-def _rims(caster: RayCaster, robot: Object, arm: Arm, choice: Choice) -> Iterator[Grasp]:
+def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice: Choice) -> Iterator[Grasp]:
     """Yield grasps over the wall of something hollow that is too wide: on the arm's side, in front, on the far side."""
     gripper, bias = arm.gripper, _bias(robot, arm)
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
@@ -302,7 +305,6 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm, choice: Choice) -> Iterato
     height = max(top - gripper.depth, bottom + gripper.tips + _CLEARANCE)
     first = top - _EDGE
     step = (max(height - gripper.tips, bottom + _CLEARANCE) - first) / (_LEVELS - 1)
-    facing = heading(robot)
     frames = []
     for direction in ((0.0, side, 0.0), (-1.0, 0.0, 0.0), (0.0, -side, 0.0)):
         away = geometry.rotate(facing, direction)

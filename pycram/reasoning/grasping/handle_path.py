@@ -130,7 +130,7 @@ def plan(
     ignored = {(handle.container, link) for link in moved}
     kept = arm.gripper.positions("open") | dict(others or {})
     joints = [*arm.joints, *kept]
-    grips = handle.grips(robot, arm.gripper)
+    grips = handle.grips(robot, arm.gripper, base)
     ends: list[DeadEnd] = []
     try:
         with CollisionChecker(robot, joints, handle.contents, ignored_links=ignored) as checker:

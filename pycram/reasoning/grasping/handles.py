@@ -92,15 +92,15 @@ class Handle:
             found[body] = link, geometry.multiply(link_T_world, body.get_position_and_orientation())
         return found
 
-    def grips(self, robot: Object, gripper: Gripper) -> Sequence[Grip]:
-        """Return how a gripper may hold it, the most natural first."""
+    def grips(self, robot: Object, gripper: Gripper, base: Pose | None = None) -> Sequence[Grip]:
+        """Return how a gripper may hold it, the most natural first, of a robot as it stands or with another base pose."""
         low, high = self._box()
         middle = (low + high) / 2
         bar = int(np.argmax(high - low))
         axis = np.eye(3)[bar]
         closed = self.pose(self.closed)
         handle_T_world = geometry.invert(closed)
-        front = geometry.product(handle_T_world[1], self._front(robot, closed[1], high - low))
+        front = geometry.product(handle_T_world[1], self._front(robot, closed[1], high - low, base))
         forward = geometry.rotate(front, (1.0, 0.0, 0.0))
         back = max(half_extent(low.tolist(), high.tolist(), forward) - gripper.depth, 0.0)
         beside = max((high - low)[bar] / 2 - gripper.underside, 0.0)
@@ -120,11 +120,11 @@ class Handle:
         return shapes.low[number], shapes.high[number]
 
     @staticmethod
-    def _front(robot: Object, turn: Quaternion, size: np.ndarray) -> Quaternion:
+    def _front(robot: Object, turn: Quaternion, size: np.ndarray, base: Pose | None) -> Quaternion:
         """Return the orientation of the tool in the world: from the front, the fingers across the bar."""
         corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size
         width = np.ptp(corners @ geometry.to_matrix(turn).T, axis=0)
-        tool = grasp_orientation("front", robot)
+        tool = grasp_orientation("front", robot, base)
         _, y, _ = geometry.rotate(tool, (0.0, 1.0, 0.0))
         across = abs(y) * width[1] + math.sqrt(max(0.0, 1 - y * y)) * width[0]
         if across > width[2]:  # a bar that lies

@@ -26,7 +26,7 @@ from recorder.geometry import IDENTITY
 from recorder.records import Picture
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -159,8 +159,14 @@ def _camera_of(robot: Object | None, frame: str) -> Camera:
     return Camera(pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far)
 
 
-def view(body: Object, camera: Camera) -> View:
-    """Return what a camera sees of an object; its world's lock is held."""
+def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View:
+    """Return what a camera sees of an object; its world's lock is held.
+
+    Args:
+        body: the object.
+        camera: the camera.
+        without: objects that hide nothing, as a robot that will stand elsewhere.
+    """
     frame = camera.window
     window, reason = _window(body, camera, frame)
     if window is None:
@@ -173,7 +179,7 @@ def view(body: Object, camera: Camera) -> View:
     pixels = int(covered.sum())
     if not pixels:
         return View(0.0, 0, 0, {}, "is out of view or too near" if window == frame else "is too thin to be seen")
-    others = [other for other in body.world.objects if other is not body]
+    others = [other for other in body.world.objects if other is not body and other not in without]
     before = camera.render(others, window, size, float(alone.depth[covered].max()))
     inside = covered & _inside(window, frame, size)
     hidden = inside & (before.depth < alone.depth)

@@ -1,0 +1,161 @@
+"""What opening and closing have in common: a drawer or door by its names, and ways to move it by its handle."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.actions.performing import perform
+from pycram.foundation.failures import BadArgument, NoPlace, PlanFailure, UnknownName
+from pycram.motions import slot_checks
+from pycram.motions.designator import MotionDesignator
+from pycram.reasoning.grasping.handles import Handle
+from pycram.reasoning.places import Pull, standing_places
+from pycram.world import carried
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+_PLACES: Final = 3  # to stand at, that are tried for each width
+_SAME: Final = (0.005, math.radians(0.5))  # m and rad within which the robot stands where it is to stand
+_CLOSED: Final = 0.02  # m or rad up to which a drawer or door counts as closed
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """A drawer or door, and how it is moved.
+
+    Attributes:
+        name: what people call it.
+        body: the furniture.
+        joint: its joint.
+        handle: link of its handle.
+        closed: position of the joint when it is closed, rad or m.
+        open: position of the joint when it is open as wide as it gets.
+    """
+
+    name: str
+    body: Object
+    joint: str
+    handle: str
+    closed: float
+    open: float
+
+    def __record__(self) -> object:
+        """Return its name."""
+        return self.name
+
+    @property
+    def position(self) -> float:
+        """Position of the joint now, rad or m."""
+        return self.body.get_joint_position(self.joint)
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether nothing gets in or out."""
+        return abs(self.position - self.closed) < _CLOSED
+
+
+def known_container(name: str, value: Any) -> Any:
+    """A container of furniture, its name, or an Object, of which joint or handle say what is meant."""
+    if isinstance(value, Object):
+        return slot_checks.body(name, value)
+    known = containers()
+    for access, container in known:
+        if value in (access.name, container):
+            return access
+    if isinstance(value, str):
+        raise UnknownName("container", value, "the world", [access.name for access, _ in known])
+    raise BadArgument(name, value, "a container, its name, or an Object")
+
+
+def containers() -> list[tuple[Access, Any]]:
+    """Return what furniture in the robot's world has, each with its container."""
+    return [
+        (Access(each.name, body, each.joint, each.handle, each.closed, each.open), each)
+        for body in BulletWorld.current_robot().world.objects
+        for each in body.containers.values()
+    ]
+
+
+def access_of(container: Access | Object, joint: str | None, handle: str | None) -> Access:
+    """Return the drawer or door that is meant.
+
+    Raises:
+        BadArgument: Nothing says which one.
+        UnknownName: There is no such joint or link.
+    """
+    if isinstance(container, Access):
+        return container
+    body = container
+    for access, _ in containers():
+        if access.body is body and (joint in (None, access.joint)) and (handle in (None, access.handle)):
+            if joint is None and handle is None:
+                break
+            return access
+    if handle is not None and joint is None:
+        body.check_link(handle)
+        joint = next((name for name in body.joints if handle in carried.moved_links(body.urdf, [name])), None)
+        if joint is None:
+            raise BadArgument("handle", handle, f"a link of {body.name} that a joint moves")
+    if joint is None or handle is None:
+        raise BadArgument("container", body, "the name of a container, or a piece of furniture with joint and handle")
+    return Access(handle, body, joint, handle, Handle(body, joint, handle).closed, body.joint_limits(joint)[1])
+
+
+def ways(access: Access, arm: str | None, values: Sequence[float]) -> Iterator[Mapping[str, Any]]:
+    """Yield arms and places from which a handle can be held all the way, for the first of some values that it can be.
+
+    Args:
+        access: What is to be moved.
+        arm: The arm; None for any.
+        values: Of its joint, rad or m, the best first.
+
+    Raises:
+        NoPlace: There is none for any.
+    """
+    robot = BulletWorld.current_robot()
+    failure: NoPlace | None = None
+    found = False
+    for value in values:
+        pull = Pull(access.body, access.joint, access.handle, value)
+        try:
+            for place in itertools.islice(standing_places(robot, reach=[pull], arms=arm and [arm]), _PLACES):
+                found = True
+                for each in place.arms:
+                    yield {
+                        "arm": each,
+                        "distance": abs(value - access.closed),
+                        "place": list(place.position),
+                        "orientation": list(place.orientation),
+                    }
+        except NoPlace as none:
+            failure = failure or none
+    if not found and failure is not None:
+        raise failure
+
+
+def move(access: Access, arm: str, distance: float, place: Sequence[float], orientation: Sequence[float]) -> None:
+    """Go somewhere, move a handle from there, and draw the arm back."""
+    robot = BulletWorld.current_robot()
+    position, turn = robot.get_position_and_orientation()
+    if math.dist(position, place) > _SAME[0] or geometry.angle(turn, orientation) > _SAME[1]:
+        perform(MotionDesignator(type="moving", target=place, orientation=orientation))
+    perform(
+        MotionDesignator(
+            type="accessing",
+            part_of=access.body,
+            drawer_joint=access.joint,
+            drawer_handle=access.handle,
+            arm=arm,
+            distance=distance,
+        )
+    )
+    with suppress(PlanFailure):  # where the door itself is in the way of it, the arm stays
+        perform(MotionDesignator([("type", "move-arm-joints"), (f"{arm}-arm", "park")]))

@@ -1,0 +1,111 @@
+"""Going where an object is, and taking it."""
+
+from __future__ import annotations
+
+import itertools
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.actions import making_room
+from pycram.actions.action import ActionDesignator, action
+from pycram.actions.finding import find, look_at
+from pycram.actions.hands import arms, free_arms, holder
+from pycram.actions.locations import LocationDesignator
+from pycram.actions.objects import object_of
+from pycram.actions.performing import perform
+from pycram.foundation.failures import Blocked, NoPlace, PlanFailure
+from pycram.language.retries import failure_handling
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.places import standing_places
+from pycram.world.world import BulletWorld
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from pycram.reasoning.places import Place
+
+_MOST: Final = 6  # places with room for the hand that are tried before others
+_IN_THE_WAY: Final = 2  # things that are cleared away, one after the other
+
+
+def prepare(object: Any) -> None:  # noqa: A002  the slot's name
+    """Gets to know where an object is, and folds the arms, with which places to stand at are found."""
+    arms()
+    find(object)
+    with suppress(PlanFailure):  # as they are, then
+        perform(ActionDesignator(type="parking-arms"))
+
+
+def ways(
+    object: Any,  # noqa: A002  the slot's name
+    arm: str | None = None,
+    place: LocationDesignator | None = None,
+) -> Iterator[Mapping[str, Any]]:
+    """Yield where to stand and with which arm to take an object; then where it can be reached if something is moved."""
+    body, robot = object_of(object), BulletWorld.current_robot()
+    if holder(body) is not None:
+        yield {}
+        return
+    free = free_arms(arm)
+    if place is not None:
+        yield from ({"arm": each, "place": place} for each in free)
+        return
+    vain: NoPlace | None = None
+    try:
+        for found in itertools.islice(standing_places(robot, reach=[body], arms=free), _MOST):
+            yield from ({"arm": each, "place": location(found)} for each in found.arms)
+    except NoPlace as failure:
+        vain = failure
+    try:
+        for found in standing_places(robot, reach=[center(body)], arms=free):
+            yield from ({"arm": each, "place": location(found), "clear": True} for each in found.arms)
+    except NoPlace:
+        if vain is not None:
+            raise vain from None
+
+
+def location(place: Place) -> LocationDesignator:
+    """Return a place where the robot can stand as a designator."""
+    return LocationDesignator(position=place.position, orientation=place.orientation)
+
+
+@action("fetching", choices=ways, prepare=prepare)
+def fetching(
+    object: Any,  # noqa: A002  the slot's name
+    arm: str | None = None,
+    grasp: str | None = None,
+    place: Any = None,
+    clear: bool = False,
+) -> Any:
+    """Goes where it reaches an object, and takes it; what is in the way it puts elsewhere.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        arm: Name of the arm; by default each is tried that is free.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
+        place: Where the robot stands then, a LocationDesignator; by default places from which it reaches the object.
+        clear: Whether to clear away at once what is in the way; by default only when that is the reason for a failure.
+    """
+    body = object_of(object)
+    if holder(body) is not None:
+        return body
+    if clear:
+        go(place)
+        making_room.clear(body, arm)
+    for attempt in failure_handling(_IN_THE_WAY).on(Blocked, lambda _: making_room.clear(body, arm)):
+        with attempt:
+            go(place)
+            look_at(body)
+            perform(ActionDesignator(type="picking-up", object=body, arm=arm, grasp=grasp))
+    with suppress(PlanFailure):  # what it holds may be in the way of that
+        perform(ActionDesignator(type="parking-arms"))
+    return body
+
+
+def go(place: LocationDesignator | None) -> None:
+    """Drives to a place, if the robot drives; with arms that don't stick out, if they can be folded."""
+    description = BulletWorld.current_robot().description
+    if place is not None and description is not None and description.drives:
+        with suppress(PlanFailure):
+            perform(ActionDesignator(type="parking-arms"))
+        perform(ActionDesignator(type="navigating", target=place))

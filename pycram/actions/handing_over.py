@@ -1,0 +1,101 @@
+"""Passing what one hand holds to the other hand, in front of the robot."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.actions.action import action
+from pycram.actions.objects import object_of
+from pycram.actions.performing import perform
+from pycram.foundation.failures import GraspFailed, MissingPart
+from pycram.motions import slot_checks
+from pycram.motions.designator import MotionDesignator
+from pycram.reasoning.kinematics.solver import postures
+from pycram.world.world import BulletWorld
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pycram.models.robots.description import Arm
+    from pycram.world.object import Object
+    from recorder.geometry import Vector
+
+_AHEAD: Final = (0.55, 0.45, 0.65)  # m before the shoulders
+_DOWN: Final = (0.2, 0.35, 0.05)  # m below them
+_TURNS: Final = (30, 60, 0, 90)  # degrees by which the giving hand points inward
+
+
+def _ways(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
+    """Yield where the giving hand may hold an object, and the arms that may take it."""
+    body = object_of(object)
+    robot = BulletWorld.current_robot()
+    giver = _giver(robot, body)
+    assert robot.description is not None  # noqa: S101  as it has arms
+    takers = [each for each in robot.description.arms.values() if each is not giver and arm in (None, each.name)]
+    takers = [each for each in takers if each.hand is not None]
+    if not takers:
+        raise MissingPart(robot.name, "other arm with a gripper" if arm is None else f"gripper of the {arm} arm")
+    for taker in takers:
+        middle, inward = _between(robot, giver, taker)
+        for down in _DOWN:
+            for ahead in _AHEAD:
+                for degrees in _TURNS:
+                    turn = geometry.from_rpy(0.0, 0.0, math.radians(inward * degrees))
+                    pose = geometry.multiply(
+                        robot.get_position_and_orientation(), ((middle[0] + ahead, middle[1], middle[2] - down), turn)
+                    )
+                    if any(found.reaches() for found in postures(robot, giver.tool_frame, *pose, quick=True)):
+                        yield {"arm": taker.name, "target": list(pose[0]), "orientation": list(pose[1])}
+
+
+@action("handing-over", choices=_ways, checked={"target": slot_checks.position})
+def handing_over(
+    object: Any,  # noqa: A002  the slot's name
+    arm: str | None = None,
+    target: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+) -> Object:
+    """Passes what one hand holds to another one, in front of the robot, and returns it.
+
+    The other hand takes it beside the first one, which lets go then. It fails where the robot doesn't hold the object,
+    or has no other gripper, before anything moves.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects: what a hand holds.
+        arm: Name of the arm that takes it; by default any other.
+        target: Where the giving hand holds it then, [x, y, z] of its tool in m; by default where both arms get.
+        orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
+    """
+    body = object_of(object)
+    giver = _giver(BulletWorld.current_robot(), body)
+    perform(MotionDesignator(type="move-tcp", arm=giver.name, target=target, orientation=orientation))
+    perform(MotionDesignator([("type", "pick-up"), ("object", body), ("arm", arm), ("from", giver.name)]))
+    return body
+
+
+def _giver(robot: Object, body: Object) -> Arm:
+    """Return the arm that holds an object.
+
+    Raises:
+        GraspFailed: None does.
+    """
+    for arm in robot.description.arms.values() if robot.description else ():
+        if any(held.body is body and held.carrier_link == arm.tool_frame for held in robot.carried):
+            return arm
+    raise GraspFailed("no", body.name, "none of the robot's hands holds it, so it can't be handed over")
+
+
+def _between(robot: Object, giver: Arm, taker: Arm) -> tuple[Vector, int]:
+    """Return the middle between the shoulders in the robot's frame, and which way is inward for the giving arm.
+
+    The second is 1 if it hangs on the right: its hand points inward when it turns to the left.
+    """
+    base = geometry.invert(robot.get_position_and_orientation())
+    shoulders = []
+    for arm in (giver, taker):
+        link = robot.urdf.joint(arm.joints[0]).child
+        shoulders.append(geometry.transform(base, robot.get_link_position(link)))
+    (x, y, z), (u, v, w) = shoulders
+    return ((x + u) / 2, (y + v) / 2, (z + w) / 2), 1 if y < v else -1

@@ -1,0 +1,235 @@
+"""Location designators: places as plans describe them, for the robot to stand at, or for an object to be put down."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+from pycram.actions.objects import ObjectDesignator, object_of, thing
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument, UnknownName
+from pycram.motions import slot_checks
+from pycram.motions.designator import ResolvedDesignator
+from pycram.motions.motion_types import Slot, checked_slots, described
+from pycram.motions.slots import DesignatorError
+from pycram.reasoning.places import PutDown, free_places, standing_places
+from pycram.reasoning.places.free import SIDES
+from pycram.scheduling.future import unwrap
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld
+from recorder.suggestions import suggestion
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from pycram.models.furniture import Surface
+    from pycram.motions.designator import Resolver
+    from pycram.motions.solutions import Solution
+    from pycram.reasoning.places import Place
+
+#: Surfaces with the furniture that they belong to.
+Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
+
+
+def _surfaces(name: str, value: Any) -> Surfaces:
+    """A surface, its name, a piece of furniture with surfaces, or a list of these."""
+    values = value if isinstance(value, list | tuple) else [value]
+    found = [each for one in values for each in _surfaces_of(name, one)]
+    if not found:
+        raise BadArgument(name, value, "surfaces; this has none")
+    return found
+
+
+def _surfaces_of(name: str, value: Any) -> Surfaces:
+    known = [(body, surface) for body in _furniture() for surface in body.surfaces.values()]
+    if isinstance(value, Object):
+        return [(body, surface) for body, surface in known if body is value]
+    if isinstance(value, str):
+        named = [(body, surface) for body, surface in known if surface.name == value]
+        whole = [(body, surface) for body, surface in known if body.name == value]
+        if not named and not whole:
+            raise UnknownName("surface", value, "the world", (surface.name for _, surface in known))
+        return named or whole
+    owned = [(body, surface) for body, surface in known if surface == value]
+    if not owned:
+        raise BadArgument(name, value, "a surface of an object in this world, its name, or an object with surfaces")
+    return owned
+
+
+def _inside(name: str, value: Any) -> Surfaces:
+    """A container, its name, or an object with containers."""
+    known = [(body, container) for body in _furniture() for container in body.containers.values()]
+    if isinstance(value, Object):
+        chosen = [(body, container) for body, container in known if body is value]
+    else:
+        chosen = [(body, container) for body, container in known if value in (container.name, container)]
+    if not chosen and isinstance(value, str):
+        raise UnknownName("container", value, "the world", (container.name for _, container in known))
+    found = [(body, body.surfaces[surface]) for body, container in chosen for surface in container.surfaces]
+    if not found:
+        raise BadArgument(name, value, "a container with surfaces, its name, or an object with containers")
+    return found
+
+
+def _furniture() -> list[Object]:
+    return [body for body in BulletWorld.current_robot().world.objects if not body.is_robot]
+
+
+def _near(name: str, value: Any) -> Any:
+    """[x, y] or [x, y, z] in m, world frame, or an object."""
+    if isinstance(value, Object | ObjectDesignator | str):
+        return thing(name, value)
+    return list(checks.vector(name, (*value, 0.0) if hasattr(value, "__len__") and len(value) == 2 else value))
+
+
+def _side(name: str, value: Any) -> Any:
+    """Of the surface, or (side, object), as the robot sees it: "front", "back", "left" or "right"."""
+    side, of = value if isinstance(value, list | tuple) and len(value) == 2 else (value, None)
+    if side not in SIDES:
+        raise BadArgument(name, value, f"one of {', '.join(SIDES)}, or one of these and an object")
+    return side if of is None else (side, thing(name, of))
+
+
+def _reachable(name: str, value: Any) -> Any:
+    """What the robot is to reach: an object, or [x, y, z] in m; of a place for an object, the robot."""
+    if isinstance(value, Object | ObjectDesignator | str):
+        return thing(name, value)
+    return value if isinstance(value, PutDown) else slot_checks.position(name, value)
+
+
+class _Slots:
+    """The slots of location designators."""
+
+    type = "location"
+    slots: Final = (
+        Slot("position", slot_checks.position, text="[x, y, z] in m, world frame: a place that is known"),
+        Slot("orientation", slot_checks.orientation, text="a quaternion [x, y, z, w], world frame, there"),
+        Slot("on", _surfaces),
+        Slot("in", _inside),
+        Slot("for", thing, text="the object that is to be put there; that of the action by default"),
+        Slot("near", _near),
+        Slot("side", _side),
+        Slot("reachable-for", _reachable),
+        Slot("visible-for", thing, text="the object that the robot's camera is to see from there"),
+        Slot("away-from", _near, text="an object or a point that it is to be at least 0.4 m away from"),
+        Slot("arm", slot_checks.arm, text="the arm that is to reach; any by default"),
+    )
+    one_of: Final = ("position", "on", "in", "near", "reachable-for", "visible-for")
+    only_one = False
+
+    @staticmethod
+    def describe() -> str:
+        """Describe them, for messages."""
+        return described(_Slots(), "a LocationDesignator")
+
+
+_AWAY: Final = 0.4  # m
+_EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on", "visible-for"), ("in", "visible-for"))
+
+
+class LocationDesignator(ResolvedDesignator):
+    """A place: for an object to be put down, if ``on`` or ``in`` is said, else for the robot to stand at.
+
+    For example ``LocationDesignator(on="island", near=[-0.8, 1])``, ``LocationDesignator(reachable_for=milk)``. Its
+    solutions have ``position`` and ``orientation`` in the world frame, and the ``arms`` that reach, found one by one,
+    the best first.
+    """
+
+    @staticmethod
+    def _own_resolver() -> Resolver:
+        return resolve
+
+    def check(self) -> None:
+        """Check its slots: that there are these surfaces and objects, and that they don't exclude each other."""
+        _checked(self)
+
+    @property
+    def for_objects(self) -> bool:
+        """Whether it is a place where an object can be put down."""
+        return any(name in ("on", "in") for name, _ in self._slots)
+
+    def values_for(self, slot: str, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+        """Yield the places that it may stand for, with the orientations there."""
+        body = given.get("object")
+        needs_body = self.for_objects and self.prop_value("for") is None and body is not None
+        for solution in (self.copy([("for", body)]) if needs_body else self).solutions():
+            orientation = solution.get("orientation")
+            yield {slot: solution["position"]} | ({"orientation": orientation} if orientation is not None else {})
+
+
+def _checked(designator: LocationDesignator) -> dict[str, Any]:
+    """Return the checked slots of a location designator.
+
+    Raises:
+        DesignatorError: A slot is missing, unknown or wrong, or two exclude each other.
+        UnknownName: There is no such surface or container.
+    """
+    given = {key: unwrap(value) for key, value in designator.description if value is not None}
+    slots = checked_slots(_Slots(), given)
+    for one, other in _EXCLUDING:
+        if one in slots and other in slots:
+            problem = f"slots {one} and {other} exclude each other"
+            raise DesignatorError(problem, type="location", slot=other, value=given[other], takes=_Slots.describe())
+    return slots
+
+
+def resolve(designator: LocationDesignator) -> Iterator[Solution]:
+    """Yield the places that a designator describes, the best first.
+
+    Raises:
+        DesignatorError: A slot is missing, unknown or wrong.
+        NoPlace: There is none; it says which wish excluded how many.
+    """
+    slots = _checked(designator)
+    if "position" in slots:
+        yield {"position": slots["position"], "orientation": slots.get("orientation"), "arms": ()}
+        return
+    away = _point(slots.get("away-from"))
+    for place in _objects_places(slots) if designator.for_objects else _robots_places(slots):
+        if away is None or math.dist(place.position[:2], away[:2]) >= _AWAY:
+            yield solution_of(place)
+
+
+def solution_of(place: Place) -> Solution:
+    """Return a place as the solution of a designator."""
+    return {
+        "position": list(place.position),
+        "orientation": list(place.orientation),
+        "arms": list(place.arms),
+        "surface": place.surface,
+    }
+
+
+def _objects_places(slots: Mapping[str, Any]) -> Iterator[Place]:
+    if "for" not in slots:
+        known = sorted({body.type for body in _furniture() if not body.is_environment})
+        problem = f"missing slot for: the object that is to be put there; {suggestion('', known)}"
+        raise DesignatorError(problem, type="location", slot="for", takes=_Slots.describe())
+    side, near = slots.get("side"), slots.get("near")
+    robot = slots.get("reachable-for")
+    return free_places(
+        object_of(slots["for"]),
+        on=slots.get("on") or slots["in"],
+        near=_point(near),
+        side=side if side is None or isinstance(side, str) else (side[0], object_of(side[1])),
+        orientation=slots.get("orientation"),
+        reachable_for=None if robot is None else object_of(robot),
+        arms=None if "arm" not in slots else (slots["arm"],),
+    )
+
+
+def _robots_places(slots: Mapping[str, Any]) -> Iterator[Place]:
+    target = slots.get("reachable-for")
+    seen = slots.get("visible-for")
+    return standing_places(
+        BulletWorld.current_robot(),
+        reach=() if target is None else (object_of(target),),
+        arms=None if "arm" not in slots else (slots["arm"],),
+        see=None if seen is None else object_of(seen),
+        near=_point(slots.get("near")),
+    )
+
+
+def _point(near: Any) -> Any:
+    """Return a point that is given, or where an object is."""
+    return object_of(near).get_position() if isinstance(near, Object | ObjectDesignator) else near

@@ -1,0 +1,55 @@
+"""Clearing away what is in the way of a hand."""
+
+from __future__ import annotations
+
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
+
+from pycram.actions.action import ActionDesignator
+from pycram.actions.locations import LocationDesignator
+from pycram.actions.performing import perform
+from pycram.foundation.failures import ReasoningError
+from pycram.reasoning.queries.blocking import blocking
+from pycram.scheduling.cancellation import Binding
+from pycram.world.world import BulletWorld
+
+if TYPE_CHECKING:
+    from pycram.world.object import Object
+
+#: What waits until something is cleared away, from the outside in.
+_waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=())
+
+
+def clear(body: Object, arm: str | None) -> None:
+    """Put what blocks an object elsewhere, where it is free.
+
+    Args:
+        body: The object.
+        arm: The arm that is to reach it.
+
+    Raises:
+        ReasoningError: What is in the way can't be moved, or waits for this object itself.
+    """
+    robot = BulletWorld.current_robot()
+    description = robot.description
+    tools = [] if description is None else [each for each in description.arms.values() if arm in (None, each.name)]
+    in_the_way = [each for each in blocking(body, robot, tools[0].tool_frame) if not each.is_robot]
+    movable = [each for each in in_the_way if not each.fixed]
+    if not movable:
+        names = ", ".join(each.name for each in in_the_way)
+        raise ReasoningError(
+            f"what is in the way of {body.name} can't be cleared away: {names or 'nothing movable is'}"
+        )
+    waiting = (*_waiting.get(), body)
+    for other in movable:
+        if other in waiting:
+            circle = " and ".join(each.name for each in waiting[waiting.index(other) :])
+            raise ReasoningError(f"{circle} block each other: none can go first")
+        elsewhere = LocationDesignator(on=_surfaces(robot), away_from=body)
+        with Binding(_waiting, waiting):
+            perform(ActionDesignator(type="transporting", object=other, target=elsewhere))
+
+
+def _surfaces(robot: Object) -> list[Object]:
+    """Return the furniture with surfaces, what the robot stands before first."""
+    return [body for body in robot.world.objects if not body.is_robot and body.surfaces]

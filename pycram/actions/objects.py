@@ -1,0 +1,129 @@
+"""Object designators: objects as plans describe them, which stand for what is believed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.foundation.failures import BadArgument, PerceptionError
+from pycram.knowledge import beliefs
+from pycram.motions import slot_checks
+from pycram.motions.designator import ResolvedDesignator
+from pycram.motions.motion_types import Slot, checked_slots, described
+from pycram.motions.slots import DesignatorError
+from pycram.scheduling.future import unwrap
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld
+from recorder.suggestions import suggestion
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from pycram.motions.designator import Resolver
+    from pycram.motions.solutions import Solution
+
+
+class _Slots:
+    """The slots of object designators."""
+
+    type = "object"
+    slots: Final = (
+        Slot("type", slot_checks.name, text='type of the object, as "milk"'),
+        Slot("name", slot_checks.name, text="name of the object"),
+    )
+    one_of: Final = ("type", "name")
+    only_one = False
+
+    @staticmethod
+    def describe() -> str:
+        """Describe them, for messages."""
+        return described(_Slots(), "an ObjectDesignator")
+
+
+class ObjectDesignator(ResolvedDesignator):
+    """An object, as ``ObjectDesignator(type="milk")``: stands for what is believed, in the order of the latest look.
+
+    Its solutions have ``object``, ``position`` and ``orientation``: the object, and where it is believed to be.
+    """
+
+    @staticmethod
+    def _own_resolver() -> Resolver:
+        return resolve
+
+    def check(self) -> None:
+        """Check its slots, and that the world has such an object.
+
+        Raises:
+            DesignatorError: A slot is unknown or wrong, or the world has no object like that.
+        """
+        _candidates(self)
+
+    def values_for(self, slot: str, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:  # noqa: ARG002
+        """Yield the objects that it may stand for."""
+        for solution in self.solutions():
+            yield {slot: solution["object"]}
+
+
+def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
+    """Yield what is believed of the objects that a designator describes, what was learned last first.
+
+    Raises:
+        DesignatorError: There are none in the world.
+        PerceptionError: Nothing is believed of them.
+    """
+    candidates = _candidates(designator)
+    known = [belief for belief in beliefs() if belief.object in candidates]
+    if not known:
+        reasons = {body.name: "was never seen" for body in candidates}
+        raise PerceptionError(candidates[0].type, reasons)
+    for belief in known:
+        yield {"object": belief.object, "position": list(belief.position), "orientation": list(belief.orientation)}
+
+
+def _candidates(designator: ObjectDesignator) -> list[Object]:
+    """Return the objects of the world that a designator describes.
+
+    Raises:
+        DesignatorError: There are none.
+    """
+    given = {key: unwrap(value) for key, value in designator.description if value is not None}
+    wanted = checked_slots(_Slots(), given)
+    world = BulletWorld.current_robot().world
+    found = world.objects
+    for slot, value in wanted.items():
+        known = sorted({str(getattr(body, slot)) for body in found if not body.is_robot})
+        found = [body for body in found if getattr(body, slot) == value]
+        if not found:
+            problem = f"the world has no object of {slot} {value!r}; {suggestion(value, known)}"
+            raise DesignatorError(problem, type="object", slot=slot, value=value, takes=f"it has: {', '.join(known)}")
+    return found
+
+
+def candidates_of(thing: Object | ObjectDesignator) -> list[Object]:
+    """Return the objects, all of one type, that may be meant: what is given, or what a designator describes."""
+    if not isinstance(thing, ObjectDesignator):
+        return [thing]
+    found = _candidates(thing)
+    return [body for body in found if body.type == found[0].type]
+
+
+def object_of(thing: Object | ObjectDesignator) -> Object:
+    """Return an object that is given, or that a designator stands for.
+
+    Raises:
+        PerceptionError: Nothing is believed of it.
+    """
+    if not isinstance(thing, ObjectDesignator):
+        return thing
+    found: Object = thing.reference()["object"]
+    return found
+
+
+def thing(name: str, value: Any) -> Any:
+    """An Object of a world, an ObjectDesignator, or a type of objects."""
+    if isinstance(value, Object):
+        return slot_checks.body(name, value)
+    designator = ObjectDesignator(type=value) if isinstance(value, str) else value
+    if not isinstance(designator, ObjectDesignator):
+        raise BadArgument(name, value, "an Object, an ObjectDesignator, or a type of objects")
+    designator.check()
+    return designator

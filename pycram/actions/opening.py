@@ -1,0 +1,61 @@
+"""Opening drawers and doors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.actions.action import action
+from pycram.actions.containers import access_of, known_container, move, ways
+from pycram.motions import slot_checks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+_SHARES: Final = (1.0, 0.75, 0.5, 0.25)  # of how wide it gets, that are tried
+
+
+def _ways(
+    container: Any,
+    joint: str | None = None,
+    handle: str | None = None,
+    arm: str | None = None,
+    distance: float | None = None,
+) -> Iterator[Mapping[str, Any]]:
+    access = access_of(container, joint, handle)
+    widths = [share * (access.open - access.closed) for share in _SHARES] if distance is None else [distance]
+    yield from ways(access, arm, [access.closed + width for width in widths])
+
+
+@action(
+    "opening",
+    choices=_ways,
+    checked={
+        "container": known_container,
+        "joint": slot_checks.name,
+        "handle": slot_checks.name,
+        "distance": slot_checks.distance,
+        "place": slot_checks.position,
+    },
+)
+def opening(
+    container: Any,
+    joint: str | None = None,
+    handle: str | None = None,
+    arm: str | None = None,
+    distance: float | None = None,
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+) -> None:
+    """Opens a drawer or door by its handle, from a place from which an arm holds it all the way.
+
+    Args:
+        container: A container of furniture, its name, or the furniture itself with joint and handle.
+        joint: Name of its joint, where the furniture itself is given.
+        handle: Link of its handle, where the furniture itself is given.
+        arm: Name of the arm; by default any that reaches.
+        distance: How wide, in m, or rad of what turns; by default as wide as it gets.
+        place: Where the robot stands, [x, y, z] of its base in m; by default where the handle can be held all the way.
+        orientation: A quaternion [x, y, z, w] of the robot's base there.
+    """
+    assert arm is not None and distance is not None and place is not None and orientation is not None  # noqa: S101, PT018  chosen
+    move(access_of(container, joint, handle), arm, distance, place, orientation)

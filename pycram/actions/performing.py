@@ -1,0 +1,287 @@
+"""Performing actions: one choice after the other is tried, each a task, until one does or the budget is spent."""
+
+from __future__ import annotations
+
+import itertools
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.actions.action import TYPES, ActionDesignator, ActionType, type_of
+from pycram.actions.projecting import AT_ONCE, Thinking, imagine, not_projecting, thinking
+from pycram.foundation.failures import PlanFailure
+from pycram.foundation.names import export, qualified_name
+from pycram.foundation.refusals import refusing
+from pycram.language.body import current_block
+from pycram.language.retries import FailureHandling
+from pycram.motions.designator import Designator, MotionDesignator
+from pycram.motions.environments import current_environment
+from pycram.motions.requests import performing
+from pycram.motions.slots import DesignatorError
+from pycram.process_module import ProcessModule
+from pycram.scheduling.cancellation import Binding, checkpoint
+from pycram.world.world import BulletWorld
+from recorder.records import Decision, format_error
+from recorder.tracing.span import Span
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pycram.motions.solutions import Solution
+
+BUDGET: Final = 20
+"""How many tries of an action may fail by default, with those of the actions that it is made of."""
+
+_ENDLESS: Final = 10**9  # retries
+_TOLD: Final = 4  # kinds of failures that the message of an ActionFailed tells
+
+
+@dataclass(frozen=True, slots=True)
+class Try:
+    """One choice that was tried in vain.
+
+    Attributes:
+        choice: What was chosen, by slot.
+        failure: What came of it.
+        imagined: Whether it was only tried in a projection.
+    """
+
+    choice: Mapping[str, Any]
+    failure: BaseException
+    imagined: bool = False
+
+
+class ActionFailed(PlanFailure):
+    """No choice that was tried has done, or the budget was spent.
+
+    Attributes:
+        action: Type of the action.
+        tried: What was tried, in that order, and what came of it.
+        spent: Whether the budget was spent: there may be other choices.
+        last: What could not be chosen in the end, and why; None if there was nothing more to choose from.
+    """
+
+    def __init__(
+        self, action: str, tried: Sequence[Try], *, spent: bool = False, last: BaseException | None = None
+    ) -> None:
+        count = f"{len(tried)} {'try' if len(tried) == 1 else 'tries'}"
+        ending = "the budget is spent" if spent else "there is nothing else to try"
+        super().__init__(f"{action} failed after {count}, {ending}{_told(tried, last)}")
+        self.action = action
+        self.tried = list(tried)
+        self.spent = spent
+        self.last = last
+
+
+export("pycram.actions", ActionFailed)
+
+
+def _told(tried: Sequence[Try], last: BaseException | None) -> str:
+    """Return in words what came of tries, those alike as one."""
+    groups: dict[str, int] = {}
+    for each in tried:
+        reason = _reason(each.failure)
+        groups[reason] = groups.get(reason, 0) + 1
+    told = [f"{count} times: {text}" if count > 1 else text for text, count in list(groups.items())[:_TOLD]]
+    told += [f"and {len(groups) - _TOLD} other failures"] if len(groups) > _TOLD else []
+    told += [_reason(last)] if last is not None else []
+    return ": " + "; ".join(told) if told else ""
+
+
+def _reason(failure: BaseException) -> str:
+    """Return a failure as one line; of an action that was tried in vain only what failed first in it."""
+    while isinstance(failure, ActionFailed) and failure.tried:
+        failure = failure.tried[0].failure
+    return format_error(failure).partition("\n")[0]
+
+
+class _Budget:
+    """How many tries may still fail."""
+
+    def __init__(self, left: int) -> None:
+        self.left = left
+
+
+_budget: ContextVar[_Budget | None] = ContextVar("pycram_budget", default=None)
+
+
+def perform(designator: Designator) -> Any:
+    """Perform an action or a motion, and return its result; in the body of a block that has branches, a future.
+
+    An action's choices are tried one after the other, until one does.
+
+    Raises:
+        DesignatorError: It isn't a designator of an action or motion, or a slot is missing, unknown or wrong.
+        ActionFailed: No choice has done, or the budget is spent.
+        PlanFailure: What failed where there was nothing to choose, or why there is no choice at all.
+    """
+    if isinstance(designator, MotionDesignator):
+        return ProcessModule.perform(designator)
+    act = _act(designator)
+    block = current_block()
+    if block is not None:
+        return block.start(act.span.name, act.carry_out, span=act.span)
+    with act.span:
+        act.span.result = result = act.carry_out()
+        return result
+
+
+@refusing(name="perform")
+def _act(designator: Designator) -> _Act:
+    if not isinstance(designator, ActionDesignator):
+        problem = f"perform takes a designator of an action or a motion, not {designator!r}"
+        raise DesignatorError(problem, value=designator)
+    BulletWorld.current_robot()
+    if next(designator.branches(), None) is None:
+        designator.check()  # before anything else is done
+    return _Act(designator)
+
+
+class _Act:
+    """An action from its request to its end.
+
+    Attributes:
+        span: Its node of the task tree.
+    """
+
+    def __init__(self, designator: ActionDesignator) -> None:
+        slots = {key: value for key, value in designator.description if key != "type"}
+        self.span = Span("action", designator.type, parameters=slots)
+        self._designator = designator
+
+    def carry_out(self) -> Any:
+        """Wait for what its slots stand for, and try its choices."""
+        for branch in self._designator.branches():
+            branch.result()
+        checkpoint()
+        with performing(self._designator):
+            return self._carried_out()
+
+    def _carried_out(self) -> Any:
+        slots = dict(self._designator.description)
+        budget = self._room(slots.get("budget"))
+        ahead = thinking(wanted=slots.get("projected"))
+        with Binding(_budget, budget):
+            if self._designator.type in TYPES:
+                TYPES[self._designator.type].prepared(self._designator)
+            solutions = self._solutions()
+            first = next(solutions)
+            kind = type_of(first)
+            if kind.choices is None:
+                return kind.call(first)
+            return _Tries(kind, slots, itertools.chain([first], solutions), budget, ahead).carried_out()
+
+    def _solutions(self) -> Iterator[Solution]:
+        """Yield its solutions; how the first one was found goes on record."""
+        self.span.decision = decision = Decision(environment=current_environment())
+        try:
+            self.span.solution = first = self._designator.reference()
+            decision.module = qualified_name(type_of(first).function)
+        finally:
+            found = self._designator.resolution()
+            decision.resolver, decision.solution = found.resolver, found.index
+            decision.known, decision.complete = found.known, found.complete
+        yield first
+        yield from itertools.islice(self._designator.solutions(), 1, None)
+
+    @staticmethod
+    def _room(asked: int | None) -> _Budget:
+        """Return the budget of an action: what is left of that around it, or one of its own."""
+        around = _budget.get()
+        if around is None:
+            return _Budget(BUDGET if asked is None else asked)
+        return around if asked is None or asked >= around.left else _Budget(asked)
+
+
+class _Tries(FailureHandling):
+    """The choices of an action, tried one after the other.
+
+    Args:
+        kind: The action.
+        given: Its slots; what its solutions have beside these is what was chosen.
+        solutions: Its solutions, at least one.
+        budget: How many tries may still fail.
+        ahead: How the choices are imagined first; None if they are not.
+    """
+
+    def __init__(
+        self,
+        kind: ActionType,
+        given: Mapping[str, Any],
+        solutions: Iterator[Solution],
+        budget: _Budget,
+        ahead: Thinking | None,
+    ) -> None:
+        super().__init__(_ENDLESS)  # the budget ends it
+        self._kind = kind
+        self._given = given
+        self._budget = budget
+        self._tried: list[Try] = []
+        self._found = solutions
+        self._solutions = solutions if ahead is None else self._imagined(ahead)
+        self._solution: Solution = {}
+
+    @property
+    def fields(self) -> dict[str, object]:
+        """The parameters of its node of the task tree."""
+        return {"action": self._kind.type, "budget": self._budget.left}
+
+    def carried_out(self) -> Any:
+        """Try one choice after the other, and return the result of the first that does.
+
+        Raises:
+            ActionFailed: None has done.
+        """
+        self.parameters = self._next()
+        with not_projecting():  # what was imagined comes true, and what wasn't is chosen without thinking
+            return self.run(lambda **_: type_of(self._solution).call(self._solution))
+
+    def recover(self, failure: BaseException) -> Mapping[str, Any]:
+        """Return the choice of the next attempt.
+
+        Raises:
+            ActionFailed: There is none, or the budget is spent.
+        """
+        self._tried.append(Try(self._choice(self._solution), failure))
+        self._budget.left -= 1
+        if self._budget.left <= 0:
+            raise ActionFailed(self._kind.type, self._tried, spent=True)
+        return self._next()
+
+    def _next(self) -> Mapping[str, Any]:
+        try:
+            solution = next(self._solutions, None)
+        except PlanFailure as last:
+            raise ActionFailed(self._kind.type, self._tried, last=last) from last
+        if solution is None:
+            raise ActionFailed(self._kind.type, self._tried)
+        self._solution = solution
+        return self._choice(solution)
+
+    def _choice(self, solution: Solution) -> dict[str, Any]:
+        """Return what was chosen."""
+        chosen: dict[str, Any] = {}
+        for slot, value in solution.items():
+            given = self._given.get(slot)
+            resolved = isinstance(given, Designator) and not isinstance(value, Designator)
+            if slot != "action" and (given is None or resolved):
+                chosen[slot] = value
+        return chosen
+
+    def _imagined(self, ahead: Thinking) -> Iterator[Solution]:
+        """Yield the solutions that succeed in projections, in their order."""
+        imagined, seconds = 0, 0.0
+        while imagined < ahead.budget and (ahead.seconds is None or seconds < ahead.seconds):
+            batch = list(itertools.islice(self._found, min(AT_ONCE, ahead.budget - imagined)))
+            if not batch:
+                return
+            outcomes = imagine([(type_of(each), each, self._choice(each)) for each in batch])
+            imagined += len(outcomes)
+            for solution, outcome in zip(batch, outcomes, strict=False):
+                seconds += outcome.duration
+                if outcome.succeeded:
+                    self._found = itertools.chain(batch[len(outcomes) :], self._found)
+                    yield solution
+                else:
+                    assert outcome.failure is not None  # noqa: S101  as it hasn't succeeded
+                    self._tried.append(Try(self._choice(solution), outcome.failure, imagined=True))

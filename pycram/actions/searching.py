@@ -1,0 +1,231 @@
+"""Looking for an object: where it is believed to be, over surfaces, from elsewhere, and in what is closed."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.actions.action import ActionDesignator, action
+from pycram.actions.containers import Access, containers
+from pycram.actions.objects import candidates_of
+from pycram.actions.perceiving import detected, has_camera
+from pycram.actions.performing import perform
+from pycram.foundation.failures import PerceptionError, PlanFailure
+from pycram.foundation.names import export
+from pycram.knowledge import beliefs
+from pycram.motions.designator import MotionDesignator
+from pycram.reasoning.places import standing_places
+from pycram.world.world import BulletWorld
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from pycram.world.object import Object
+    from recorder.geometry import Vector
+
+_FAR: Final = 3.0  # m at most from the robot to what it looks at
+_NEAR: Final = 1.2  # m from a place to stand to what is looked at from there
+_STRIDE: Final = 0.8  # m between points of a surface that are looked at: what a camera sees from 1 m
+_PLACES: Final = 2  # from which a point is looked at
+_TRIES: Final = 4  # that opening something may fail, with its closing
+
+
+class ObjectNotFound(PerceptionError):
+    """An object wasn't found where it was looked for.
+
+    Attributes:
+        object_type: What was looked for.
+        looked: Where, in that order, and what came of it.
+        reasons: What came of it last, by where that was.
+    """
+
+    def __init__(self, object_type: str, looked: Sequence[tuple[str, BaseException]]) -> None:
+        super().__init__(object_type, {where: str(failure) for where, failure in looked})
+        self.looked = list(looked)
+        seen = dict.fromkeys(where for where, failure in looked if isinstance(failure, PerceptionError))
+        vain = [where for where in dict.fromkeys(where for where, _ in looked) if where not in seen]
+        told = f"it was looked for {', '.join(seen)}" if seen else "there was nothing to look at"
+        self.args = (f"no {object_type} found: {told}{f'; not seen were {_listed(vain)}' if vain else ''}",)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names)
+
+
+export("pycram.actions", ObjectNotFound)
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """A point of a surface.
+
+    Attributes:
+        where: What people call it, as "on the island".
+        position: In the world, m.
+        container: What it is in; "" if it is open.
+    """
+
+    where: str
+    position: Vector
+    container: str
+
+
+@action("searching")
+def searching(object: Any) -> Object:  # noqa: A002  the slot's name
+    """Looks for an object until the camera sees it, and returns it.
+
+    It looks where the object is believed to be, then over all surfaces, the nearest first: at first from where the
+    robot stands, then from places beside them; then it opens what is closed, and closes it again. It fails with
+    ObjectNotFound, which says where it was looked for. A robot without a camera is told by the state of the world.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+    """
+    bodies = candidates_of(object)
+    if not has_camera():
+        return detected(bodies)
+    search = _Search(bodies)
+    steps: tuple[Callable[[], Iterator[None]], ...] = (
+        search.where_believed,
+        search.from_here,
+        search.from_elsewhere,
+        search.in_containers,
+    )
+    for step in steps:
+        for _ in step():  # one look after the other
+            if search.found is not None:
+                return search.found
+    raise ObjectNotFound(bodies[0].type, search.looked)
+
+
+class _Search:
+    """What was looked at for some objects, and what came of it.
+
+    Attributes:
+        found: The object, when it is.
+        looked: Where it was looked for in vain.
+    """
+
+    def __init__(self, bodies: Sequence[Object]) -> None:
+        self.found: Object | None = None
+        self.looked: list[tuple[str, BaseException]] = []
+        self._bodies = bodies
+        self._robot = BulletWorld.current_robot()
+        self._stood: list[Vector] = []
+
+    def where_believed(self) -> Iterator[None]:
+        """Look where the objects are believed to be: from here, then from beside it."""
+        for belief in [belief for belief in beliefs() if belief.object in self._bodies]:
+            point = _Point(f"where {belief.object.name} was {belief.source}", belief.position, "")
+            self._look(point)
+            yield
+            if not self._is_near(point.position):
+                yield from self._beside(point, [point])
+
+    def from_here(self) -> Iterator[None]:
+        """Look at all surfaces that aren't far."""
+        for point in self._open_points():
+            if self._distance(point.position) < _FAR:
+                self._look(point)
+                yield
+
+    def from_elsewhere(self) -> Iterator[None]:
+        """Look at all surfaces from beside them."""
+        points = self._open_points()
+        for point in points:
+            if not any(math.dist(place[:2], point.position[:2]) < _NEAR for place in self._stood):
+                yield from self._beside(point, points)
+
+    def in_containers(self) -> Iterator[None]:
+        """Open what is closed, look into it, and close it if nothing is found."""
+        closed = [access for access, _ in containers() if access.is_closed]
+        closed.sort(key=lambda access: self._distance(access.body.get_link_position(access.handle)))
+        for access in closed:
+            if self._perform(f"in {access.name}", "opening", access):
+                for point in _points(self._robot, access):
+                    self._look(point)
+                    yield
+                with suppress(PlanFailure):
+                    perform(ActionDesignator(type="closing", container=access.name, budget=_TRIES))
+
+    # --- one look ----------------------------------------------------------------------------------------------------
+
+    def _look(self, point: _Point) -> None:
+        try:
+            perform(MotionDesignator(type="looking", target=point.position))
+            self.found = detected(self._bodies)
+        except PlanFailure as failure:
+            self.looked.append((point.where, failure))
+
+    def _perform(self, where: str, kind: str, access: Access) -> bool:
+        try:
+            perform(ActionDesignator(type=kind, container=access.name, budget=_TRIES))
+        except PlanFailure as failure:
+            self.looked.append((where, failure))
+            return False
+        return True
+
+    def _beside(self, point: _Point, points: Sequence[_Point]) -> Iterator[None]:
+        """Go to a place beside a point, and look at all that are near."""
+        if self._robot.description is None or not self._robot.description.drives:
+            return
+        try:
+            for place in islice(standing_places(self._robot, near=point.position), _PLACES):
+                across, along = (point.position[axis] - place.position[axis] for axis in (0, 1))
+                facing = geometry.from_rpy(0.0, 0.0, math.atan2(along, across))
+                perform(MotionDesignator(type="moving", target=place.position, orientation=facing))
+                break
+        except PlanFailure as failure:
+            self.looked.append((point.where, failure))
+            return
+        self._stood.append(self._here())
+        for each in points:
+            if self._is_near(each.position):
+                self._look(each)
+                yield
+
+    def _open_points(self) -> list[_Point]:
+        """Return points of the surfaces that aren't behind something closed, the nearest first."""
+        closed = {(access.body.name, access.name) for access, _ in containers() if access.is_closed}
+        points = [point for point in _points(self._robot) if tuple(point.container.split("/", 1)) not in closed]
+        return sorted(points, key=lambda point: self._distance(point.position))
+
+    def _here(self) -> Vector:
+        x, y, z = self._robot.get_position()
+        return x, y, z
+
+    def _distance(self, position: Sequence[float]) -> float:
+        return math.dist(self._here()[:2], position[:2])
+
+    def _is_near(self, position: Sequence[float]) -> bool:
+        return self._distance(position) < _NEAR
+
+
+def _points(robot: Object, inside: Access | None = None) -> list[_Point]:
+    """Return points of all surfaces, or of those in a container."""
+    found = []
+    for body in robot.world.objects:
+        for surface in body.surfaces.values():
+            if inside is not None and (body is not inside.body or surface.container != inside.name):
+                continue
+            link = body.get_link_position_and_orientation(surface.link)
+            frame = geometry.multiply(link, (surface.position, surface.orientation))
+            where = f"in {surface.container}" if surface.container else f"on {surface.name}"
+            container = f"{body.name}/{surface.container}" if surface.container else ""
+            for x, y in _spread(surface.outline):
+                found.append(_Point(where, geometry.transform(frame, (x, y, 0.0)), container))
+    return found
+
+
+def _spread(outline: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
+    """Yield points of a surface in its frame, m, so many that a camera sees all of it."""
+    sides = []
+    for axis in (0, 1):
+        low, high = min(corner[axis] for corner in outline), max(corner[axis] for corner in outline)
+        count = max(1, round((high - low) / _STRIDE))
+        sides.append([low + (high - low) * (number + 0.5) / count for number in range(count)])
+    yield from ((x, y) for x in sides[0] for y in sides[1])

@@ -1,0 +1,34 @@
+"""Bringing an object somewhere."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pycram.actions.action import ActionDesignator, action
+from pycram.actions.fetching import prepare, ways
+from pycram.actions.objects import object_of
+from pycram.actions.performing import perform
+
+
+@action("transporting", choices=ways, prepare=prepare)
+def transporting(
+    object: Any,  # noqa: A002  the slot's name
+    target: Any,
+    arm: str | None = None,
+    grasp: str | None = None,
+    place: Any = None,
+    clear: bool = False,
+) -> Any:
+    """Fetches an object and delivers it.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        target: Where it is to be put: a LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        arm: Name of the arm; by default each is tried that is free.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
+        place: Where the robot stands to take it, a LocationDesignator; by default places from which it reaches it.
+        clear: Whether to clear away at once what is in the way of it.
+    """
+    body = object_of(object)
+    perform(ActionDesignator(type="fetching", object=body, arm=arm, grasp=grasp, place=place, clear=clear))
+    return perform(ActionDesignator(type="delivering", object=body, target=target))

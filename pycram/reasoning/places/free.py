@@ -1,0 +1,407 @@
+"""Where an object can be put down on surfaces: with room for its outline and for fingers around it (CRAM's ``on``)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument, NoPlace, PlaceFailed, UnknownName
+from pycram.models.visual import pieces_of
+from pycram.reasoning.collision import checker
+from pycram.reasoning.collision.boxes import concatenate
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.grasping import placing
+from pycram.reasoning.grasping.grasps import candidates
+from pycram.reasoning.grasping.sides import yaw_of
+from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.places import maps, reaching
+from pycram.reasoning.places.arm_reach import arm_reach
+from pycram.reasoning.places.batch import Batch, Spot
+from pycram.reasoning.places.grid import Grid, drawn, generator
+from pycram.reasoning.places.outline import room
+from pycram.reasoning.places.place import Place, PutDown
+from pycram.reasoning.queries import polygon
+from pycram.reasoning.queries.query import world_of
+from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
+from pycram.scheduling.future import unwrap
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.models.robots.description import Arm
+    from pycram.reasoning.places.place import Surface
+    from pycram.reasoning.queries.polygon import Polygon
+    from pycram.reasoning.rejections import Rejection
+    from pycram.world.object import Object
+    from recorder.geometry import Pose, Quaternion, Vector
+
+    Array = NDArray[np.float64]
+
+SIDES: Final = ("front", "back", "left", "right")
+"""Of a surface or an object, as its robot sees it: "front" is the side that faces the robot."""
+
+_RESOLUTION: Final = 0.025  # m
+_SPOTS: Final = 40  # that are drawn at once
+_BATCHES: Final = 3  # without a place, after which a surface is given up
+_LATER: Final = 0.6  # of its score that a surface keeps with each place that it has given
+_EDGE: Final = 0.01  # m from an object to the edge of what it stands on
+_FINGERS: Final = 0.025  # m from an object to others: a finger fits between
+_ABOVE: Final = 0.003  # m above a surface from which on something stands in the way; the surface's own boxes are wider
+_RESTS: Final = 0.01  # m by which an object may rest higher or lower than on the surface
+_NEAR: Final = 0.15  # m at which a place near a point counts half
+_APART: Final = 0.04  # m between places that are offered, or were tried
+_YAWS: Final = 12  # orientations about the vertical, as they are tried where something is placed
+_FLOOR: Final = 0.1  # m between places of the robot from which a surface may be reached
+
+
+def free_places(
+    body: Object,
+    *,
+    on: Sequence[tuple[Object, Surface]],
+    near: Sequence[float] | None = None,
+    side: str | tuple[str, Object] | None = None,
+    orientation: Sequence[float] | None = None,
+    reachable_for: Object | None = None,
+    arms: Sequence[str] | None = None,
+    seed: int | None = None,
+) -> Iterator[Place]:
+    """Return places where an object can be put down on surfaces, best first, each checked when its turn comes.
+
+    A place is where `place` would set it down: it stands on the surface with all of its outline, and nothing that
+    stands there is nearer than a finger is thick. Each place that is asked for is one query on record. The world may
+    have changed before the next one is asked for.
+
+    Args:
+        body: the object, upright; wherever it is now.
+        on: surfaces, each with the furniture that it belongs to.
+        near: xyz or xy of a point that it shall be near, m.
+        side: of each surface, or of an object (side, object), as the robot sees it: "front", "back", "left", "right".
+        orientation: xyzw of the object there; any about the vertical by default.
+        reachable_for: a robot that shall reach there: from where it stands if it is bolted down, else from somewhere.
+        arms: names of its arms that may reach; all by default.
+        seed: of the places; the run's by default.
+
+    Raises:
+        BadArgument: an impossible value.
+        UnknownName: an unknown side or arm.
+        NoPlace: when the first is asked for: there is none.
+    """
+    body, robot = unwrap(body), unwrap(reachable_for)
+    surfaces = [(unwrap(furniture), surface) for furniture, surface in on]
+    if not surfaces:
+        raise BadArgument("on", on, "at least one surface with its furniture")
+    name, reference = (side, None) if side is None or isinstance(side, str) else (side[0], unwrap(side[1]))
+    if name is not None and name not in SIDES:
+        raise UnknownName("side", name, "a surface or an object", SIDES)
+    bodies = [furniture for furniture, _ in surfaces] + [each for each in (robot, reference) if each is not None]
+    world_of(body, *bodies)
+    chosen: list[Arm] = []
+    if robot is not None:
+        if robot.description is None:
+            raise BadArgument("reachable_for", robot, "a robot with a description")
+        description = robot.description
+        chosen = [description.arm(each) for each in (description.arms if arms is None else arms)]
+    point = None if near is None else checks.vector("near", (*near, 0.0) if len(near) == 2 else near)
+    turn = None if orientation is None else checks.quaternion("orientation", orientation)
+    return _Search(body, surfaces, point, (name, reference), turn, robot, chosen, seed).places()
+
+
+@dataclass(slots=True)
+class _Field:
+    """A surface that is looked at.
+
+    Attributes:
+        furniture: whose it is.
+        surface: the surface.
+        share: of its score that it has kept.
+        vain: batches without a place.
+    """
+
+    furniture: Object
+    surface: Surface
+    share: float = 1.0
+    vain: int = 0
+
+    def pose(self) -> Pose:
+        """Return the pose of its middle in the world."""
+        link = self.furniture.get_link_position_and_orientation(self.surface.link)
+        return geometry.multiply(link, (self.surface.position, self.surface.orientation))
+
+    def outline(self) -> Polygon:
+        """Return its outline in the world, seen from above, counterclockwise."""
+        pose = self.pose()
+        corners = [geometry.transform(pose, (x, y, 0.0))[:2] for x, y in self.surface.outline]
+        return polygon.convex_hull(np.array(corners))
+
+
+class _Search:
+    """Places for an object, one after the other."""
+
+    def __init__(
+        self,
+        body: Object,
+        surfaces: Sequence[tuple[Object, Surface]],
+        near: Vector | None,
+        side: tuple[str | None, Object | None],
+        orientation: Quaternion | None,
+        robot: Object | None,
+        arms: Sequence[Arm],
+        seed: int | None,
+    ) -> None:
+        self._body, self._near, self._side, self._orientation = body, near, side, orientation
+        self._robot, self._arms, self._seed = robot, arms, seed
+        self._fields = [_Field(furniture, surface) for furniture, surface in surfaces]
+        self._done: list[Vector] = []
+        self._counts: dict[str, int] = {}
+        self._last = ""
+        self._arguments: Mapping[str, object] = {
+            "object": body,
+            **({"near": near} if near is not None else {}),
+            **({"side": [side[0], *([side[1]] if side[1] else [])]} if side[0] else {}),
+            **({"orientation": orientation} if orientation is not None else {}),
+            **({"reachable_for": robot, "arms": [arm.name for arm in arms]} if robot is not None else {}),
+        }
+        self._corners = np.concatenate([corners for _, corners in pieces_of(body.model.path)])
+        self._own = {body, *reaching.held(body)}
+
+    def places(self) -> Iterator[Place]:
+        """Yield places, each from a query of its own."""
+        found = False
+        for number in itertools.count():
+            with self._body.world.lock:
+                clone_of(self._body.world, "reach").sync()
+                left = [field for field in self._fields if field.vain < _BATCHES]
+                known = [self._maps(field) for field in left]
+                best = max(range(len(left)), key=lambda each: left[each].share * known[each][1].max())
+                field, (grid, scores) = left[best], known[best]
+                batch, spots = self._batch(field, grid, scores, number)
+                with batch.asked(self._body.world, trace=False):
+                    place = self._first(batch, spots, field)
+                    if place is None:
+                        field.vain = field.vain + 1 if spots else _BATCHES
+                    over = all(each.vain >= _BATCHES for each in self._fields)
+                    if over and not found:
+                        where = " or ".join(each.surface.name for each in self._fields)
+                        raise NoPlace(f"{self._body.name} on {where}", self._counts, self._last)
+            if place is not None:
+                found, field.vain, field.share = True, 0, field.share * _LATER
+                yield place
+            elif over:
+                return
+
+    # --- all places at once ------------------------------------------------------------------------------------------
+
+    def _maps(self, field: _Field) -> tuple[Grid, Array]:
+        """Return the product of the maps of a surface."""
+        outline = field.outline()
+        (_, _, height), _ = field.pose()
+        corners = np.array(outline)
+        grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, _RESOLUTION)
+        centers = grid.centers()
+        inner, outer = maps.radii(self._turned(0.0)[:, :2])
+        wishes = [("edge", self._within(centers, outline, inner, outer)), ("room", self._room(field, centers))]
+        if self._near is not None:
+            wishes.append(("near", maps.near(centers, self._near, _NEAR)))
+        if self._side[0] is not None:
+            wishes.append((f"side {self._side[0]}", self._beside(centers, field)))
+        if self._robot is not None:
+            wishes.append(("reach", self._reach(centers, height)))
+        wishes.append(("tried", maps.away(centers, self._done, _APART)))
+        scores = np.ones(len(centers))
+        for name, score in wishes:
+            before, scores = scores.any(), scores * score
+            if before and not scores.any() and name != "tried":
+                self._counts[name] = self._counts.get(name, 0) + len(centers)
+                self._last = name
+        return grid, scores / max(float(scores.max()), 1e-9)
+
+    def _turned(self, yaw: float) -> Array:
+        """Return the object's corners (n, 3) from its origin when it stands upright, turned by a yaw in rad."""
+        upright = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
+        corners: Array = self._corners @ geometry.to_matrix(upright).T
+        return corners
+
+    @staticmethod
+    def _within(centers: Array, outline: Polygon, inner: float, outer: float) -> Array:
+        """Return 0 where an object would stick out over the edge however it is turned, 1 where it wouldn't."""
+        margins = np.full(len(centers), np.inf)
+        for (ax, ay), (bx, by) in itertools.pairwise([*outline, outline[0]]):
+            length = max(math.hypot(bx - ax, by - ay), 1e-9)
+            side = ((bx - ax) * (centers[:, 1] - ay) - (by - ay) * (centers[:, 0] - ax)) / length
+            np.minimum(margins, side, out=margins)
+        ramp: Array = np.clip((margins - inner - _EDGE) / max(outer - inner, 1e-3), 0.0, 1.0)
+        return np.where(margins < inner, 0.0, 0.3 + 0.7 * ramp)
+
+    def _room(self, field: _Field, centers: Array) -> Array:
+        """Return 0 where an object would be in something that stands there however it is turned."""
+        inner, outer = maps.radii(self._turned(0.0)[:, :2])
+        return maps.clear(centers, self._obstacles(field), inner, outer + _FINGERS)
+
+    def _obstacles(self, field: _Field) -> maps.Footprints:
+        """Return what stands on a surface, or hangs above it as low as the object is high."""
+        clone = clone_of(self._body.world, "reach")
+        robots = {self._robot, *(reaching.held(self._robot) if self._robot else ())}
+        others = [each for each in self._body.world.objects if each not in self._own and each not in robots]
+        (_, _, height), _ = field.pose()
+        size = float(np.ptp(self._turned(0.0)[:, 2]))
+        boxes = concatenate([clone.boxes(each) for each in others if not each.is_robot])
+        return maps.Footprints(boxes, height + _ABOVE, height + size)
+
+    def _beside(self, centers: Array, field: _Field) -> Array:
+        """Return 0 on the other side of a surface or an object, 1 on the wanted one."""
+        name, reference = self._side
+        middle = center(reference) if reference is not None else field.pose()[0]
+        robot = self._robot or self._body.world.robot
+        eye = robot.get_position() if robot is not None else (0.0, 0.0, 0.0)
+        facing = math.atan2(middle[1] - eye[1], middle[0] - eye[0])
+        turn = {"back": 0.0, "left": math.pi / 2, "front": math.pi, "right": -math.pi / 2}[str(name)]
+        x, y = math.cos(facing + turn), math.sin(facing + turn)
+        offsets = centers - np.asarray(middle[:2])
+        along = offsets @ (x, y)
+        if reference is None:
+            return (along > 0.0).astype(np.float64)
+        across = np.abs(offsets @ (-y, x))
+        near = maps.near(centers, middle, _NEAR)
+        return np.where(along > across, near, 0.0)
+
+    def _reach(self, centers: Array, height: float) -> Array:
+        """Return how well a robot reaches places, from where it stands, or from wherever it could."""
+        robot = self._robot
+        assert robot is not None  # noqa: S101  as was asked before
+        here = robot.get_position()
+        shoulders = [
+            (arm_reach(robot, arm), height + self._lift() - robot.get_link_position(arm.base_link)[2])
+            for arm in self._arms
+        ]
+        if robot.description is not None and not robot.description.drives:
+            places, free = np.array([here[:2]]), np.ones(1)
+        else:
+            radius = max(reach.radius for reach, _ in shoulders)
+            low, high = centers.min(axis=0) - radius, centers.max(axis=0) + radius
+            places = Grid.over(low.tolist(), high.tolist(), here[2], _FLOOR).centers()
+            free = room(robot, places)
+            places, free = places[free > 0.0], free[free > 0.0]
+        if not len(places):
+            return np.zeros(len(centers))
+        distances = np.hypot(*(centers[:, None] - places[None]).transpose(2, 0, 1))
+        best: Array = np.max([(reach.best(above, distances) * free).max(axis=1) for reach, above in shoulders], axis=0)
+        return best
+
+    def _lift(self) -> float:
+        """Return how far above what it stands on an object is taken, roughly: at half of its height, m."""
+        return float(np.ptp(self._corners[:, 2])) / 2
+
+    def _batch(self, field: _Field, grid: Grid, scores: Array, number: int) -> tuple[Batch, Sequence[Spot]]:
+        """Draw places."""
+        arguments = self._arguments | {"on": [field.furniture, field.surface.name]}
+        random = generator(self._seed, "free_places", number, repr(arguments))
+        cells = drawn(scores, _SPOTS, random)
+        jitter = random.uniform(-0.5, 0.5, (len(cells), 2)) * grid.resolution
+        start = yaw_of(self._body.get_orientation())
+        steps = random.integers(_YAWS, size=len(cells)).tolist()
+        (_, _, height), _ = field.pose()
+        spots = []
+        points = (grid.centers()[cells] + jitter).round(4).tolist()
+        for (x, y), step, score in zip(points, steps, scores[cells].tolist(), strict=True):
+            yaw = start + 2 * math.pi * step / _YAWS
+            turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
+            z = height - float(self._turned(yaw)[:, 2].min())
+            spots.append(Spot(f"[{x:.3f}, {y:.3f}]", ((x, y, z), turn), yaw_of(turn), score))
+        return Batch("free_places", arguments, grid, scores, spots), spots
+
+    # --- one place after the other -----------------------------------------------------------------------------------
+
+    def _first(self, batch: Batch, spots: Sequence[Spot], field: _Field) -> Place | None:
+        """Return the first place that will do."""
+        outline = field.outline()
+        obstacles = [polygon.convex_hull(each) for each in self._obstacles(field).corners().reshape(-1, 4, 2)]
+        for spot in spots:
+            self._done.append(spot.pose[0])
+            excluded = self._excluded(spot, field, outline, obstacles)
+            if isinstance(excluded, Place):
+                batch.take(
+                    spot.name,
+                    {"position": excluded.position, "orientation": excluded.orientation, "arms": excluded.arms},
+                )
+                return excluded
+            self._last, reason = excluded
+            self._counts[self._last] = self._counts.get(self._last, 0) + 1
+            batch.reject(spot.name, reason)
+        return None
+
+    def _excluded(
+        self, spot: Spot, field: _Field, outline: Polygon, obstacles: Sequence[Polygon]
+    ) -> Place | tuple[str, Rejection]:
+        """Return a place that will do, or which wish excludes it, and why."""
+        (x, y, z), turn = spot.pose
+        corners = self._corners @ geometry.to_matrix(turn).T
+        own = polygon.convex_hull(corners[:, :2] + (x, y))
+        if any(polygon.margin(outline, corner) < _EDGE for corner in own):
+            return "edge", NoRoom(f"it would stick out over the edge of {field.surface.name}")
+        if float(np.ptp(corners[:, 2])) > field.surface.clearance:
+            return "clearance", NoRoom(f"it is higher than what is free above {field.surface.name}")
+        wide = _widened(own, (x, y), _FINGERS)
+        if any(len(polygon.intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
+            return "room", NoRoom("something is there already, or no finger fits between")
+        try:
+            rest = placing.set_down(self._body, (x, y, z), turn)
+        except PlaceFailed as failure:
+            return "room", NoRoom(failure.reason)
+        if abs(rest[2] - z) > _RESTS:
+            return "room", NoRoom(f"it would not rest on {field.surface.name}")
+        arms: tuple[str, ...] = ()
+        if self._robot is not None and self._robot.description is not None and not self._robot.description.drives:
+            reasons: list[Rejection] = []
+            reached = []
+            for arm in self._arms:
+                reason = self._unreached(arm, (rest, turn))
+                if reason is None:
+                    reached.append(arm.name)
+                else:
+                    reasons.append(reason)
+            if not reached:
+                return "reach", min(reasons, key=lambda each: each.miss())
+            arms = tuple(reached)
+        return Place(rest, turn, arms, spot.score, field.surface.name)
+
+    def _unreached(self, arm: Arm, pose: Pose) -> Rejection | None:
+        """Return why an arm of the robot can't put the object to a pose from where the robot stands; None if it can."""
+        robot = self._robot
+        assert robot is not None  # noqa: S101  as was asked before
+        position, turn = robot.get_position_and_orientation()
+        base: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
+        if self._body in reaching.held(robot, arm):
+            found = reaching.Putting(robot, PutDown(pose[0], pose[1], self._body)).reached(arm, base)
+            return None if isinstance(found, str) else found
+        moved = geometry.multiply(pose, geometry.invert(self._body.get_position_and_orientation()))
+        tools = [
+            geometry.multiply(moved, (grasp.position, grasp.orientation))
+            for grasp in candidates(self._body, robot, arm)
+        ]
+        nearest: list[Rejection] = [OutOfReach(None)]
+        for postures in Solver(robot, arm.tool_frame).search([(*tool, None) for tool in tools], quick=True):
+            for posture in postures:
+                if not posture.reaches():
+                    nearest.append(OutOfReach(posture.position_error, posture.turn_error))
+                    continue
+                pairs = [pair for pair in checker.in_the_way(robot, posture.positions) if pair.body != self._body.name]
+                if not pairs:
+                    return None
+                nearest.append(Touching(pairs))
+        return min(nearest, key=lambda each: each.miss())
+
+
+def _widened(outline: Polygon, middle: tuple[float, float], margin: float) -> Polygon:
+    """Return a convex polygon around another one, wider by a margin in m: the hull of circles about its corners."""
+    around = [(margin * math.cos(angle), margin * math.sin(angle)) for angle in np.arange(8) * (math.pi / 4)]
+    corners = [(x + dx, y + dy) for x, y in outline for dx, dy in around]
+    return polygon.convex_hull(np.array(corners or [middle]))

@@ -1,0 +1,104 @@
+"""Maps: scores of all cells of a grid for one wish each, 0 to 1. They are rough, and multiplied."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.reasoning.collision.boxes import Boxes
+
+    Array = NDArray[np.float64]
+
+_UPRIGHT: Final = 0.999  # of a unit axis along the vertical
+_DIRECTIONS: Final = 36
+_SURE: Final = 0.85  # of the radius of a circle within an outline: boxes are a little wider than what they are around
+
+
+def near(centers: Array, point: Sequence[float], scale: float) -> Array:
+    """Return 1 at a point, falling with the distance: half at ``scale`` m."""
+    distance = np.hypot(*(centers - np.asarray(point[:2])).T)
+    score: Array = 1.0 / (1.0 + (distance / scale) ** 2)
+    return score
+
+
+def away(centers: Array, points: Sequence[Sequence[float]], distance: float) -> Array:
+    """Return 0 within a distance in m of some points, else 1."""
+    score = np.ones(len(centers))
+    for point in points:
+        score[np.hypot(*(centers - np.asarray(point[:2])).T) < distance] = 0.0
+    return score
+
+
+class Footprints:
+    """Boxes seen from above, as rectangles.
+
+    Args:
+        boxes: the boxes.
+        low: m above the ground; boxes that end below don't count.
+        high: m above the ground; boxes that begin above don't count.
+
+    Attributes:
+        centers: (k, 2), m.
+        axes: (k, 2, 2) their unit axes are the columns.
+        halves: (k, 2) half extents, m.
+    """
+
+    def __init__(self, boxes: Boxes, low: float, high: float) -> None:
+        extents = (np.abs(boxes.axes) * boxes.half_extents[:, None, :]).sum(axis=2)
+        z = boxes.centers[:, 2]
+        counted = (z + extents[:, 2] > low) & (z - extents[:, 2] < high)
+        axes, halves = boxes.axes[counted], boxes.half_extents[counted]
+        self.centers = boxes.centers[counted, :2]
+        self.axes = np.repeat(np.eye(2)[None], len(axes), axis=0)
+        self.halves = extents[counted, :2]
+        standing = np.abs(axes[:, 2]) > _UPRIGHT  # (k, 3): which of its axes is vertical
+        for number in np.flatnonzero(standing.any(axis=1)):
+            flat = np.flatnonzero(~standing[number])
+            self.axes[number] = axes[number][:2, flat]
+            self.halves[number] = halves[number, flat]
+
+    def distances(self, points: Array) -> Array:
+        """Return how far points (n, 2) are from the nearest rectangle, m; 0 inside of one."""
+        nearest = np.full(len(points), np.inf)
+        for center, axes, halves in zip(self.centers, self.axes, self.halves, strict=True):
+            beyond = np.maximum(np.abs((points - center) @ axes) - halves, 0.0)
+            np.minimum(nearest, np.hypot(beyond[:, 0], beyond[:, 1]), out=nearest)
+        return nearest
+
+    def corners(self) -> Array:
+        """Return the corners (4 * k, 2) of the rectangles, m."""
+        signs = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float64)
+        corners: Array = self.centers[:, None] + np.einsum(
+            "kij,skj->ksi", self.axes, signs[:, None] * self.halves[None]
+        ).reshape(len(self.centers), 4, 2)
+        return corners.reshape(-1, 2)
+
+
+def radii(outline: Array) -> tuple[float, float]:
+    """Return radii of circles about the origin: within the hull of points (n, 2), and around it, m."""
+    angles = np.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
+    reach = outline @ np.array([np.cos(angles), np.sin(angles)])
+    inner = float(reach.max(axis=0, initial=0.0).min())
+    return max(inner, 0.0), float(np.hypot(*outline.T).max(initial=0.0))
+
+
+def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> Array:
+    """Return 0 where something is within a robot's outline whatever its heading, 1 where nothing is near.
+
+    Args:
+        centers: (cells, 2), m.
+        obstacles: what stands around.
+        inner: radius of a circle within the outline, m.
+        outer: radius of a circle around it, m.
+    """
+    distance = obstacles.distances(centers)
+    sure = _SURE * inner
+    score: Array = np.clip((distance - sure) / max(outer - sure, 1e-6), 0.0, 1.0)
+    return np.where(distance < sure, 0.0, 0.2 + 0.8 * score)

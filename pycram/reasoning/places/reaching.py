@@ -1,0 +1,214 @@
+"""What is to be reached from a place, and whether an arm reaches it there: by the rules of the motion that would do it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, Protocol
+
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument, Blocked, GraspFailed, PlaceFailed, PlanFailure, Unreachable
+from pycram.reasoning.choosing import UNRECORDED
+from pycram.reasoning.collision import checker
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.grasping.handle_path import DeadEnd, plan
+from pycram.reasoning.grasping.handles import Handle
+from pycram.reasoning.grasping.putting import Refusals, placements
+from pycram.reasoning.grasping.taking import ways_to_hold
+from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.places.place import Pull, PutDown
+from pycram.reasoning.queries.query import world_of
+from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unfit
+from pycram.world.object import Object
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.models.robots.description import Arm
+    from pycram.reasoning.places.place import Target
+    from pycram.reasoning.rejections import Rejection
+    from recorder.geometry import Pose, Quaternion, Vector
+
+_STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle has to be reached
+
+
+class Goal(Protocol):
+    """Something that is to be reached.
+
+    Attributes:
+        position: where, m.
+    """
+
+    @property
+    def position(self) -> Vector:
+        """Where, m."""
+
+    def named(self) -> str:
+        """Return what it is called."""
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return the side that an arm would come from with the robot's base at a pose, "" for none; or why it can't."""
+
+
+def goal_of(robot: Object, target: Target) -> Goal:
+    """Return what a target means for a robot.
+
+    Raises:
+        BadArgument: it is no target, or in another world.
+    """
+    if isinstance(target, Object):
+        world_of(robot, target)
+        return Taking(robot, target)
+    if isinstance(target, Pull):
+        world_of(robot, target.container)
+        target.container.check_link(target.handle)
+        return Pulling(robot, target)
+    if isinstance(target, PutDown):
+        return Putting(robot, target)
+    try:
+        parts = list(target)
+    except TypeError:
+        raise BadArgument("reach", target, "an object, a position, a PutDown or a Pull") from None
+    if len(parts) == 2:
+        position, turn = parts
+        orientation = None if turn is None else checks.quaternion("orientation", turn)  # type: ignore[arg-type]
+        return Putting(robot, PutDown(checks.vector("reach", position), orientation))  # type: ignore[arg-type]
+    return Touch(robot, checks.vector("reach", parts))
+
+
+def held(robot: Object, arm: Arm | None = None) -> list[Object]:
+    """Return what a robot carries, directly and through other things; with an arm, what hangs on its tool frame."""
+    found = [each.body for each in robot.carried if arm is None or each.carrier_link == arm.tool_frame]
+    for body in found:
+        found.extend(each.body for each in body.carried)
+    return found
+
+
+class Taking:
+    """An object that is to be picked up."""
+
+    def __init__(self, robot: Object, body: Object) -> None:
+        self._robot, self._body = robot, body
+
+    @property
+    def position(self) -> Vector:
+        """Its middle, m."""
+        return center(self._body)
+
+    def named(self) -> str:
+        """Return its name."""
+        return self._body.name
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return the side of the first grasp that would hold it."""
+        if arm.hand is None:
+            return Unfit("it has no gripper")
+        in_hand = held(self._robot, arm)
+        if in_hand:
+            return Unfit(f"it holds {in_hand[0].name}")
+        failures: list[PlanFailure] = []
+        for grasp, *_ in ways_to_hold(self._robot, arm, self._body, None, failures, UNRECORDED, base):
+            return grasp.name
+        return _rejection(failures[0])
+
+
+class Putting:
+    """Something held that is to be put down."""
+
+    def __init__(self, robot: Object, target: PutDown) -> None:
+        self._robot, self._target = robot, target
+        self._rests: dict[str, dict[Quaternion, Vector | PlaceFailed]] = {}
+
+    @property
+    def position(self) -> Vector:
+        """Where it is put, m."""
+        return self._target.position
+
+    def named(self) -> str:
+        """Return where it is put."""
+        return _named(self._target.position)
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return "" if the arm can put down there what it holds."""
+        in_hand = held(self._robot, arm)
+        body = in_hand[0] if in_hand else None
+        if body is None or (self._target.body is not None and body is not self._target.body):
+            return Unfit(f"it doesn't hold {self._target.body.name if self._target.body else 'anything'}")
+        refusals, rests = Refusals(), self._rests.setdefault(arm.name, {})
+        target, turn = self._target.position, self._target.orientation
+        found = placements(self._robot, arm, body, target, turn, refusals, UNRECORDED, base, quickly=True, rests=rests)
+        if next(found, None) is not None:
+            return ""
+        if refusals.pairs:
+            return Touching([refusals.pairs[name] for name in sorted(refusals.pairs)])
+        if refusals.misses:
+            return OutOfReach(min(refusals.misses))
+        return NoRoom(refusals.no_room[0].reason)
+
+
+class Pulling:
+    """A handle that is to be moved."""
+
+    def __init__(self, robot: Object, target: Pull) -> None:
+        self._robot, self._target = robot, target
+
+    @property
+    def position(self) -> Vector:
+        """Where the handle is now, m."""
+        x, y, z = self._target.container.get_link_position(self._target.handle)
+        return x, y, z
+
+    def named(self) -> str:
+        """Return the handle's name."""
+        return self._target.handle
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return "" if the arm can hold the handle all the way."""
+        if arm.hand is None:
+            return Unfit("it has no gripper")
+        in_hand = held(self._robot, arm)
+        if in_hand:
+            return Unfit(f"it holds {in_hand[0].name}")
+        target = self._target
+        start = target.container.get_joint_position(target.joint)
+        steps = max(1, math.ceil(abs(target.to - start) / _STEP))
+        values = [start + (target.to - start) * step / steps for step in range(steps + 1)]
+        handle = Handle(target.container, target.joint, target.handle)
+        path = plan(self._robot, arm, handle, values, base, quick=True)
+        return path.rejection() if isinstance(path, DeadEnd) else ""
+
+
+class Touch:
+    """A position that the tool is to get to, in any orientation."""
+
+    def __init__(self, robot: Object, position: Vector) -> None:
+        self._robot, self.position = robot, position
+
+    def named(self) -> str:
+        """Return where it is."""
+        return _named(self.position)
+
+    def reached(self, arm: Arm, base: Pose) -> str | Rejection:
+        """Return "" if the tool gets there with nothing in the way."""
+        postures = Solver(self._robot, arm.tool_frame).search([(self.position, None, base)], thorough=True)[0]
+        if not postures[0].reaches():
+            return OutOfReach(postures[0].position_error)
+        nearest: list[Rejection] = []
+        for posture in postures:
+            pairs = checker.in_the_way(self._robot, posture.positions, base)
+            if not pairs:
+                return ""
+            nearest.append(Touching(pairs))
+        return min(nearest, key=lambda reason: reason.miss())
+
+
+def _rejection(failure: PlanFailure) -> Rejection:
+    """Return why an arm can't, as records have it."""
+    if isinstance(failure, Blocked):
+        return Touching(failure.pairs)
+    if isinstance(failure, Unreachable):
+        return OutOfReach(failure.distance)
+    return Unfit(failure.reason if isinstance(failure, GraspFailed) else str(failure))
+
+
+def _named(position: Sequence[float]) -> str:
+    return f"[{', '.join(f'{part:.2f}' for part in position)}]"

@@ -1,0 +1,338 @@
+"""Where a robot can stand to reach or see something (CRAM's ``reachable-for``, ``visible-for``)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument, MissingPart, NoPlace
+from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.places import maps, reaching
+from pycram.reasoning.places.arm_reach import arm_reach
+from pycram.reasoning.places.batch import Batch, Spot
+from pycram.reasoning.places.grid import Grid, drawn, generator
+from pycram.reasoning.places.outline import room
+from pycram.reasoning.places.place import Place
+from pycram.reasoning.places.seeing import seen_share
+from pycram.reasoning.queries.query import world_of
+from pycram.reasoning.queries.visibility import VISIBLE_SHARE
+from pycram.reasoning.rejections import Touching, Unseen
+from pycram.scheduling.future import unwrap
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.models.robots.description import Arm, RobotDescription
+    from pycram.reasoning.places.place import Target
+    from pycram.reasoning.places.reaching import Goal
+    from pycram.reasoning.rejections import Rejection
+    from pycram.world.object import Object
+    from recorder.geometry import Pose, Vector
+
+    Array = NDArray[np.float64]
+
+_SPOTS: Final = 40  # that are drawn at once
+_BATCHES: Final = 4  # without a place, after which it is given up
+_CHUNK: Final = 8  # spots that are checked for collisions at once
+_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
+_FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
+_JITTER: Final = math.radians(6)
+_APART: Final = 0.07  # m between places that are offered, or were tried
+_SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
+_ROOM: Final = 1.5  # m around a point, where nothing else says how far
+_NEAR: Final = 0.7  # m at which a place near a point counts half
+_SHORT_WAY: Final = 8.0  # m of driving that count half
+_HERE: Final = "where it stands"
+
+
+def standing_places(
+    robot: Object,
+    *,
+    reach: Sequence[Target] = (),
+    arms: Sequence[str] | None = None,
+    both: bool = False,
+    see: Object | None = None,
+    near: Sequence[float] | None = None,
+    avoid: Sequence[Sequence[float]] = (),
+    seed: int | None = None,
+) -> Iterator[Place]:
+    """Return places where a robot can stand, with its arms as they are now, best first, each checked when its turn comes.
+
+    A place is where `moving` would put the robot; an arm reaches there what `pick-up`, `place` or `accessing` would
+    reach. Each place that is asked for is one query on record, with the map and why other places won't do. A robot that
+    is bolted down has one place. The world may have changed before the next one is asked for.
+
+    Args:
+        robot: the robot.
+        reach: what shall be reached from there, all of it.
+        arms: names of arms that may reach; all by default.
+        both: each of these arms shall reach, not only one of them.
+        see: what its camera shall see from there.
+        near: xyz or xy of a point that it shall be near, m.
+        avoid: positions xyz or xy of places that are left out, with what is right beside them, m.
+        seed: of the places; the run's by default.
+
+    Raises:
+        BadArgument: an impossible value.
+        UnknownName: the robot has no such arm.
+        MissingPart: it has no arm, or no camera, that is needed.
+        NoPlace: when the first is asked for: there is none.
+    """
+    robot = unwrap(robot)
+    if getattr(robot, "description", None) is None:
+        raise BadArgument("robot", robot, "a robot with a description")
+    description: RobotDescription = robot.description
+    targets = [unwrap(target) for target in reach]
+    chosen = [description.arm(name) for name in (description.arms if arms is None else arms)]
+    if targets and not chosen:
+        raise MissingPart(robot.name, "arm")
+    if see is not None:
+        see = unwrap(see)
+        world_of(robot, see)
+        if description.camera is None:
+            raise MissingPart(robot.name, "camera")
+    points = [None if near is None else _point("near", near), *(_point("avoid", each) for each in avoid)]
+    goals = [reaching.goal_of(robot, target) for target in targets]
+    return _Search(robot, goals, chosen, both, see, points[0], [each for each in points[1:] if each], seed).places()
+
+
+def _point(name: str, given: Sequence[float]) -> Vector:
+    return checks.vector(name, (*given, 0.0) if len(given) == 2 else given)
+
+
+@dataclass(frozen=True, slots=True)
+class _Maps:
+    """What is known of all places.
+
+    Attributes:
+        grid: the cells.
+        scores: (cells,) 0 to 1.
+        yaws: (cells,) heading for each, rad.
+        excluded_by: the wish that excluded the last cells; "" if some are left.
+    """
+
+    grid: Grid
+    scores: Array
+    yaws: Array
+    excluded_by: str = ""
+
+
+class _Search:
+    """Places for a robot, one after the other."""
+
+    def __init__(
+        self,
+        robot: Object,
+        goals: Sequence[Goal],
+        arms: Sequence[Arm],
+        both: bool,
+        see: Object | None,
+        near: Vector | None,
+        avoid: Sequence[Vector],
+        seed: int | None,
+    ) -> None:
+        self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
+        self._see, self._near, self._seed = see, near, seed
+        self._done: list[Vector] = list(avoid)  # places that aren't looked at again
+        self._counts: dict[str, int] = {}  # of places that a wish excluded
+        self._last = ""
+        self._arguments: Mapping[str, object] = {
+            "robot": robot,
+            **({"reach": [goal.named() for goal in goals]} if goals else {}),
+            **({"arms": [arm.name for arm in arms]} if goals else {}),
+            **({"see": see} if see is not None else {}),
+            **({"near": near} if near is not None else {}),
+            **({"avoid": list(avoid)} if avoid else {}),
+        }
+
+    def places(self) -> Iterator[Place]:
+        """Yield places, each from a query of its own."""
+        found, vain = False, 0
+        drives = self._robot.description is None or self._robot.description.drives
+        for number in itertools.count():
+            place = None
+            with self._robot.world.lock:
+                clone_of(self._robot.world, "reach").sync()
+                known = self._maps()
+                batch, spots = self._batch(known, number)
+                with batch.asked(self._robot.world, trace=False):
+                    place = self._first(batch, spots)
+                    vain = 0 if place else vain + 1
+                    over = not spots or not drives or vain == _BATCHES
+                    if place is None and over and not found:
+                        raise self._failure(known)
+            if place is not None:
+                found = True
+                yield place
+            if over:
+                return
+
+    def _failure(self, known: _Maps) -> NoPlace:
+        counts, last = dict(self._counts), self._last
+        if known.excluded_by:
+            last = known.excluded_by
+        wanted = [*(f"reach {goal.named()}" for goal in self._goals), *([f"see {self._see.name}"] if self._see else [])]
+        return NoPlace(f"{self._robot.name} to {' and '.join(wanted) or 'stand'}", counts, last)
+
+    # --- all places at once ------------------------------------------------------------------------------------------
+
+    def _maps(self) -> _Maps:
+        """Return the product of the maps."""
+        robot = self._robot
+        here, turn = robot.get_position_and_orientation()
+        grid = self._grid(here)
+        centers = grid.centers()
+        scores, yaws = np.ones(len(centers)), np.full(len(centers), geometry.to_rpy(turn)[2])
+        excluded_by = ""
+        facing = [goal.position for goal in self._goals] or ([center(self._see)] if self._see is not None else [])
+        wishes: list[tuple[str, Array]] = []
+        if facing:
+            reached, yaws = self._reach(centers, facing, here[2])
+            wishes.append(("reach" if self._goals else "see", reached))
+        wishes.append(("collision", room(robot, centers)))
+        if self._near is not None:
+            wishes.append(("near", maps.near(centers, self._near, _NEAR)))
+        wishes.append(("distance", maps.near(centers, here, _SHORT_WAY)))
+        wishes.append(("avoid", maps.away(centers, self._done, _APART)))
+        for name, score in wishes:
+            scores = scores * score
+            if not excluded_by and not scores.any():
+                excluded_by = name
+        return _Maps(grid, scores / max(float(scores.max()), 1e-9), yaws, excluded_by)
+
+    def _grid(self, here: Sequence[float]) -> Grid:
+        """Return the cells from which everything may be reached and seen."""
+        areas: list[tuple[Sequence[float], float]] = []
+        if self._goals:
+            radius = max(arm_reach(self._robot, arm).radius for arm in self._arms)
+            areas += [(goal.position, radius) for goal in self._goals]
+        if self._see is not None:
+            areas.append((center(self._see), _SIGHT[1]))
+        if not areas:
+            areas.append((self._near or here, _ROOM))
+        low = [max(point[axis] - radius for point, radius in areas) for axis in (0, 1)]
+        high = [min(point[axis] + radius for point, radius in areas) for axis in (0, 1)]
+        return Grid.over(low, high, here[2])
+
+    def _reach(self, centers: Array, points: Sequence[Sequence[float]], ground: float) -> tuple[Array, Array]:
+        """Return for all cells how well points are reached or seen with the best heading, and that heading."""
+        offsets = np.asarray(points)[None, :, :2] - centers[:, None]  # (cells, points, 2)
+        distances, bearings = np.hypot(offsets[..., 0], offsets[..., 1]), np.arctan2(offsets[..., 1], offsets[..., 0])
+        middle = offsets.mean(axis=1)
+        facing = np.arctan2(middle[:, 1], middle[:, 0])
+        best, yaws = np.full(len(centers), -1.0), facing.copy()
+        for offset in _OFFSETS if self._goals else (0.0,):
+            score = np.full(len(centers), 1.0 - _FACING * abs(offset) / (math.pi / 2))
+            for number, point in enumerate(points):
+                if self._goals:
+                    score *= self._by_arms(
+                        point[2] - ground, distances[:, number], bearings[:, number] - facing - offset
+                    )
+            if self._see is not None:
+                good, far = _SIGHT
+                away = np.hypot(*(np.asarray(center(self._see)[:2]) - centers).T)
+                score *= np.where(away < good, away / good, np.clip((far - away) / (far - good), 0.0, 1.0))
+            better = score > best
+            best[better], yaws[better] = score[better], (facing + offset)[better]
+        return best, yaws
+
+    def _by_arms(self, height: float, distance: Array, bearing: Array) -> Array:
+        """Return how well one of the arms, or each of them, reaches points."""
+        every = []
+        base_T_world = geometry.invert(self._robot.get_position_and_orientation())
+        for arm in self._arms:
+            shoulder = geometry.transform(base_T_world, self._robot.get_link_position(arm.base_link))
+            every.append(arm_reach(self._robot, arm).scores(height - shoulder[2], distance, bearing))
+        together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
+        return together
+
+    def _batch(self, known: _Maps, number: int) -> tuple[Batch, Sequence[Spot]]:
+        """Draw places."""
+        robot = self._robot
+        position, turn = robot.get_position_and_orientation()
+        here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
+        random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
+        upright = geometry.product(geometry.from_rpy(0.0, 0.0, -geometry.to_rpy(here[1])[2]), here[1])
+        spots = []
+        if not number and not any(math.dist(here[0][:2], each[:2]) < _APART for each in self._done):
+            spots.append(Spot(_HERE, here, geometry.to_rpy(here[1])[2], 1.0))
+        if robot.description is not None and robot.description.drives:
+            cells = drawn(known.scores, _SPOTS, random)
+            jitter = random.uniform(-0.5, 0.5, (len(cells), 2)) * known.grid.resolution
+            turns = random.uniform(-_JITTER, _JITTER, len(cells))
+            for (x, y), yaw, score in zip(
+                (known.grid.centers()[cells] + jitter).round(4).tolist(),
+                (known.yaws[cells] + turns).round(4).tolist(),
+                known.scores[cells].tolist(),
+                strict=True,
+            ):
+                pose = (x, y, here[0][2]), geometry.product(geometry.from_rpy(0.0, 0.0, yaw), upright)
+                spots.append(Spot(f"[{x:.2f}, {y:.2f}]", pose, yaw, score))
+        return Batch("standing_places", self._arguments, known.grid, known.scores, spots), spots
+
+    # --- one place after the other -----------------------------------------------------------------------------------
+
+    def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
+        """Return the first place that will do."""
+        for start in range(0, len(spots), _CHUNK):
+            chunk = spots[start : start + _CHUNK]
+            for spot, blocked in zip(chunk, self._collisions(chunk), strict=True):
+                self._done.append(spot.pose[0])
+                excluded = blocked or self._excluded(spot)
+                if isinstance(excluded, Place):
+                    batch.take(
+                        spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms}
+                    )
+                    return excluded
+                self._last, reason = excluded
+                self._counts[self._last] = self._counts.get(self._last, 0) + 1
+                batch.reject(spot.name, reason)
+        return None
+
+    def _collisions(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
+        """Return for each place what the robot would touch there; None for nothing, and where it stands."""
+        found: list[tuple[str, Rejection] | None] = []
+        with CollisionChecker(self._robot, (), all_links=True) as checker:
+            for spot, candidate in zip(spots, checker.predict_at([spot.pose for spot in spots]), strict=True):
+                first = None if spot.name == _HERE else next(checker.collisions(candidate), None)
+                if first is None:
+                    found.append(None)
+                else:
+                    pair, touches = first
+                    depth = max(-touch.distance for touch in touches)
+                    found.append((f"collision with {pair[2].name}", Touching([checker.named(pair, depth)])))
+        return found
+
+    def _excluded(self, spot: Spot) -> Place | tuple[str, Rejection]:
+        """Return a place that will do, or which wish excludes it, and why."""
+        able = list(self._arms)
+        grasps: dict[str, str] = {}
+        for goal in self._goals:
+            reasons: list[Rejection] = []
+            reached: list[Arm] = []
+            for arm in self._arms:
+                found = goal.reached(arm, spot.pose)
+                if isinstance(found, str):
+                    reached.append(arm)
+                    grasps.update({arm.name: found} if found else {})
+                else:
+                    reasons.append(found)
+            if not reached or (self._both and reasons):
+                return f"reach {goal.named()}", min(reasons, key=lambda reason: reason.miss())
+            able = [arm for arm in able if arm in reached]
+        if self._see is not None:
+            seen = seen_share(self._robot, self._see, spot.pose)
+            if seen.share <= VISIBLE_SHARE:
+                return f"see {self._see.name}", Unseen(seen.share, list(seen.hiding))
+        names = tuple(arm.name for arm in able) if self._goals else ()
+        return Place(*spot.pose, names, spot.score, "", {name: grasps[name] for name in names if name in grasps})

@@ -1,0 +1,106 @@
+"""What the robots of one world believe of objects, while the plan runs; :mod:`recorder.records.beliefs` says what.
+
+A part of the world's state: forked processes have it, saved states and keyframes, too. It is kept whether anything is
+recorded or not.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, TypeAlias
+
+from recorder.records import Belief, beliefs as fold
+from recorder.tracing import journal as journals
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from pycram.world.transaction import Transaction
+    from pycram.world.world import BulletWorld
+    from recorder.records.beliefs import Key
+    from recorder.tracing.journal import Journal
+
+    #: Of a record: its step in each recording.
+    Steps: TypeAlias = Mapping[Journal, int]
+
+
+class WorldBeliefs:
+    """The beliefs of a world's robots; used with the world's lock held.
+
+    Args:
+        world: The world.
+    """
+
+    def __init__(self, world: BulletWorld) -> None:
+        self._world = world
+        self._beliefs: dict[Key, Belief] = {}
+        self._steps: dict[Key, Steps] = {}  # of the records by which they were learned
+
+    def of(self, robot: str) -> list[tuple[Belief, int]]:
+        """Return what a robot believes, what it learned last first, each with the step of the record that taught it.
+
+        The step is -1 if that is in no recording that runs.
+        """
+        own = [belief for (name, _), belief in self._beliefs.items() if name == robot]
+        return [(belief, self._step(belief)) for belief in reversed(own)]
+
+    def look(self, evidence: Mapping[str, object], steps: Steps = MappingProxyType({})) -> None:
+        """Take note of what a look has taught.
+
+        Args:
+            evidence: As :func:`recorder.records.beliefs.sightings` has it.
+            steps: Of the look's record.
+        """
+        learned = fold.look(self._beliefs, evidence, self._world.sim_step)
+        self._steps.update(dict.fromkeys(learned, steps))
+
+    def follow(self, transaction: Transaction, steps: Steps) -> None:
+        """Take note of what a transaction changes of it.
+
+        Args:
+            transaction: When it is made.
+            steps: Of its record.
+        """
+        world = self._world
+        carriers: dict[str, str] | None = None
+        if transaction.attached or transaction.detached:
+            carriers = {held.body.name: body.name for body in world.objects for held in body.carried}
+        learned = fold.follow(
+            self._beliefs,
+            transaction.command,
+            world.sim_step,
+            removed=transaction.removed,
+            carriers=carriers,
+            robots=[body.name for body in world.objects if body.is_robot] if carriers is not None else (),
+            pose_of=lambda name: world.get_object(name).get_position_and_orientation(),
+        )
+        self._steps.update(dict.fromkeys(learned, steps))
+
+    def saved(self) -> dict[Key, Steps]:
+        """Return the steps of what is believed now, for :meth:`restored`."""
+        return {key: self._steps.get(key, {}) for key in self._beliefs}
+
+    def restored(self, steps: Mapping[Key, Steps]) -> None:
+        """Take note of the steps of what has come back with a saved state."""
+        self._steps = dict(steps)
+
+    def rebuild(self, recorded: Iterable[Belief]) -> None:
+        """Believe what a recording has, in a world that is made of it."""
+        fold.restore(self._beliefs, recorded)
+        self._steps.clear()
+
+    def records(self, journal: Journal | None = None) -> list[Belief]:
+        """Return what is believed as a record has it, with steps of a recording."""
+        copies = []
+        for key, belief in self._beliefs.items():
+            copy = Belief()
+            copy.CopyFrom(belief)
+            copy.step = self._steps.get(key, {}).get(journal, -1) if journal is not None else -1
+            copies.append(copy)
+        return copies
+
+    def _step(self, belief: Belief) -> int:
+        steps = self._steps.get((belief.robot, belief.object))
+        if not steps:
+            return belief.step
+        return next((step for journal, step in steps.items() if journals.records_here(journal)), -1)

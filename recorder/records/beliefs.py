@@ -1,0 +1,194 @@
+"""What robots believe of objects: a fold of the records of their world.
+
+A robot believes of an object what its latest look told: where it is. What it takes, it believes in its hand, and what
+it puts down, where it let go of it. What else moves an object it doesn't notice until it looks again. Of what it has
+neither seen nor held it believes nothing. After a reset it has seen nothing yet; with a saved state, what was believed
+then comes back.
+
+The running plan and readers of recordings fold with the same functions.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from recorder.records import Belief, Mutation, Query
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Mapping
+
+    from recorder.geometry import PoseLike
+    from recorder.records import Plain
+
+#: A robot and an object, by their names.
+Key: TypeAlias = tuple[str, str]
+#: What is believed; what was learned last comes last.
+Beliefs: TypeAlias = dict[Key, Belief]
+
+ROBOT: Final = "robot"
+"""Name of the evidence of a look that says whose it was."""
+SOURCES: Final[Mapping[str, Belief.Source]] = {"seen": Belief.SEEN, "told": Belief.TOLD}
+"""What a look teaches, by the name of its evidence: poses of objects, by their names."""
+_NAMES: Final = tuple(name.encode() for name in SOURCES)
+_WORDS: Final = {source: name.lower() for name, source in Belief.Source.items() if source}
+_FORGETTING: Final = frozenset({"reset", "close_world"})
+_FAR: Final = 1e9  # m, beyond which nothing is
+_SHORTEST, _LONGEST = 0.99, 1.01  # squared lengths of a unit quaternion
+
+
+def is_look(query: Query) -> bool:
+    """Return whether a query taught a robot where objects are."""
+    return any(fact.name in SOURCES for fact in query.evidence)
+
+
+def may_be_look(payload: bytes) -> bool:
+    """Return whether a serialized query may be such a one: most needn't be read to know that they aren't."""
+    return any(name in payload for name in _NAMES)
+
+
+def word(source: int) -> str:
+    """Return what a belief rests on, as a word: "seen", "told", "held", "placed"; of a newer release's, its number."""
+    return _WORDS.get(source, str(source))
+
+
+def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[str, Plain]:
+    """Return the evidence of a look.
+
+    Args:
+        robot: Who looked.
+        source: "seen" or "told".
+        poses: Of objects in the world, by their names: xyz in m, xyzw.
+    """
+    found: dict[str, Plain] = {
+        name: {"position": list(position), "orientation": list(orientation)}
+        for name, (position, orientation) in poses.items()
+    }
+    return {ROBOT: robot, source: found}
+
+
+def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: int = -1) -> list[Key]:
+    """Fold the evidence of a query; return which beliefs are new. What the robot holds it knows better.
+
+    Raises:
+        ValueError: The evidence makes no sense.
+    """
+    learned = []
+    for fact, source in SOURCES.items():
+        found, robot = evidence.get(fact), evidence.get(ROBOT)
+        if found is None:
+            continue
+        if not isinstance(found, dict) or not isinstance(robot, str):
+            raise ValueError(f"a look has the evidence {fact}={found!r} of {robot!r}")  # noqa: TRY004  data, not a type
+        for name, pose in found.items():
+            key = robot, name
+            known = beliefs.get(key)
+            if known is None or known.source != Belief.HELD:
+                position, orientation = _pose(name, pose)
+                belief = Belief(position=position, orientation=orientation, source=source)
+                _learn(beliefs, key, belief, sim_step, step)
+                learned.append(key)
+    return learned
+
+
+def follow(
+    beliefs: Beliefs,
+    record: Mutation,
+    sim_step: int,
+    step: int = -1,
+    *,
+    removed: Collection[str] = (),
+    carriers: Mapping[str, str] | None = None,
+    robots: Collection[str] = (),
+    pose_of: Callable[[str], PoseLike],
+) -> list[Key]:
+    """Fold a change of the world; return which beliefs are new.
+
+    Args:
+        beliefs: What was believed before it.
+        record: The change, with its command at least.
+        sim_step: Of the world after it.
+        step: Its number.
+        removed: Names of bodies that it removed.
+        carriers: What carries each body that is carried after it, by names; None if nothing is taken or let go of.
+        robots: Names of the robots after it.
+        pose_of: Returns the pose of a body after it, by name.
+    """
+    command = record.WhichOneof("command")
+    if command in _FORGETTING:
+        beliefs.clear()
+        return []
+    if command == "restore":
+        restore(beliefs, record.restore.beliefs)
+        return []
+    for key in [key for key in beliefs if removed and not {*key}.isdisjoint(removed)]:
+        del beliefs[key]
+    if carriers is None:
+        return []
+    before = [key for key, belief in beliefs.items() if belief.source == Belief.HELD]
+    after = [(robot, body) for body in carriers if (robot := _holder(body, carriers, robots))]
+    learned = []
+    for key in before:
+        if key not in after:
+            position, orientation = pose_of(key[1])
+            belief = Belief(position=position, orientation=orientation, source=Belief.PLACED)
+            _learn(beliefs, key, belief, sim_step, step)
+            learned.append(key)
+    for key in after:
+        if key not in before:
+            _learn(beliefs, key, Belief(source=Belief.HELD), sim_step, step)
+            learned.append(key)
+    return learned
+
+
+def restore(beliefs: Beliefs, recorded: Iterable[Belief]) -> None:
+    """Believe what a record says, and nothing else.
+
+    Raises:
+        ValueError: It makes no sense.
+    """
+    beliefs.clear()
+    for belief in recorded:
+        if belief.source != Belief.HELD:
+            _pose(belief.object, {"position": belief.position[:], "orientation": belief.orientation[:]})
+        beliefs[belief.robot, belief.object] = belief
+
+
+def _learn(beliefs: Beliefs, key: Key, belief: Belief, sim_step: int, step: int) -> None:
+    belief.robot, belief.object = key
+    belief.sim_step, belief.step = sim_step, step
+    beliefs.pop(key, None)
+    beliefs[key] = belief
+
+
+def _holder(body: str, carriers: Mapping[str, str], robots: Collection[str]) -> str:
+    """Return the robot that holds a body, or what it stands on that is attached to it; "" if none does."""
+    seen = {body}
+    while body in carriers:
+        body = carriers[body]
+        if body in robots:
+            return body
+        if body in seen:  # of a recording that makes no sense
+            break
+        seen.add(body)
+    return ""
+
+
+def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
+    """Return position and orientation of a recorded pose.
+
+    Raises:
+        ValueError: It is none.
+    """
+    numbers = []
+    for part, count in (("position", 3), ("orientation", 4)):
+        values = pose.get(part) if isinstance(pose, dict) else None
+        if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+            raise ValueError(f"{values!r} is no {part} of {name}")
+        numbers.append([float(value) for value in values])
+    if not _SHORTEST <= sum(number * number for number in numbers[1]) <= _LONGEST:
+        raise ValueError(f"{numbers[1]} is no unit quaternion")
+    return numbers[0], numbers[1]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and -_FAR <= value <= _FAR

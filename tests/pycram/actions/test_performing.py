@@ -1,0 +1,305 @@
+"""Actions are tried choice by choice, until one does or the budget is spent; if asked, they are imagined first."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pycram import tasks
+from pycram.actions import ActionFailed, action, perform, projecting, replaced
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator, ObjectDesignator
+from pycram.failures import GraspFailed, PlanFailure, ReasoningError, UnknownName
+from pycram.knowledge import learn
+from pycram.language import par
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+NUMBERS = ("one", "two", "three", "four", "five", "six")
+
+
+@pytest.fixture(autouse=True)
+def world() -> Iterator[BulletWorld]:
+    """A world with a gripper for a robot, and a cup."""
+    world = BulletWorld()
+    world.robot = Object("gripper", "robot", "two_finger_gripper.urdf")
+    Object("cup", "cup", "cup.stl", [1, 0, 0])
+    yield world
+    world.exit()
+
+
+class Counting:
+    """An action that tries numbers, of which some do."""
+
+    def __init__(self, *does: str) -> None:
+        self.does = does
+        self.offered: list[str] = []
+        self.tried: list[str] = []
+
+    def numbers(self) -> Iterator[Mapping[str, Any]]:
+        for number in NUMBERS:
+            self.offered.append(number)
+            yield {"number": number}
+
+    def count(self, number: str = "", unit: str = "m") -> str:
+        """Counts.
+
+        Args:
+            number: What is counted
+                up to.
+            unit: Of what.
+        """
+        self.tried.append(number)
+        if number not in self.does:
+            raise GraspFailed("left", number, "it slips")
+        return f"{number} {unit}"
+
+
+def test_choices_are_tried_in_their_order_each_as_a_task_and_no_more_are_found_than_needed() -> None:
+    counting = Counting("three", "four")
+    with replaced("counting", counting.count, choices=counting.numbers):
+        assert perform(ActionDesignator(type="counting", unit="s")) == "three s"
+    assert counting.tried == counting.offered == ["one", "two", "three"]
+    (act,) = tasks.tree().find(kind="action", name="counting")
+    (handling,) = act.children
+    assert [(each.name, each.status) for each in handling.children] == [
+        ("attempt 1", tasks.State.FAILED),
+        ("attempt 2", tasks.State.FAILED),
+        ("attempt 3", tasks.State.SUCCEEDED),
+    ]
+    assert handling.children[1].failure.message == "left gripper can't take two: it slips"
+
+
+def test_what_was_tried_is_told_when_there_is_nothing_else() -> None:
+    counting = Counting()
+    with (
+        replaced("counting", counting.count, choices=counting.numbers),
+        pytest.raises(ActionFailed) as raised,
+    ):
+        perform(ActionDesignator(type="counting"))
+    assert [each.choice for each in raised.value.tried] == [{"number": number} for number in NUMBERS]
+    assert {type(each.failure) for each in raised.value.tried} == {GraspFailed}
+    assert (raised.value.action, raised.value.spent, raised.value.last) == ("counting", False, None)
+    assert "counting failed after 6 tries, there is nothing else to try: GraspFailed: left" in str(raised.value)
+
+
+def test_the_budget_is_that_of_an_action_with_those_that_it_is_made_of() -> None:
+    inner, tried = Counting(), []
+
+    def outer(way: str = "") -> None:
+        tried.append(way)
+        perform(ActionDesignator(type="counting", budget=5))
+
+    def ways() -> Iterator[Mapping[str, Any]]:
+        yield from ({"way": way} for way in "abcdef")
+
+    with (
+        replaced("counting", inner.count, choices=inner.numbers),
+        replaced("going", outer, choices=ways),
+        pytest.raises(ActionFailed) as raised,
+    ):
+        perform(ActionDesignator(type="going", budget=8))
+    # a: five of its own, which is one more of the outer budget; so on until eight are spent
+    assert raised.value.spent
+    assert len(inner.tried) + len(tried) <= 8 + 5
+    assert len(tried) < 6
+
+
+def test_why_there_is_nothing_to_choose_is_raised_as_it_is() -> None:
+    def none() -> Iterator[Mapping[str, Any]]:
+        raise ReasoningError("there is nothing")
+        yield {}
+
+    counting = Counting("one")
+    with (
+        replaced("counting", counting.count, choices=none),
+        pytest.raises(ReasoningError, match="there is nothing"),
+    ):
+        perform(ActionDesignator(type="counting"))
+    assert not counting.tried
+
+
+def test_an_error_of_the_program_is_no_reason_to_try_the_next_choice() -> None:
+    counting = Counting("two")
+
+    def broken(number: str = "") -> None:
+        counting.count(number)
+        raise UnknownName("joint", "elbo", "the arm", ["elbow"])
+
+    with (
+        replaced("counting", broken, choices=lambda: ({"number": number} for number in ("two", "three"))),
+        pytest.raises(UnknownName),
+    ):
+        perform(ActionDesignator(type="counting"))
+    assert counting.tried == ["two"]
+
+
+def test_users_put_their_own_action_in_the_place_of_another() -> None:
+    mine = Counting("six")
+    with replaced("picking-up", mine.count, choices=mine.numbers):
+        assert perform(ActionDesignator(type="picking-up")) == "six m"
+    with pytest.raises(DesignatorError, match="unknown slot number"):
+        perform(ActionDesignator(type="picking-up", object="cup", number="six"))
+
+
+def test_resolvers_of_users_are_asked_first() -> None:
+    counting = Counting("six", "five")
+
+    def resolver(designator: ActionDesignator) -> list[dict[str, str]] | None:
+        if designator.type != "counting":
+            return None
+        return [{"action": "counting", "number": number} for number in ("six", "five")]
+
+    with (
+        replaced("counting", counting.count, choices=counting.numbers),
+        ActionDesignator.resolvers.added(resolver),
+    ):
+        designator = ActionDesignator(type="counting")
+        assert perform(designator) == "six m"
+        following = designator.next_solution()
+        assert following is not None
+        assert following.reference() == {"action": "counting", "number": "five"}
+        assert following.equal(designator)
+        assert perform(following) == "five m"
+
+
+def test_actions_are_branches_of_blocks_and_wait_for_what_their_slots_stand_for() -> None:
+    counting = Counting("one", "two")
+    with replaced("counting", counting.count):
+        with par:
+            first = perform(ActionDesignator(type="counting", number="one"))
+            second = perform(ActionDesignator(type="counting", number="two", unit=first))
+        assert second.result() == "two one m"
+
+
+@pytest.mark.parametrize(
+    ("slots", "message"),
+    [
+        ({"type": "pickin-up"}, "unknown type 'pickin-up'; did you mean picking-up?"),
+        ({}, "has no slot type"),
+        ({"type": "picking-up"}, "missing slot object"),
+        ({"type": "picking-up", "object": "cup", "amr": "left"}, "unknown slot amr; did you mean arm?"),
+        ({"type": "picking-up", "object": "cpu"}, "no object of type 'cpu'; did you mean cup?"),
+        ({"type": "picking-up", "object": "cup", "grasp": "below"}, "one of front, top, left, right"),
+        ({"type": "picking-up", "object": "cup", "budget": -1}, "a whole number from 0 up"),
+        ({"type": "placing", "object": "cup", "target": [0, 0]}, "3 finite numbers"),
+        ({"type": "fetching", "object": "cup", "place": [0, 0, 0]}, "a LocationDesignator"),
+    ],
+)
+def test_wrong_slots_are_refused_before_anything_is_done(slots: dict[str, Any], message: str) -> None:
+    with pytest.raises(DesignatorError) as raised:
+        perform(ActionDesignator(slots))
+    assert message in str(raised.value)
+    assert not tasks.tree().find(kind="motion")
+
+
+def test_what_isn_t_to_be_performed_is_refused() -> None:
+    with pytest.raises(DesignatorError, match="perform takes a designator of an action or a motion"):
+        perform(ObjectDesignator(type="cup"))
+
+
+def test_slots_are_given_as_pairs_or_by_keyword(world: BulletWorld) -> None:
+    pairs = ActionDesignator([("type", "x"), ("reachable-for", 1), ("in", 2)])
+    assert ActionDesignator(type="x", reachable_for=1, in_=2).description == pairs.description
+    assert ActionDesignator({"type": "x"}, reachable_for=1, in_=2).description == pairs.description
+
+
+def test_an_object_designator_stands_for_what_is_believed_also_in_motions(world: BulletWorld) -> None:
+    cup = world.get_object("cup")
+    with pytest.raises(PlanFailure, match="cup was never seen"):
+        ObjectDesignator(type="cup").reference()
+    learn({cup: ([1, 0, 0.5], [0, 0, 0, 1])})
+    assert ObjectDesignator(type="cup").reference()["object"] is cup
+    assert ObjectDesignator(type="cup").reference()["position"] == [1, 0, 0.5]
+    assert MotionDesignator(type="pick-up", object=ObjectDesignator(type="cup")).reference()["object"] is cup
+    second = Object("cup 2", "cup", "cup.stl", [0, 1, 0])
+    learn({second: ([0, 1, 0], [0, 0, 0, 1])})
+    motion = MotionDesignator(type="pick-up", object=ObjectDesignator(type="cup"), arm="left")
+    assert [each["object"] for each in motion.solutions()] == [second, cup]  # what was seen last comes first
+
+
+def moves(world: BulletWorld, *does: str) -> Any:
+    """An action that moves the cup, and then says whether that was right."""
+
+    def move(number: str = "") -> str:
+        cup = world.get_object("cup")
+        assert list(cup.get_position()) == [1, 0, 0], "something has been moved before"
+        cup.set_position([0, 0, float(NUMBERS.index(number))])
+        if number not in does:
+            raise GraspFailed("left", number, "it slips")
+        return number
+
+    return replaced("moving-cup", move, choices=lambda: ({"number": number} for number in NUMBERS))
+
+
+def test_what_was_imagined_first_is_done_and_what_failed_so_is_not(world: BulletWorld) -> None:
+    with moves(world, "three", "four"), projecting():
+        assert perform(ActionDesignator(type="moving-cup")) == "three"
+    assert world.get_object("cup").get_position()[2] == 2.0
+    (act,) = tasks.tree().find(kind="action", name="moving-cup")
+    imagined = [node for node in act.children if node.kind == "projection"]
+    assert [node.parameters["number"] for node in imagined] == ["one", "two", "three"]
+    (handling,) = (node for node in act.children if node.kind == "failure-handling")
+    assert [node.parameters for node in handling.children] == [{"number": "three"}]
+
+
+def test_if_nothing_succeeds_in_imagination_nothing_is_done(world: BulletWorld) -> None:
+    with moves(world), pytest.raises(ActionFailed) as raised:
+        perform(ActionDesignator(type="moving-cup", projected=True))
+    assert list(world.get_object("cup").get_position()) == [1, 0, 0]
+    assert [(each.choice["number"], each.imagined) for each in raised.value.tried] == [
+        (number, True) for number in NUMBERS
+    ]
+
+
+def test_no_more_is_imagined_than_the_budget_allows(world: BulletWorld) -> None:
+    with moves(world, "six"), projecting(budget=3), pytest.raises(ActionFailed) as raised:
+        perform(ActionDesignator(type="moving-cup"))
+    assert len(raised.value.tried) == 3
+
+    def wait(number: str = "") -> None:
+        world.simulate(1.0)
+        raise GraspFailed("left", number, "it slips")
+
+    with (
+        replaced("waiting", wait, choices=lambda: ({"number": number} for number in (*NUMBERS, *NUMBERS))),
+        projecting(budget=12, seconds=3.5),
+        pytest.raises(ActionFailed) as raised,
+    ):
+        perform(ActionDesignator(type="waiting"))
+    assert len(raised.value.tried) == 4  # that many are begun at once
+
+
+def test_what_is_imagined_imagines_nothing_itself(world: BulletWorld) -> None:
+    def outer(way: str = "") -> str:
+        return f"{way} {perform(ActionDesignator(type='moving-cup', projected=True))}"
+
+    with (
+        moves(world, "one"),
+        replaced("going", outer, choices=lambda: ({"way": way} for way in "ab")),
+        projecting(),
+    ):
+        assert perform(ActionDesignator(type="going")) == "a one"
+    assert len(tasks.tree().find(kind="projection")) == 1
+
+
+@pytest.mark.parametrize(("budget", "seconds"), [(0, None), (1.5, None), (True, None), (3, 0), (3, "long")])
+def test_wrong_limits_of_thinking_are_refused(budget: Any, seconds: Any) -> None:
+    with pytest.raises(ValueError, match=r"budget|seconds"):
+        projecting(budget, seconds=seconds)
+
+
+def test_slots_and_texts_are_those_of_the_function() -> None:
+    counting = Counting()
+    with replaced("counting", counting.count), pytest.raises(DesignatorError) as raised:
+        perform(ActionDesignator(type="counting", size=1))
+    told = str(raised.value)
+    assert "number (optional): What is counted up to\n" in told
+    assert "unit (optional): Of what\n" in told
+
+
+def test_an_action_has_a_name() -> None:
+    with pytest.raises(ValueError, match="name"):
+        action("")
