@@ -10,17 +10,20 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.models import load
+from pycram.models.furniture.furniture import NONE, Surface
+from pycram.models.furniture.of_model import furniture_of
 from pycram.models.robots.description import RobotDescription, find_description
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment, carried, joints, overlaps
 from pycram.world.read_only import ReadOnlyAttributes, update
-from recorder import records
+from recorder import geometry, records
 from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from pycram.models.furniture.furniture import Container
     from pycram.models.load import Model
     from pycram.physics.body import Body
     from pycram.world.attachment import Attachment
@@ -239,6 +242,37 @@ class Object(ReadOnlyAttributes):
         """Return lower and upper limit in rad or m; infinite for continuous joints."""
         joint = self.handle.joints[self.check_joint(name)]
         return joint.lower, joint.upper
+
+    # --- furniture ---------------------------------------------------------------------------------------------------
+
+    @property
+    @refusing("object")
+    def surfaces(self) -> Mapping[str, Surface]:
+        """Where things can stand on it or in it, by name; a robot has none (:mod:`pycram.models.furniture`)."""
+        return NONE.surfaces if self.is_robot else furniture_of(self.model).surfaces
+
+    @property
+    @refusing("object")
+    def containers(self) -> Mapping[str, Container]:
+        """Its drawers and doors, by name; a robot has none."""
+        return NONE.containers if self.is_robot else furniture_of(self.model).containers
+
+    def surface(self, name: str) -> Surface:
+        """Return a surface by its name."""
+        if checks.text("surface", name) not in self.surfaces:
+            raise UnknownName("surface", name, self.name, self.surfaces)
+        return self.surfaces[name]
+
+    def container(self, name: str) -> Container:
+        """Return a container by its name."""
+        if checks.text("container", name) not in self.containers:
+            raise UnknownName("container", name, self.name, self.containers)
+        return self.containers[name]
+
+    def surface_pose(self, surface: Surface | str) -> Pose:
+        """Return where the middle of a surface is in the world now, with the joints as they are; z points up."""
+        of = surface if isinstance(surface, Surface) else self.surface(surface)
+        return geometry.multiply(self.get_link_position_and_orientation(of.link), of.pose)
 
     # --- poses and joints --------------------------------------------------------------------------------------------
 

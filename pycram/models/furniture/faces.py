@@ -1,0 +1,189 @@
+"""Level faces of a model on which things can stand, with free height above.
+
+The top of each link is looked at in a grid whose lines are where pieces begin and end: of what is built of boxes the
+result is exact. A cell is free if the link's top is there, and nothing within the least clearance above it. A face that
+is free (nearly) everywhere keeps its shape; any other is divided into rectangles.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.models.furniture.rectangles import divide
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.models.furniture.pieces import Piece
+
+    Array = NDArray[np.float64]
+
+SIDE: Final = 0.06  # m, the least width: that of a glass
+AREA: Final = 0.02  # m^2, the least area
+CLEARANCES: Final = (0.25, 0.05)
+"""Free heights, m: what has the first is looked for first, so that a low lamp takes only what is below it."""
+
+_LEVEL: Final = math.cos(math.radians(2.5))  # z of the normal of what things don't slide or roll from
+_THICK: Final = 0.004  # m that tops of one link may differ in height and be one face
+_ROUGH: Final = 0.002  # m that something may stick out of a face and not be in the way
+_GAP: Final = 0.001  # m between lines of the grid
+_FINE: Final = 0.02  # m between lines where edges are not along the grid
+_ALONG: Final = 1e-3  # of a unit normal: sides along the grid
+_WHOLE: Final = 0.97  # share of a face's hull that is free, of one that keeps its shape
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """A face in the frame of the root link.
+
+    Attributes:
+        link: that it is on.
+        middle: its middle, m.
+        yaw: of its frame, rad.
+        outline: (n, 2) corners in that frame, counter-clockwise, m.
+        clearance: m; infinite if it is open above.
+    """
+
+    link: str
+    middle: Array
+    yaw: float
+    outline: Array
+    clearance: float
+
+    @property
+    def area(self) -> float:
+        """In m^2."""
+        return _area(self.outline)
+
+
+def faces(every: Sequence[Piece]) -> Iterator[Face]:
+    """Yield the faces of all links, of each link the lowest first.
+
+    Args:
+        every: the pieces of the model.
+    """
+    by_link: dict[str, list[Piece]] = {}
+    for piece in every:
+        by_link.setdefault(piece.link, []).append(piece)
+    for parts in by_link.values():
+        for tops in _levels(parts):
+            yield from _faces_of(tops, every)
+
+
+def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
+    """Return the pieces of a link with a level top, those of the same height together, the lowest first."""
+    levels: list[list[Piece]] = []
+    height = -math.inf
+    for piece in sorted((part for part in parts if _is_level(part)), key=lambda piece: float(piece.high[2])):
+        if piece.high[2] - height > _THICK:
+            levels.append([])
+            height = float(piece.high[2])
+        levels[-1].append(piece)
+    return levels
+
+
+def _is_level(piece: Piece) -> bool:
+    return bool(piece.planes[:, 2].max() >= _LEVEL) and bool((piece.high - piece.low)[:2].min() > 0)
+
+
+def _faces_of(tops: Sequence[Piece], every: Sequence[Piece]) -> Iterator[Face]:
+    """Yield the faces that pieces of one height make."""
+    height = max(float(piece.high[2]) for piece in tops)
+    yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    turn = np.array([[cosine, -sine], [sine, cosine]])  # corners @ turn: into the face's frame
+    edges = [piece.corners[piece.corners[:, 2] > height - 2 * _THICK, :2] for piece in tops]
+    corners = np.concatenate(edges) @ turn
+    if (np.ptp(corners, axis=0) < SIDE).any():
+        return
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    above = [
+        piece
+        for piece in every
+        if piece.high[2] > height + _ROUGH
+        and ((own := piece.corners[:, :2] @ turn).max(axis=0) > low).all()
+        and (own.min(axis=0) < high).all()
+    ]
+    lines = [_lines([*tops, *above], turn, axis, low[axis], high[axis]) for axis in (0, 1)]
+    rows, columns = lines
+    middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in lines), indexing="ij"), axis=-1)
+    points = middles.reshape(-1, 2) @ turn.T
+    standing = np.zeros(len(points), dtype=bool)
+    for piece in tops:
+        standing |= piece.columns(points)[1] >= height - _THICK
+    clearance = np.full(len(points), np.inf)
+    for piece in above:
+        into, out = piece.columns(points)
+        met = out > height + _ROUGH
+        clearance[met] = np.minimum(clearance[met], np.maximum(into[met] - height, 0.0))
+    shape = middles.shape[:2]
+    standing, clearance = standing.reshape(shape), clearance.reshape(shape)
+    cells = np.outer(np.diff(rows), np.diff(columns))
+    hull = _hull(corners)
+    for least in CLEARANCES:
+        free = standing & (clearance >= least)
+        if (cells[free].sum()) >= _WHOLE * _area(hull):
+            outlines = [(hull, free)]
+        else:
+            outlines = []
+            for top, left, bottom, right in divide(free, rows, columns, SIDE, AREA):
+                within = np.zeros(shape, dtype=bool)
+                within[top:bottom, left:right] = True
+                (a, b), (c, d) = rows[[top, bottom]], columns[[left, right]]
+                outlines.append((np.array([[a, c], [b, c], [b, d], [a, d]]), within))
+        for outline, within in outlines:
+            standing = standing & ~within
+            center = (outline.min(axis=0) + outline.max(axis=0)) / 2
+            if _area(outline) >= AREA:
+                middle = np.array([*(center @ turn.T), height])
+                yield Face(tops[0].link, middle, yaw, outline - center, float(clearance[within].min()))
+
+
+def _yaw(piece: Piece) -> float:
+    """Return the direction of the sides of a piece: that of the grid, from -45 to 45 degrees in rad."""
+    x, y = piece.planes[np.abs(piece.planes[:, 2]) < _ALONG, :2].T
+    if not len(x):
+        return 0.0
+    angles = np.arctan2(y, x)
+    turned = (angles + math.pi / 4) % (math.pi / 2) - math.pi / 4
+    nearest = turned[np.abs(turned).argmin()]
+    return float(nearest) if abs(nearest) > _ALONG else 0.0
+
+
+def _lines(parts: Sequence[Piece], turn: Array, axis: int, low: float, high: float) -> Array:
+    """Return the lines of the grid along an axis, between two of them, m."""
+    fine = False
+    edges = [np.array([low, high])]
+    for piece in parts:
+        own = piece.corners[:, :2] @ turn[:, axis]
+        edges.append(own)
+        normals = np.abs(piece.planes[:, :2] @ turn)
+        fine |= bool(((normals > _ALONG) & (normals < 1 - _ALONG)).any())
+    at = np.unique(np.concatenate(edges))
+    at = at[(at >= low) & (at <= high)]
+    kept = at[np.concatenate([[True], np.diff(at) > _GAP])]
+    kept[-1] = high
+    if not fine:
+        return kept
+    regular = np.linspace(low, high, max(int((high - low) / _FINE), 1) + 1)
+    both = np.unique(np.concatenate([kept, regular])) if len(kept) < len(regular) else regular
+    return both[np.concatenate([[True], np.diff(both) > _GAP])]
+
+
+def _hull(corners: Array) -> Array:
+    """Return the corners of the convex hull of points (n, 2), counter-clockwise."""
+    from scipy.spatial import ConvexHull  # noqa: PLC0415  see pieces.py
+
+    hull: Array = corners[ConvexHull(corners).vertices]
+    return hull
+
+
+def _area(polygon: Array) -> float:
+    x, y = polygon.T
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)

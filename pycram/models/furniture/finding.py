@@ -1,0 +1,178 @@
+"""Surfaces and containers of a model, found in its shapes and joints.
+
+What a link's top offers (:mod:`pycram.models.furniture.faces`) is a surface if something gets there: from above, from a
+side, or because a joint opens the way. A drawer is what a horizontal prismatic joint moves and has a surface in it. A
+door is what hides a surface while it is closed: the first thing that rays from there meet, all of which end near by.
+What nothing opens is a hollow in which nothing can be put.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.models.furniture.faces import Face, faces
+from pycram.models.furniture.furniture import DOOR, DRAWER, Container, Furniture, Surface
+from pycram.models.furniture.naming import distinct, readable
+from pycram.models.furniture.pieces import pieces
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from pycram.models.furniture.pieces import Piece
+    from recorder.geometry import Pose
+    from recorder.geometry.joints import Joint
+    from recorder.geometry.urdf import Urdf
+
+_HIGHEST: Final = 1.8  # m above the lowest point: what is higher is out of reach and out of sight
+_GROUND: Final = 10.0  # m^2 of a surface that is a floor
+_NARROW: Final = 0.2  # m, width of the top of a wall at most
+_UPRIGHT: Final = 4.0  # times as high as it is wide, a wall at least
+_RAYS: Final = 24  # to the sides
+_NEAR: Final = 0.3  # m beyond its outline, that something hides a surface
+_LOW: Final = 0.05  # m above a surface, of rays at most
+_LEVEL: Final = 0.5  # z of the axis of a joint that moves sideways
+_TRAVEL: Final = (0.05, 2.0)  # m of a drawer
+_HANDLE: Final = ("handle", "knob", "grip", "pull")  # in names of links
+
+_ANGLES: Final = np.arange(_RAYS) * 2 * math.pi / _RAYS
+_DIRECTIONS: Final = np.vstack([np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)]), (0.0, 0.0, 1.0)])
+
+
+def closed_position(joint: Joint) -> float:
+    """Return where a door or drawer is closed, rad or m: at 0, or as near as its limits let it."""
+    return min(max(joint.lower, 0.0), joint.upper)
+
+
+def find(path: Path, urdf: Urdf) -> Furniture:
+    """Return the furniture that a model is.
+
+    Args:
+        path: its canonical URDF.
+        urdf: its tree.
+    """
+    closed = {name: closed_position(urdf.joints[name]) for name in urdf.movable}
+    poses = urdf.link_poses(closed)
+    every = pieces(path, poses)
+    if not every:
+        return Furniture()
+    floor = min(float(piece.low[2]) for piece in every)
+    offered = [face for face in faces(every) if _is_usable(face, floor, every)]
+    return _Search(urdf, poses, every, offered).furniture()
+
+
+def _is_usable(face: Face, floor: float, every: Sequence[Piece]) -> bool:
+    """Whether a face is neither a floor, nor the top of a wall, nor out of reach."""
+    if face.area > _GROUND or face.middle[2] - floor > _HIGHEST:
+        return False
+    width = float(np.ptp(face.outline, axis=0).min())
+    below = [float(piece.low[2]) for piece in every if piece.link == face.link and piece.high[2] >= face.middle[2]]
+    upright = bool(below) and face.middle[2] - min(below) > _UPRIGHT * width
+    return not (width < _NARROW and upright and face.clearance == math.inf)
+
+
+class _Search:
+    """Tells which faces are surfaces and what opens them; see :func:`find`.
+
+    Args:
+        urdf: the model's tree.
+        poses: of its links in the root link, with everything closed.
+        every: its pieces.
+        offered: faces on which things could stand.
+    """
+
+    def __init__(self, urdf: Urdf, poses: Mapping[str, Pose], every: Sequence[Piece], offered: Sequence[Face]) -> None:
+        self._urdf, self._poses, self._every, self._offered = urdf, poses, every, offered
+        self._movers: dict[str, Joint | None] = {}  # the nearest joint above each link that moves it
+        for link in urdf.links:
+            joint = urdf.parent_joint(link)
+            if joint is None or joint.movable:
+                self._movers[link] = joint
+            else:
+                self._movers[link] = self._movers[joint.parent]
+
+    def furniture(self) -> Furniture:
+        """Return the surfaces and containers."""
+        drawers = {joint.name for face in self._offered if (joint := self._drawer(face.link)) is not None}
+        kept: list[tuple[Face, str]] = []  # with the joint that gives access; "" if none has to
+        for face in self._offered:
+            drawer = self._drawer(face.link)
+            opened = drawer.name if drawer is not None else self._opened_by(face, drawers)
+            if opened is not None:
+                kept.append((face, opened))
+        doors = {opened for _, opened in kept} - drawers - {""}
+        for number, (face, opened) in enumerate(kept):
+            mover = self._movers[face.link]
+            if not opened and mover is not None and mover.name in doors:  # a rack on the inside of a door
+                kept[number] = face, mover.name
+        return self._named(kept, drawers)
+
+    def _drawer(self, link: str) -> Joint | None:
+        """Return the joint that pulls a link out like a drawer, if one does."""
+        joint = self._movers[link]
+        if joint is None or joint.type != "prismatic" or not _TRAVEL[0] <= joint.upper - joint.lower <= _TRAVEL[1]:
+            return None
+        axis = geometry.rotate(self._poses[joint.child][1], joint.axis)
+        return joint if abs(axis[2]) < _LEVEL else None
+
+    def _opened_by(self, face: Face, drawers: set[str]) -> str | None:
+        """Return the joint of the door that hides a face, "" if it is open, None if nothing opens the way to it."""
+        if face.clearance == math.inf:
+            return ""
+        origin = face.middle + np.array([0.0, 0.0, min(face.clearance, 2 * _LOW) / 2])
+        met = np.array([piece.enter(origin, _DIRECTIONS) for piece in self._every])
+        first, distances = met.argmin(axis=0), met.min(axis=0)
+        radius = float(np.linalg.norm(face.outline, axis=1).max())
+        if (distances > radius + _NEAR).any():
+            return ""
+        movers = [self._movers[self._every[number].link] for number in first]
+        doors = Counter(joint.name for joint in movers if joint is not None and joint.name not in drawers)
+        hinged = [name for name, _ in doors.most_common() if math.isfinite(self._urdf.joints[name].upper)]
+        return hinged[0] if hinged else None
+
+    def _named(self, kept: Sequence[tuple[Face, str]], drawers: set[str]) -> Furniture:
+        joints = list(dict.fromkeys(opened for _, opened in kept if opened))
+        by_joint = dict(zip(joints, distinct(self._container_name(name, drawers) for name in joints), strict=True))
+        # the largest of several on one link is what the link is named after; those in a container count from below
+        order = sorted(range(len(kept)), key=lambda number: 0.0 if kept[number][1] else -kept[number][0].area)
+        named = dict(
+            zip(order, distinct(readable(kept[number][0].link, self._urdf.name) for number in order), strict=True)
+        )
+        surfaces = [
+            self._surface(named[number], face, by_joint.get(opened, "")) for number, (face, opened) in enumerate(kept)
+        ]
+        containers = [self._container(name, self._urdf.joints[joint], surfaces) for joint, name in by_joint.items()]
+        containers = [replace(each, kind=DRAWER if each.joint in drawers else DOOR) for each in containers]
+        return Furniture(
+            MappingProxyType({surface.name: surface for surface in surfaces}),
+            MappingProxyType({container.name: container for container in containers}),
+        )
+
+    def _container_name(self, joint: str, drawers: set[str]) -> str:
+        dropped = () if joint in drawers else ("door",)
+        return readable(self._urdf.joints[joint].child, self._urdf.name, dropped)
+
+    def _surface(self, name: str, face: Face, container: str) -> Surface:
+        x, y, z = face.middle.tolist()
+        pose = (x, y, z), geometry.from_rpy(0.0, 0.0, face.yaw)
+        position, orientation = geometry.multiply(geometry.invert(self._poses[face.link]), pose)
+        outline = tuple((float(a), float(b)) for a, b in face.outline)
+        return Surface(name, face.link, position, orientation, outline, face.clearance, container)
+
+    def _container(self, name: str, joint: Joint, surfaces: Sequence[Surface]) -> Container:
+        closed = closed_position(joint)
+        wide = max((joint.lower, joint.upper), key=lambda position: abs(position - closed))
+        inside = tuple(surface.name for surface in surfaces if surface.container == name)
+        return Container(name, DOOR, joint.child, joint.name, self._handle(joint), closed, wide, inside)
+
+    def _handle(self, joint: Joint) -> str:
+        """Return the link of a handle that a joint moves, by its name; "" if there is none."""
+        moved = [link for link, mover in self._movers.items() if mover is joint and link != joint.child]
+        return next((link for word in _HANDLE for link in moved if word in link.casefold()), "")

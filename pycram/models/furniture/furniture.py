@@ -1,0 +1,86 @@
+"""What furniture is to who works with it: surfaces that things stand on, and containers that are opened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from recorder.geometry import Pose, Quaternion, Vector
+
+DRAWER: Final = "drawer"
+DOOR: Final = "door"
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """Where things can stand: on a counter, in a drawer, on a shelf.
+
+    Attributes:
+        name: unique in its furniture.
+        link: that it is on.
+        position: of its middle, in the link's frame, m.
+        orientation: in the link's frame, xyzw; z points up when the furniture stands as loaded.
+        outline: corners of a convex polygon, counter-clockwise, x and y in that frame, m.
+        clearance: free height above it while everything is closed, m; infinite if it is open above.
+        container: name of the container that it is in; "" if in none.
+    """
+
+    name: str
+    link: str
+    position: Vector
+    orientation: Quaternion
+    outline: tuple[tuple[float, float], ...]
+    clearance: float
+    container: str = ""
+
+    @property
+    def pose(self) -> Pose:
+        """Position and orientation in the link's frame."""
+        return self.position, self.orientation
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Extents of its outline along its own x and y, m."""
+        x, y = zip(*self.outline, strict=True)
+        return max(x) - min(x), max(y) - min(y)
+
+
+@dataclass(frozen=True, slots=True)
+class Container:
+    """A drawer, a fridge, a cupboard: what is opened to get at what is inside.
+
+    Attributes:
+        name: unique in its furniture.
+        kind: "drawer", whose inside moves along, or "door", behind which it stays.
+        link: the part that moves.
+        joint: its joint.
+        handle: link of its handle; "" if it has none.
+        closed: position of the joint when it is closed, rad or m.
+        open: position of the joint when it is open as far as it goes, rad or m.
+        surfaces: names of the surfaces in it.
+    """
+
+    name: str
+    kind: str
+    link: str
+    joint: str
+    handle: str
+    closed: float
+    open: float
+    surfaces: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Furniture:
+    """Surfaces and containers of a model by name."""
+
+    surfaces: Mapping[str, Surface] = field(default_factory=lambda: MappingProxyType({}))
+    containers: Mapping[str, Container] = field(default_factory=lambda: MappingProxyType({}))
+
+
+NONE: Final = Furniture()
+"""Of what is no furniture."""
