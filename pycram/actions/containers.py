@@ -8,12 +8,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from pycram.actions.performing import perform
 from pycram.foundation.failures import BadArgument, NoPlace, PlanFailure, UnknownName
 from pycram.motions import slot_checks
 from pycram.motions.designator import MotionDesignator
+from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.places import Pull, standing_places
+from pycram.reasoning.queries.polygon import convex_hull, margin
 from pycram.world import carried
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
@@ -82,6 +86,21 @@ def containers() -> list[tuple[Access, Any]]:
         for body in BulletWorld.current_robot().world.objects
         for each in body.containers.values()
     ]
+
+
+def enclosing(body: Object) -> Any:
+    """Return the closed container that an object stands or lies in; None if there is none."""
+    x, y, z = center(body)
+    for access, container in containers():
+        if not access.is_closed:
+            continue
+        for name in container.surfaces:
+            surface = access.body.surfaces[name]
+            u, v, above = geometry.transform(geometry.invert(access.body.surface_pose(surface)), (x, y, z))
+            corners = convex_hull(np.array(surface.outline))
+            if 0.0 <= above <= surface.clearance and margin(corners, (u, v)) >= 0.0:
+                return container
+    return None
 
 
 def access_of(container: Access | Object, joint: str | None, handle: str | None) -> Access:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import ActionDesignator, action
-from pycram.actions.fetching import go, location
+from pycram.actions.fetching import go, location, park
 from pycram.actions.hands import holder
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
 from pycram.actions.placing import places_for
-from pycram.foundation.failures import NoPlace, PlaceFailed, PlanFailure
+from pycram.foundation.failures import NoPlace, PlaceFailed
 from pycram.reasoning.places import PutDown, standing_places
 from pycram.world.world import BulletWorld
 
@@ -67,6 +66,5 @@ def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> 
         perform(ActionDesignator(type="fetching", object=body))
     go(place)
     perform(ActionDesignator(type="placing", object=body, target=put or target))
-    with suppress(PlanFailure):
-        perform(ActionDesignator(type="parking-arms"))
+    park()
     return body

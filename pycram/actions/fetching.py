@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions import making_room
 from pycram.actions.action import ActionDesignator, action
-from pycram.actions.finding import find, look_at
+from pycram.actions.containers import enclosing
 from pycram.actions.hands import arms, free_arms, holder
 from pycram.actions.locations import LocationDesignator
-from pycram.actions.objects import object_of
+from pycram.actions.objects import ObjectDesignator, object_of
 from pycram.actions.performing import perform
-from pycram.foundation.failures import Blocked, NoPlace, PlanFailure
+from pycram.foundation.failures import Blocked, NoPlace, PerceptionError, PlanFailure
 from pycram.language.retries import failure_handling
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.places import standing_places
@@ -29,11 +29,29 @@ _IN_THE_WAY: Final = 2  # things that are cleared away, one after the other
 
 
 def prepare(object: Any) -> None:  # noqa: A002  the slot's name
-    """Gets to know where an object is, and folds the arms, with which places to stand at are found."""
+    """Get to know where an object is, open what it is in, and fold the arms, with which places to stand are found."""
     arms()
-    find(object)
-    with suppress(PlanFailure):  # as they are, then
-        perform(ActionDesignator(type="parking-arms"))
+    body = found(object)
+    if holder(body) is not None:
+        return
+    container = enclosing(body)
+    if container is not None:
+        perform(ActionDesignator(type="opening", container=container))
+    park()
+
+
+def found(thing: Any) -> Any:
+    """Return what an object designator stands for, after a search for it if nothing is believed of it.
+
+    Raises:
+        PerceptionError: It isn't found; the error says where it was looked for.
+    """
+    if isinstance(thing, ObjectDesignator):
+        try:
+            return object_of(thing)
+        except PerceptionError:
+            perform(ActionDesignator(type="searching", object=thing))
+    return object_of(thing)
 
 
 def ways(
@@ -95,10 +113,10 @@ def fetching(
     for attempt in failure_handling(_IN_THE_WAY).on(Blocked, lambda _: making_room.clear(body, arm)):
         with attempt:
             go(place)
-            look_at(body)
+            with suppress(PlanFailure):  # what is hidden from here is taken to be where it was believed to be
+                perform(ActionDesignator(type="perceiving", object=body))
             perform(ActionDesignator(type="picking-up", object=body, arm=arm, grasp=grasp))
-    with suppress(PlanFailure):  # what it holds may be in the way of that
-        perform(ActionDesignator(type="parking-arms"))
+    park()
     return body
 
 
@@ -106,6 +124,11 @@ def go(place: LocationDesignator | None) -> None:
     """Drives to a place, if the robot drives; with arms that don't stick out, if they can be folded."""
     description = BulletWorld.current_robot().description
     if place is not None and description is not None and description.drives:
-        with suppress(PlanFailure):
-            perform(ActionDesignator(type="parking-arms"))
+        park()
         perform(ActionDesignator(type="navigating", target=place))
+
+
+def park() -> None:
+    """Fold the arms, if nothing is in the way of that; else they stay as they are."""
+    with suppress(PlanFailure):
+        perform(ActionDesignator(type="parking-arms"))

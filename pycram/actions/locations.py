@@ -22,7 +22,7 @@ from recorder.suggestions import suggestion
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from pycram.models.furniture import Surface
+    from pycram.models.furniture.furniture import Surface
     from pycram.motions.designator import Resolver
     from pycram.motions.solutions import Solution
     from pycram.reasoning.places import Place
@@ -32,7 +32,7 @@ Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
 
 
 def _surfaces(name: str, value: Any) -> Surfaces:
-    """A surface, its name, a piece of furniture with surfaces, or a list of these."""
+    """A surface, its name, furniture (all of its surfaces that are in no container), or a list of these."""
     values = value if isinstance(value, list | tuple) else [value]
     found = [each for one in values for each in _surfaces_of(name, one)]
     if not found:
@@ -43,10 +43,10 @@ def _surfaces(name: str, value: Any) -> Surfaces:
 def _surfaces_of(name: str, value: Any) -> Surfaces:
     known = [(body, surface) for body in _furniture() for surface in body.surfaces.values()]
     if isinstance(value, Object):
-        return [(body, surface) for body, surface in known if body is value]
+        return [(body, surface) for body, surface in known if body is value and not surface.container]
     if isinstance(value, str):
         named = [(body, surface) for body, surface in known if surface.name == value]
-        whole = [(body, surface) for body, surface in known if body.name == value]
+        whole = [(body, surface) for body, surface in known if body.name == value and not surface.container]
         if not named and not whole:
             raise UnknownName("surface", value, "the world", (surface.name for _, surface in known))
         return named or whole

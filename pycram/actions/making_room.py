@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from contextvars import ContextVar
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from pycram.actions.action import ActionDesignator
 from pycram.actions.locations import LocationDesignator
@@ -14,7 +15,10 @@ from pycram.scheduling.cancellation import Binding
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
+    from pycram.models.furniture.furniture import Surface
     from pycram.world.object import Object
+
+_NEAREST: Final = 3  # surfaces to which something is cleared away
 
 #: What waits until something is cleared away, from the outside in.
 _waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=())
@@ -45,11 +49,18 @@ def clear(body: Object, arm: str | None) -> None:
         if other in waiting:
             circle = " and ".join(each.name for each in waiting[waiting.index(other) :])
             raise ReasoningError(f"{circle} block each other: none can go first")
-        elsewhere = LocationDesignator(on=_surfaces(robot), away_from=body)
+        elsewhere = LocationDesignator(on=_surfaces(body), away_from=body)
         with Binding(_waiting, waiting):
             perform(ActionDesignator(type="transporting", object=other, target=elsewhere))
 
 
-def _surfaces(robot: Object) -> list[Object]:
-    """Return the furniture with surfaces, what the robot stands before first."""
-    return [body for body in robot.world.objects if not body.is_robot and body.surfaces]
+def _surfaces(body: Object) -> list[Surface]:
+    """Return the surfaces that are nearest to an object, of those that are in no container."""
+    position = body.get_position()
+    found = [
+        (math.dist(furniture.surface_pose(surface)[0], position), surface)
+        for furniture in body.world.objects
+        for surface in furniture.surfaces.values()
+        if not surface.container
+    ]
+    return [surface for _, surface in sorted(found, key=lambda each: each[0])[:_NEAREST]]

@@ -96,10 +96,22 @@ def _reason(failure: BaseException) -> str:
 
 
 class _Budget:
-    """How many tries may still fail."""
+    """How many tries may still fail: of an action, as long as that around it isn't spent."""
 
-    def __init__(self, left: int) -> None:
-        self.left = left
+    def __init__(self, tries: int, around: _Budget | None) -> None:
+        self._left = tries
+        self._around = around
+
+    @property
+    def left(self) -> int:
+        """The number."""
+        return self._left if self._around is None else min(self._left, self._around.left)
+
+    def spend(self) -> None:
+        """Count a try that failed."""
+        self._left -= 1
+        if self._around is not None:
+            self._around.spend()
 
 
 _budget: ContextVar[_Budget | None] = ContextVar("pycram_budget", default=None)
@@ -188,9 +200,9 @@ class _Act:
     def _room(asked: int | None) -> _Budget:
         """Return the budget of an action: what is left of that around it, or one of its own."""
         around = _budget.get()
-        if around is None:
-            return _Budget(BUDGET if asked is None else asked)
-        return around if asked is None or asked >= around.left else _Budget(asked)
+        if around is not None and asked is None:
+            return around
+        return _Budget(BUDGET if asked is None else asked, around)
 
 
 class _Tries(FailureHandling):
@@ -243,7 +255,7 @@ class _Tries(FailureHandling):
             ActionFailed: There is none, or the budget is spent.
         """
         self._tried.append(Try(self._choice(self._solution), failure))
-        self._budget.left -= 1
+        self._budget.spend()
         if self._budget.left <= 0:
             raise ActionFailed(self._kind.type, self._tried, spent=True)
         return self._next()

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import ActionDesignator, action
 from pycram.actions.fetching import prepare, ways
+from pycram.actions.hands import arms, held_by, holder
 from pycram.actions.objects import object_of
-from pycram.actions.performing import perform
+from pycram.actions.performing import ActionFailed, perform
+from pycram.foundation.failures import NoPlace, PlanFailure
+from pycram.language.retries import failure_handling
+
+if TYPE_CHECKING:
+    from pycram.world.object import Object
+
+_OUT_OF_REACH: Final = (NoPlace, ActionFailed)  # for the arm that holds it
 
 
 @action("transporting", choices=ways, prepare=prepare)
@@ -31,4 +39,18 @@ def transporting(
     """
     body = object_of(object)
     perform(ActionDesignator(type="fetching", object=body, arm=arm, grasp=grasp, place=place, clear=clear))
-    return perform(ActionDesignator(type="delivering", object=body, target=target))
+    for attempt in failure_handling(1, *_OUT_OF_REACH).on(PlanFailure, lambda failure: hand_over(body, failure)):
+        with attempt:
+            perform(ActionDesignator(type="delivering", object=body, target=target))
+    return body
+
+
+def hand_over(body: Object, failure: PlanFailure) -> None:
+    """Give what an arm holds to another one, which may get to where the first doesn't.
+
+    Raises:
+        PlanFailure: That failure, if there is no other arm that is free.
+    """
+    if holder(body) is None or not any(held_by(arm) is None for arm in arms()):
+        raise failure
+    perform(ActionDesignator(type="handing-over", object=body))
