@@ -1,4 +1,4 @@
-"""Sets a breakfast and clears it away, without one pose of where to stand or how to grasp: the plan says what, not where.
+"""Sets a breakfast and clears it away, without one pose of where to stand or how to grasp: it says what, not where.
 
 The milk stands in the fridge, the spoon lies in a drawer, bowl and cereal stand on the counter. All of it goes to the
 kitchen island, the cereal from one hand to the other on its way; afterwards bowl and milk go back, and the fridge is

@@ -2,13 +2,18 @@
 
 It knows nothing of places and actions: it draws a base pose, does the motion, and where that is refused draws the next
 one. What it finds is a list of motions, which can be done again.
+
+``python -m tests.pycram.actions.brute_force 6 8`` searches in kitchens 6 and 8, and writes it down in ``kitchens.json``.
 """
 
 from __future__ import annotations
 
+import json
 import math
+import sys
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,7 +22,7 @@ from pycram.designator import MotionDesignator
 from pycram.failures import PlanFailure
 from pycram.process_module import ProcessModule
 from recorder import geometry
-from tests.random_kitchens import SPOTS, size, stands_on_island
+from tests.random_kitchens import SPOTS, build, draw, size, stands_on_island
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -28,8 +33,9 @@ if TYPE_CHECKING:
     #: Slots of a motion, with objects by their names.
     Motion = dict[str, Any]
 
+RESULTS: Final = Path(__file__).with_name("kitchens.json")
 SECONDS: Final = 60.0  # of the processor
-MOTIONS: Final = 4000
+MOTIONS: Final = 20_000
 _SHARE: Final = 0.25  # of the budget, after which something is done first
 _PLACINGS: Final = 25  # for each way to hold it
 _NEAR: Final = 0.35  # m from the thing to what may block it
@@ -187,3 +193,22 @@ def perform(scene: Scene, motion: Motion) -> None:
     named = {slot: motion[slot] for slot in ("object", "part-of") if slot in motion}
     slots = motion | {slot: scene.world.get_object(name) for slot, name in named.items()}
     ProcessModule.perform(MotionDesignator(list(slots.items())))
+
+
+def main() -> None:
+    """Search in the kitchens whose seeds are given, and write down what comes of it."""
+    for seed in map(int, sys.argv[1:]):
+        scene = build(draw(seed))
+        with scene.world:
+            way = Search(scene).run()
+        known = json.loads(RESULTS.read_text(encoding="utf-8"))
+        known["ways"][str(seed)] = way
+        known["ways"] = dict(sorted(known["ways"].items(), key=lambda item: int(item[0])))
+        lines = ",\n".join(f'  "{number}": {json.dumps(found)}' for number, found in known["ways"].items())
+        missed = json.dumps(known["missed"], indent=2).replace("\n", "\n ")
+        RESULTS.write_text(f'{{\n "ways": {{\n{lines}\n }},\n "missed": {missed}\n}}\n', encoding="utf-8")
+        print(f"kitchen {seed}: {'no way' if way is None else f'a way of {len(way)} motions'}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
