@@ -11,7 +11,8 @@ from pycram.motions import slot_checks
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-_SHARES: Final = (1.0, 0.75, 0.5, 0.25)  # of how wide it gets, that are tried
+_WIDE: Final = {True: 0.3, False: 1.2}  # m of what slides, rad of what turns
+_SHARES: Final = (1.0, 0.5)  # of that, that are tried
 
 
 def _ways(
@@ -22,7 +23,8 @@ def _ways(
     distance: float | None = None,
 ) -> Iterator[Mapping[str, Any]]:
     access = access_of(container, joint, handle)
-    widths = [share * (access.open - access.closed) for share in _SHARES] if distance is None else [distance]
+    wide = min(access.open - access.closed, _WIDE[access.body.urdf.joint(access.joint).type == "prismatic"])
+    widths = [share * wide for share in _SHARES] if distance is None else [distance]
     yield from ways(access, arm, [access.closed + width for width in widths])
 
 
@@ -53,7 +55,7 @@ def opening(
         joint: Name of its joint, where the furniture itself is given.
         handle: Link of its handle, where the furniture itself is given.
         arm: Name of the arm; by default any that reaches.
-        distance: How wide, in m, or rad of what turns; by default as wide as it gets.
+        distance: How wide, in m, or rad of what turns; by default up to 0.3 m or 1.2 rad, or half as wide.
         place: Where the robot stands, [x, y, z] of its base in m; by default where the handle can be held all the way.
         orientation: A quaternion [x, y, z, w] of the robot's base there.
     """

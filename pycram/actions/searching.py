@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Vector
 
 _FAR: Final = 3.0  # m at most from the robot to what it looks at
-_NEAR: Final = 1.2  # m from a place to stand to what is looked at from there
+_NEAR: Final = 1.6  # m from a place to stand to what is looked at from there
 _STRIDE: Final = 0.8  # m between points of a surface that are looked at: what a camera sees from 1 m
 _PLACES: Final = 2  # from which a point is looked at
 _TRIES: Final = 4  # that opening something may fail, with its closing

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from hashlib import sha256
 from pathlib import Path
@@ -25,7 +25,8 @@ from pycram.models import (
     store,
     textured_shapes,
 )
-from pycram.models.files import read_bytes
+from pycram.models.files import read_bytes, read_text
+from pycram.models.furniture import corrections
 from pycram.models.texture import warn_of_missing
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
@@ -48,7 +49,8 @@ class Model:
     Attributes:
         path: The canonical URDF in the store.
         urdf: Its tree of links and joints.
-        files: All its files, the URDF first, which refers to the others by their keys.
+        files: All its files, the URDF first, which refers to the others by their keys; but for corrections of what is
+            found in it (:mod:`pycram.models.furniture.corrections`).
         loading: How the engine makes a body of it.
     """
 
@@ -110,12 +112,22 @@ def load(path: str | Path, color: Sequence[float] | None = None, packages: Seque
     kind = file.suffix.lower()
     with Uninterrupted():  # libraries that import each other lazily would swallow a Ctrl-C
         if kind == ".urdf":
-            return _canonical(file, read_bytes(file), file.stem, packages_of.check_folders(packages))
+            return _corrected(file, _canonical(file, read_bytes(file), file.stem, packages_of.check_folders(packages)))
         if kind in _MESH_SUFFIXES:
             return _canonical(file, _object_urdf(file, color), file.stem)
     if kind == ".xacro":
         canonical_urdf.read(file, read_bytes(file))
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
+
+
+def _corrected(file: Path, model: Model) -> Model:
+    """Return a model with the corrections of its furniture that lie beside its file, if there are any."""
+    beside = file.with_name(f"{file.stem}{corrections.SUFFIX}")
+    if not beside.exists():
+        return model
+    text = read_text(beside)
+    corrections.check(corrections.read(text, beside), model.urdf)
+    return replace(model, files=(*model.files, corrections.asset(beside.name, text.encode())))
 
 
 def _object_urdf(file: Path, color: Sequence[float] | None) -> bytes:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.failures import AssetError
 from pycram.models import canonical_urdf, mesh, store
 from pycram.models.files import parse_urdf
+from pycram.models.furniture import corrections
 from pycram.models.load import Model
 from recorder.records.asset import AssetFile
 
@@ -44,20 +45,33 @@ def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
         loading: How the engine made a body of it.
 
     Raises:
-        AssetError: A file's name isn't the hash of its content, the URDF is broken or names another file, or a mesh
-            is broken.
+        AssetError: A file's name isn't the hash of its content, the URDF is broken or names another file, a mesh is
+            broken, or corrections of its furniture don't fit.
     """
-    model, *meshes = [_file(key, content) for key, content in files]
+    model, *others = [_file(key, content) for key, content in files]
+    beside = [file for file in others if file.name.endswith(corrections.SUFFIX)]
+    meshes = [file for file in others if file not in beside]
     path, _ = store.write_urdf(model.name, model.content)
     tree = _tree(path, model.key, frozenset(asset.key for asset in meshes))
     for asset in meshes:
         _check_mesh(store.write(asset.key, asset.content))
-    return Model(path, tree, (model, *meshes), loading)
+    for file in beside:
+        corrections.check(corrections.read(_text(file), file.name), tree)
+    return Model(path, tree, (model, *others), loading)
+
+
+def _text(file: AssetFile) -> str:
+    try:
+        return file.content.decode()
+    except UnicodeDecodeError as error:
+        raise AssetError(file.key, f"is not UTF-8: {error}") from error
 
 
 def _file(key: str, content: bytes) -> AssetFile:
     name = key.partition("/")[2]
     asset = AssetFile(name, content, store.URDF_TYPE if name.endswith(".urdf") else store.MESH_TYPE)
+    if name.endswith(corrections.SUFFIX):
+        asset = corrections.asset(name, content)
     forbidden = name in _RESERVED or not name.isprintable() or len(os.fsencode(name)) > _MAX_NAME
     if asset.key != key or forbidden or "/" in name or "\\" in _ESCAPE.sub("", name):
         raise AssetError(key, "is not the file that its name says")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from recorder.records import Plain
     from replay.explain.plan_source import Line
-    from replay.state.state import Attachment, Belief, Sampled
+    from replay.state.state import Attachment, Sampled
 
 _WIDTH: Final = 100  # characters of a value
 _MAX_NAMES: Final = 4  # that are listed one by one
@@ -142,11 +142,11 @@ def sampled(moment: Sampled, *, exact: bool = False) -> str:
     return f"at {moment.asked:.3f} s, within {stretch}: as sampled at {moment.at:.3f} s, to 0.01 mm"
 
 
-def believed(belief: Belief) -> str:
+def learned(source: str, step: int) -> str:
     """Return how a robot came to believe something, as "seen at step 40"."""
     words = {"held": "in its hand since", "told": "told by the world's state at", "placed": "let go of there at"}
-    word = words.get(belief.source, f"{belief.source} at")
-    return f"{word} step {belief.step}" if belief.step >= 0 else f"{word.rpartition(' ')[0]} before the recording"
+    word = words.get(source, f"{source} at")
+    return f"{word} step {step}" if step >= 0 else f"{word.rpartition(' ')[0]} before the recording"
 
 
 def carrier(held: Attachment) -> str:

@@ -105,7 +105,7 @@ def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
     for belief in reversed(world.believed()):
         if {belief.robot, belief.object}.isdisjoint(shown):
             continue
-        source, since = formatting.believed(belief), belief.sim_step / STEPS_PER_SECOND
+        source, since = formatting.learned(belief.source, belief.step), belief.sim_step / STEPS_PER_SECOND
         away = math.dist(belief.position, world.bodies[belief.object].position)
         wrong = f"; it is {away:.3f} m from there" if away >= NOTABLE_METRES else ""
         position = ", ".join(f"{part:.4f}" for part in belief.position)

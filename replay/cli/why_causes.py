@@ -203,6 +203,18 @@ def _(cause: kinds.NoLonger) -> Iterator[str]:
 
 
 @_words.register
+def _(cause: kinds.Misbelief) -> Iterator[str]:
+    at = formatting.vector(cause.position)
+    yield f"{cause.body} was believed at {at}, {formatting.learned(cause.source, cause.learned)}; {_whereabouts(cause)}"
+
+
+def _whereabouts(cause: kinds.Misbelief) -> str:
+    moved = f"step {cause.change.step}: {change_text(cause.change)}" if cause.change is not None else ""
+    was = f"it was {formatting.length(cause.distance)} from there at step {cause.steps[-1]}"
+    return f"{moved}, and {was}" if moved else was
+
+
+@_words.register
 def _(cause: kinds.InTheWay) -> Iterator[str]:
     what = f"{cause.link} of {cause.body}" if cause.link and cause.link != cause.body else cause.body
     whose = f" of {cause.mover}" if cause.mover else " of the camera's view"

@@ -19,6 +19,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.event import Event
 from pycram.failures import PlanFailure
 from pycram.fluent import Fluent
+from pycram.knowledge import learn
 from pycram.world import transaction
 from recorder.records import TOPICS, Mutation, PathSearch
 from recorder.tracing.span import span
@@ -177,10 +178,11 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Altered]:
         world.set_robot(Object("arm", "robot", str(CABINET), [4, 0, 0]))
         cup.set_position([1.2, 0.6, 1.2])
         apple.set_color([0, 0, 1, 1])
-        Object("chest", "chest", str(CABINET), [0, 3, 0.7], [0.3, 0.2, 0, 0.9])
+        chest = Object("chest", "chest", str(CABINET), [0, 3, 0.7], [0.3, 0.2, 0, 0.9])
         world.simulate(0.3)  # it falls, and its drawer moves
         apple.remove()
         cabinet.attach(cup, "drawer", cup.links[0])
+        learn({chest: chest.get_position_and_orientation()})
         saved = world.save()
         world.reset()
         world.restore(saved)

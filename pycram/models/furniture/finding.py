@@ -10,14 +10,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from pycram.models.furniture.faces import Face, faces
-from pycram.models.furniture.furniture import DOOR, DRAWER, Container, Furniture, Surface
+from pycram.models.furniture.furniture import (
+    DOOR,
+    DRAWER,
+    Container,
+    Furniture,
+    Surface,
+    closed_position,
+    open_position,
+)
 from pycram.models.furniture.naming import distinct, readable
 from pycram.models.furniture.pieces import pieces
 from recorder import geometry
@@ -44,11 +51,6 @@ _HANDLE: Final = ("handle", "knob", "grip", "pull")  # in names of links
 
 _ANGLES: Final = np.arange(_RAYS) * 2 * math.pi / _RAYS
 _DIRECTIONS: Final = np.vstack([np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)]), (0.0, 0.0, 1.0)])
-
-
-def closed_position(joint: Joint) -> float:
-    """Return where a door or drawer is closed, rad or m: at 0, or as near as its limits let it."""
-    return min(max(joint.lower, 0.0), joint.upper)
 
 
 def find(path: Path, urdf: Urdf) -> Furniture:
@@ -148,8 +150,10 @@ class _Search:
         surfaces = [
             self._surface(named[number], face, by_joint.get(opened, "")) for number, (face, opened) in enumerate(kept)
         ]
-        containers = [self._container(name, self._urdf.joints[joint], surfaces) for joint, name in by_joint.items()]
-        containers = [replace(each, kind=DRAWER if each.joint in drawers else DOOR) for each in containers]
+        containers = [
+            self._container(name, DRAWER if joint in drawers else DOOR, self._urdf.joints[joint], surfaces)
+            for joint, name in by_joint.items()
+        ]
         return Furniture(
             MappingProxyType({surface.name: surface for surface in surfaces}),
             MappingProxyType({container.name: container for container in containers}),
@@ -166,11 +170,18 @@ class _Search:
         outline = tuple((float(a), float(b)) for a, b in face.outline)
         return Surface(name, face.link, position, orientation, outline, face.clearance, container)
 
-    def _container(self, name: str, joint: Joint, surfaces: Sequence[Surface]) -> Container:
-        closed = closed_position(joint)
-        wide = max((joint.lower, joint.upper), key=lambda position: abs(position - closed))
+    def _container(self, name: str, kind: str, joint: Joint, surfaces: Sequence[Surface]) -> Container:
         inside = tuple(surface.name for surface in surfaces if surface.container == name)
-        return Container(name, DOOR, joint.child, joint.name, self._handle(joint), closed, wide, inside)
+        return Container(
+            name,
+            kind,
+            joint.child,
+            joint.name,
+            self._handle(joint),
+            closed_position(joint),
+            open_position(joint),
+            inside,
+        )
 
     def _handle(self, joint: Joint) -> str:
         """Return the link of a handle that a joint moves, by its name; "" if there is none."""

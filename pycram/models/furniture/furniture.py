@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from recorder.geometry import Pose, Quaternion, Vector
+    from recorder.geometry.joints import Joint
 
 DRAWER: Final = "drawer"
 DOOR: Final = "door"
@@ -84,3 +85,14 @@ class Furniture:
 
 NONE: Final = Furniture()
 """Of what is no furniture."""
+
+
+def closed_position(joint: Joint) -> float:
+    """Return where a door or drawer is closed, rad or m: at 0, or as near as its limits let it."""
+    return min(max(joint.lower, 0.0), joint.upper)
+
+
+def open_position(joint: Joint) -> float:
+    """Return where a door or drawer is open, rad or m: at the limit of its joint that is farther from closed."""
+    closed = closed_position(joint)
+    return max((joint.lower, joint.upper), key=lambda position: abs(position - closed))

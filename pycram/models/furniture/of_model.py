@@ -6,7 +6,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.models.files import parse_urdf
-from pycram.models.furniture import finding
+from pycram.models.furniture.corrections import SUFFIX, correct, read
+from pycram.models.furniture.finding import find
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,10 +19,17 @@ _CACHED_MODELS: Final = 128
 
 
 def furniture_of(model: Model) -> Furniture:
-    """Return the surfaces and containers of a model."""
-    return _furniture(model.path)
+    """Return the surfaces and containers of a model, with the corrections that lie beside it.
+
+    Raises:
+        AssetError: These correct what isn't there.
+    """
+    beside = next((file for file in model.files if file.name.endswith(SUFFIX)), None)
+    return _furniture(model.path, beside.content if beside else b"", beside.name if beside else "")
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
-def _furniture(path: Path) -> Furniture:
-    return finding.find(path, parse_urdf(path.read_bytes(), path))
+def _furniture(path: Path, corrections: bytes, source: str) -> Furniture:
+    urdf = parse_urdf(path.read_bytes(), path)
+    found = find(path, urdf)
+    return correct(found, read(corrections.decode(), source), urdf) if corrections else found

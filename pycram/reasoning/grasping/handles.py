@@ -93,7 +93,13 @@ class Handle:
         return found
 
     def grips(self, robot: Object, gripper: Gripper, base: Pose | None = None) -> Sequence[Grip]:
-        """Return how a gripper may hold it, the most natural first, of a robot as it stands or with another base pose."""
+        """Return how a gripper may hold it, the most natural first.
+
+        Args:
+            robot: the robot.
+            gripper: its gripper.
+            base: pose that the robot's base is taken to have; where it stands by default.
+        """
         low, high = self._box()
         middle = (low + high) / 2
         bar = int(np.argmax(high - low))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.foundation import checks
-from pycram.foundation.failures import BadArgument, NoPlace, PlaceFailed, UnknownName
+from pycram.foundation.failures import BadArgument, PlaceFailed, UnknownName
+from pycram.models.furniture.furniture import Surface
 from pycram.models.visual import pieces_of
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.boxes import concatenate
@@ -23,9 +24,11 @@ from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.batch import Batch, Spot
-from pycram.reasoning.places.grid import Grid, drawn, generator
+from pycram.reasoning.places.grid import Grid, generator, spread
 from pycram.reasoning.places.outline import room
 from pycram.reasoning.places.place import Place, PutDown
+from pycram.reasoning.places.reaching import drives
+from pycram.reasoning.places.wishes import Wishes
 from pycram.reasoning.queries import polygon
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
@@ -38,7 +41,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.models.robots.description import Arm
-    from pycram.reasoning.places.place import Surface
     from pycram.reasoning.queries.polygon import Polygon
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
@@ -60,13 +62,14 @@ _RESTS: Final = 0.01  # m by which an object may rest higher or lower than on th
 _NEAR: Final = 0.15  # m at which a place near a point counts half
 _APART: Final = 0.04  # m between places that are offered, or were tried
 _YAWS: Final = 12  # orientations about the vertical, as they are tried where something is placed
-_FLOOR: Final = 0.1  # m between places of the robot from which a surface may be reached
+_FLOOR: Final = 0.15  # m between places of the robot from which a surface may be reached
+_COARSE: Final = 0.1  # m between places of a surface for which that is asked
 
 
 def free_places(
     body: Object,
     *,
-    on: Sequence[tuple[Object, Surface]],
+    on: Sequence[tuple[Object, Surface | str]],
     near: Sequence[float] | None = None,
     side: str | tuple[str, Object] | None = None,
     orientation: Sequence[float] | None = None,
@@ -82,7 +85,7 @@ def free_places(
 
     Args:
         body: the object, upright; wherever it is now.
-        on: surfaces, each with the furniture that it belongs to.
+        on: surfaces, or their names, each with the furniture that it belongs to: (kitchen, "island").
         near: xyz or xy of a point that it shall be near, m.
         side: of each surface, or of an object (side, object), as the robot sees it: "front", "back", "left", "right".
         orientation: xyzw of the object there; any about the vertical by default.
@@ -92,11 +95,11 @@ def free_places(
 
     Raises:
         BadArgument: an impossible value.
-        UnknownName: an unknown side or arm.
+        UnknownName: an unknown side, arm or surface.
         NoPlace: when the first is asked for: there is none.
     """
     body, robot = unwrap(body), unwrap(reachable_for)
-    surfaces = [(unwrap(furniture), surface) for furniture, surface in on]
+    surfaces = [_surface(unwrap(furniture), surface) for furniture, surface in on]
     if not surfaces:
         raise BadArgument("on", on, "at least one surface with its furniture")
     name, reference = (side, None) if side is None or isinstance(side, str) else (side[0], unwrap(side[1]))
@@ -106,13 +109,17 @@ def free_places(
     world_of(body, *bodies)
     chosen: list[Arm] = []
     if robot is not None:
-        if robot.description is None:
-            raise BadArgument("reachable_for", robot, "a robot with a description")
-        description = robot.description
+        description = reaching.description_of("reachable_for", robot)
         chosen = [description.arm(each) for each in (description.arms if arms is None else arms)]
     point = None if near is None else checks.vector("near", (*near, 0.0) if len(near) == 2 else near)
     turn = None if orientation is None else checks.quaternion("orientation", orientation)
     return _Search(body, surfaces, point, (name, reference), turn, robot, chosen, seed).places()
+
+
+def _surface(furniture: Object, surface: Surface | str) -> tuple[Object, Surface]:
+    """Return a surface that is given, or named, with its furniture."""
+    world_of(furniture)
+    return furniture, surface if isinstance(surface, Surface) else furniture.surface(surface)
 
 
 @dataclass(slots=True)
@@ -133,8 +140,7 @@ class _Field:
 
     def pose(self) -> Pose:
         """Return the pose of its middle in the world."""
-        link = self.furniture.get_link_position_and_orientation(self.surface.link)
-        return geometry.multiply(link, (self.surface.position, self.surface.orientation))
+        return self.furniture.surface_pose(self.surface)
 
     def outline(self) -> Polygon:
         """Return its outline in the world, seen from above, counterclockwise."""
@@ -161,8 +167,7 @@ class _Search:
         self._robot, self._arms, self._seed = robot, arms, seed
         self._fields = [_Field(furniture, surface) for furniture, surface in surfaces]
         self._done: list[Vector] = []
-        self._counts: dict[str, int] = {}
-        self._last = ""
+        self._wishes = Wishes(f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}")
         self._arguments: Mapping[str, object] = {
             "object": body,
             **({"near": near} if near is not None else {}),
@@ -190,8 +195,7 @@ class _Search:
                         field.vain = field.vain + 1 if spots else _BATCHES
                     over = all(each.vain >= _BATCHES for each in self._fields)
                     if over and not found:
-                        where = " or ".join(each.surface.name for each in self._fields)
-                        raise NoPlace(f"{self._body.name} on {where}", self._counts, self._last)
+                        raise self._wishes.failure()
             if place is not None:
                 found, field.vain, field.share = True, 0, field.share * _LATER
                 yield place
@@ -207,22 +211,22 @@ class _Search:
         corners = np.array(outline)
         grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, _RESOLUTION)
         centers = grid.centers()
-        inner, outer = maps.radii(self._turned(0.0)[:, :2])
-        wishes = [("edge", self._within(centers, outline, inner, outer)), ("room", self._room(field, centers))]
+        stands = self._turned(0.0)
+        inner, outer = maps.radii(stands[:, :2])
+        fits = float(np.ptp(stands[:, 2])) <= field.surface.clearance
+        wishes = [
+            ("clearance", np.full(len(centers), float(fits))),
+            ("edge", self._within(centers, outline, inner, outer)),
+            ("room", maps.clear(centers, self._obstacles(field), inner, outer + _FINGERS)),
+        ]
         if self._near is not None:
             wishes.append(("near", maps.near(centers, self._near, _NEAR)))
         if self._side[0] is not None:
             wishes.append((f"side {self._side[0]}", self._beside(centers, field)))
         if self._robot is not None:
-            wishes.append(("reach", self._reach(centers, height)))
+            wishes.append(("reach", self._reach(grid)))
         wishes.append(("tried", maps.away(centers, self._done, _APART)))
-        scores = np.ones(len(centers))
-        for name, score in wishes:
-            before, scores = scores.any(), scores * score
-            if before and not scores.any() and name != "tried":
-                self._counts[name] = self._counts.get(name, 0) + len(centers)
-                self._last = name
-        return grid, scores / max(float(scores.max()), 1e-9)
+        return grid, self._wishes.product(wishes)
 
     def _turned(self, yaw: float) -> Array:
         """Return the object's corners (n, 3) from its origin when it stands upright, turned by a yaw in rad."""
@@ -240,11 +244,6 @@ class _Search:
             np.minimum(margins, side, out=margins)
         ramp: Array = np.clip((margins - inner - _EDGE) / max(outer - inner, 1e-3), 0.0, 1.0)
         return np.where(margins < inner, 0.0, 0.3 + 0.7 * ramp)
-
-    def _room(self, field: _Field, centers: Array) -> Array:
-        """Return 0 where an object would be in something that stands there however it is turned."""
-        inner, outer = maps.radii(self._turned(0.0)[:, :2])
-        return maps.clear(centers, self._obstacles(field), inner, outer + _FINGERS)
 
     def _obstacles(self, field: _Field) -> maps.Footprints:
         """Return what stands on a surface, or hangs above it as low as the object is high."""
@@ -273,28 +272,32 @@ class _Search:
         near = maps.near(centers, middle, _NEAR)
         return np.where(along > across, near, 0.0)
 
-    def _reach(self, centers: Array, height: float) -> Array:
-        """Return how well a robot reaches places, from where it stands, or from wherever it could."""
+    def _reach(self, grid: Grid) -> Array:
+        """Return how well a robot reaches cells, from where it stands, or from wherever it could."""
         robot = self._robot
         assert robot is not None  # noqa: S101  as was asked before
-        here = robot.get_position()
+        (x, y, height), here = grid.origin, robot.get_position()
+        low, high = (x, y), (x + grid.shape[1] * grid.resolution, y + grid.shape[0] * grid.resolution)
         shoulders = [
             (arm_reach(robot, arm), height + self._lift() - robot.get_link_position(arm.base_link)[2])
             for arm in self._arms
         ]
-        if robot.description is not None and not robot.description.drives:
-            places, free = np.array([here[:2]]), np.ones(1)
-        else:
+        if drives(robot):
             radius = max(reach.radius for reach, _ in shoulders)
-            low, high = centers.min(axis=0) - radius, centers.max(axis=0) + radius
-            places = Grid.over(low.tolist(), high.tolist(), here[2], _FLOOR).centers()
+            floor = [edge - radius for edge in low], [edge + radius for edge in high]
+            places = Grid.over(*floor, here[2], _FLOOR).centers()
             free = room(robot, places)
             places, free = places[free > 0.0], free[free > 0.0]
+        else:
+            places, free = np.array([here[:2]]), np.ones(1)
         if not len(places):
-            return np.zeros(len(centers))
-        distances = np.hypot(*(centers[:, None] - places[None]).transpose(2, 0, 1))
-        best: Array = np.max([(reach.best(above, distances) * free).max(axis=1) for reach, above in shoulders], axis=0)
-        return best
+            return np.zeros(len(grid.centers()))
+        coarse = Grid.over(low, high, height, _COARSE)
+        distances = np.hypot(*(coarse.centers()[:, None] - places[None]).transpose(2, 0, 1))
+        best = np.max([(reach.best(above, distances) * free).max(axis=1) for reach, above in shoulders], axis=0)
+        column, row = ((grid.centers() - low) / coarse.resolution).astype(np.intp).T
+        spread_out: Array = best.reshape(coarse.shape)[row, column]
+        return spread_out
 
     def _lift(self) -> float:
         """Return how far above what it stands on an object is taken, roughly: at half of its height, m."""
@@ -302,20 +305,19 @@ class _Search:
 
     def _batch(self, field: _Field, grid: Grid, scores: Array, number: int) -> tuple[Batch, Sequence[Spot]]:
         """Draw places."""
-        arguments = self._arguments | {"on": [field.furniture, field.surface.name]}
+        arguments = {**self._arguments, "on": [field.furniture, field.surface.name]}
         random = generator(self._seed, "free_places", number, repr(arguments))
-        cells = drawn(scores, _SPOTS, random)
-        jitter = random.uniform(-0.5, 0.5, (len(cells), 2)) * grid.resolution
         start = yaw_of(self._body.get_orientation())
-        steps = random.integers(_YAWS, size=len(cells)).tolist()
         (_, _, height), _ = field.pose()
         spots = []
-        points = (grid.centers()[cells] + jitter).round(4).tolist()
-        for (x, y), step, score in zip(points, steps, scores[cells].tolist(), strict=True):
+        for cell, (x, y) in spread(grid, scores, _SPOTS, random):
+            step = int(random.integers(_YAWS))
+            if self._stays() and step % 2:  # an arm that has taken it puts it down most easily as it stood
+                step = 0
             yaw = start + 2 * math.pi * step / _YAWS
             turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
-            z = height - float(self._turned(yaw)[:, 2].min())
-            spots.append(Spot(f"[{x:.3f}, {y:.3f}]", ((x, y, z), turn), yaw_of(turn), score))
+            pose = (x, y, height - float(self._turned(yaw)[:, 2].min())), turn
+            spots.append(Spot(f"[{x:.3f}, {y:.3f}]", pose, yaw_of(turn), float(scores[cell])))
         return Batch("free_places", arguments, grid, scores, spots), spots
 
     # --- one place after the other -----------------------------------------------------------------------------------
@@ -333,9 +335,7 @@ class _Search:
                     {"position": excluded.position, "orientation": excluded.orientation, "arms": excluded.arms},
                 )
                 return excluded
-            self._last, reason = excluded
-            self._counts[self._last] = self._counts.get(self._last, 0) + 1
-            batch.reject(spot.name, reason)
+            self._wishes.exclude(batch, spot, *excluded)
         return None
 
     def _excluded(
@@ -345,33 +345,36 @@ class _Search:
         (x, y, z), turn = spot.pose
         corners = self._corners @ geometry.to_matrix(turn).T
         own = polygon.convex_hull(corners[:, :2] + (x, y))
-        if any(polygon.margin(outline, corner) < _EDGE for corner in own):
-            return "edge", NoRoom(f"it would stick out over the edge of {field.surface.name}")
-        if float(np.ptp(corners[:, 2])) > field.surface.clearance:
-            return "clearance", NoRoom(f"it is higher than what is free above {field.surface.name}")
-        wide = _widened(own, (x, y), _FINGERS)
-        if any(len(polygon.intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
-            return "room", NoRoom("something is there already, or no finger fits between")
+        taken = self._no_room(own, field, outline, obstacles)
+        if taken is not None:
+            return taken
         try:
             rest = placing.set_down(self._body, (x, y, z), turn)
         except PlaceFailed as failure:
             return "room", NoRoom(failure.reason)
         if abs(rest[2] - z) > _RESTS:
             return "room", NoRoom(f"it would not rest on {field.surface.name}")
-        arms: tuple[str, ...] = ()
-        if self._robot is not None and self._robot.description is not None and not self._robot.description.drives:
-            reasons: list[Rejection] = []
-            reached = []
-            for arm in self._arms:
-                reason = self._unreached(arm, (rest, turn))
-                if reason is None:
-                    reached.append(arm.name)
-                else:
-                    reasons.append(reason)
-            if not reached:
-                return "reach", min(reasons, key=lambda each: each.miss())
-            arms = tuple(reached)
-        return Place(rest, turn, arms, spot.score, field.surface.name)
+        reasons = {arm.name: self._unreached(arm, (rest, turn)) for arm in self._arms if self._stays()}
+        missed = [reason for reason in reasons.values() if reason is not None]
+        if reasons and len(missed) == len(reasons):
+            return "reach", min(missed, key=lambda each: each.miss())
+        reached = tuple(name for name, reason in reasons.items() if reason is None)
+        return Place(rest, turn, reached, spot.score, field.surface.name)
+
+    def _no_room(
+        self, own: Polygon, field: _Field, outline: Polygon, obstacles: Sequence[Polygon]
+    ) -> tuple[str, Rejection] | None:
+        """Return why there is no room on a surface for the object's outline."""
+        if any(polygon.margin(outline, corner) < _EDGE for corner in own):
+            return "edge", NoRoom(f"it would stick out over the edge of {field.surface.name}")
+        wide = _widened(own, _FINGERS)
+        if any(len(polygon.intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
+            return "room", NoRoom("something is there already, or no finger fits between")
+        return None
+
+    def _stays(self) -> bool:
+        """Return whether the robot that shall reach can't drive there."""
+        return self._robot is not None and not drives(self._robot)
 
     def _unreached(self, arm: Arm, pose: Pose) -> Rejection | None:
         """Return why an arm of the robot can't put the object to a pose from where the robot stands; None if it can."""
@@ -400,8 +403,8 @@ class _Search:
         return min(nearest, key=lambda each: each.miss())
 
 
-def _widened(outline: Polygon, middle: tuple[float, float], margin: float) -> Polygon:
+def _widened(outline: Polygon, margin: float) -> Polygon:
     """Return a convex polygon around another one, wider by a margin in m: the hull of circles about its corners."""
     around = [(margin * math.cos(angle), margin * math.sin(angle)) for angle in np.arange(8) * (math.pi / 4)]
     corners = [(x + dx, y + dy) for x, y in outline for dx, dy in around]
-    return polygon.convex_hull(np.array(corners or [middle]))
+    return polygon.convex_hull(np.array(corners))

@@ -54,9 +54,10 @@ class Grid:
 
     def centers(self) -> Array:
         """Return the middles (cells, 2) of the cells in the world, rows along x one after the other, m."""
-        rows, columns = np.indices(self.shape).reshape(2, -1)
-        centers: Array = np.column_stack([columns, rows]) * self.resolution
-        return centers + np.array(self.origin[:2]) + self.resolution / 2
+        rows, columns = np.indices(self.shape).reshape(2, -1).astype(np.float64)
+        x, y, _ = self.origin
+        half = self.resolution / 2
+        return np.column_stack([columns * self.resolution + (x + half), rows * self.resolution + (y + half)])
 
 
 def generator(seed: int | None, name: str, *about: object) -> np.random.Generator:
@@ -71,17 +72,22 @@ def generator(seed: int | None, name: str, *about: object) -> np.random.Generato
     return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
 
 
-def drawn(scores: Array, count: int, random: np.random.Generator) -> NDArray[np.intp]:
-    """Return some cells, each with a probability by its score, without putting back; the best of them first.
+def spread(grid: Grid, scores: Array, count: int, random: np.random.Generator) -> list[tuple[int, tuple[float, float]]]:
+    """Return some cells, drawn without putting back with a probability by their scores, the best of them first.
 
     Args:
+        grid: the cells.
         scores: (cells,) 0 and more.
         count: how many, at most.
         random: decides.
+
+    Returns:
+        Their numbers, each with x and y of a point in the cell, m.
     """
     possible = np.flatnonzero(scores > 0.0)
     # the largest of log scores with Gumbel noise are such a sample (Yellott 1977; Efraimidis, Spirakis 2006)
     keys = np.log(scores[possible]) + random.gumbel(size=len(possible))
     taken = possible[np.argsort(-keys, kind="stable")[:count]]
-    order: NDArray[np.intp] = taken[np.argsort(-scores[taken], kind="stable")]
-    return order
+    taken = taken[np.argsort(-scores[taken], kind="stable")]
+    points = grid.centers()[taken] + random.uniform(-0.5, 0.5, (len(taken), 2)) * grid.resolution
+    return list(zip(taken.tolist(), map(tuple, points.round(4).tolist()), strict=True))

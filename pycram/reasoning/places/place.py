@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from pycram.world.object import Object
 
@@ -63,34 +63,6 @@ class Pull:
     joint: str
     handle: str
     to: float
-
-
-class Surface(Protocol):
-    """A surface of furniture on which things can stand, as :mod:`pycram.models.furniture` finds them."""
-
-    @property
-    def name(self) -> str:
-        """Unique in its furniture."""
-
-    @property
-    def link(self) -> str:
-        """Which it belongs to."""
-
-    @property
-    def position(self) -> Vector:
-        """Of its middle in the link, m."""
-
-    @property
-    def orientation(self) -> Quaternion:
-        """In the link, xyzw; z is up."""
-
-    @property
-    def outline(self) -> tuple[tuple[float, float], ...]:
-        """A convex polygon in that frame, m."""
-
-    @property
-    def clearance(self) -> float:
-        """Free height above, m."""
 
 
 #: An object that is to be taken; a position xyz that the tool is to get to; or one of the above.

@@ -1,4 +1,4 @@
-"""What is to be reached from a place, and whether an arm reaches it there: by the rules of the motion that would do it."""
+"""What is to be reached from a place, and whether an arm does: by the rules of the motion that would do it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pycram.foundation.failures import BadArgument, Blocked, GraspFailed, PlaceF
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.grasping.handle_path import DeadEnd, plan
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.grasping.putting import Refusals, placements
@@ -23,7 +24,7 @@ from pycram.world.object import Object
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pycram.models.robots.description import Arm
+    from pycram.models.robots.description import Arm, RobotDescription
     from pycram.reasoning.places.place import Target
     from pycram.reasoning.rejections import Rejection
     from recorder.geometry import Pose, Quaternion, Vector
@@ -70,9 +71,25 @@ def goal_of(robot: Object, target: Target) -> Goal:
         raise BadArgument("reach", target, "an object, a position, a PutDown or a Pull") from None
     if len(parts) == 2:
         position, turn = parts
-        orientation = None if turn is None else checks.quaternion("orientation", turn)  # type: ignore[arg-type]
-        return Putting(robot, PutDown(checks.vector("reach", position), orientation))  # type: ignore[arg-type]
+        orientation = None if turn is None else checks.quaternion("orientation", turn)
+        return Putting(robot, PutDown(checks.vector("reach", position), orientation))
     return Touch(robot, checks.vector("reach", parts))
+
+
+def description_of(argument: str, robot: object) -> RobotDescription:
+    """Return a robot's description.
+
+    Raises:
+        BadArgument: it is no robot, or has none.
+    """
+    if not isinstance(robot, Object) or robot.description is None:
+        raise BadArgument(argument, robot, "a robot with a description")
+    return robot.description
+
+
+def drives(robot: Object) -> bool:
+    """Return whether a robot's base drives."""
+    return robot.description is None or robot.description.drives
 
 
 def held(robot: Object, arm: Arm | None = None) -> list[Object]:
@@ -105,6 +122,11 @@ class Taking:
         in_hand = held(self._robot, arm)
         if in_hand:
             return Unfit(f"it holds {in_hand[0].name}")
+        solver = Solver(self._robot, arm.tool_frame)  # most places are out of reach: they are told quickly
+        grasps = candidates(self._body, self._robot, arm, base=base)
+        near = solver.search([(grasp.position, grasp.orientation, base) for grasp in grasps], quick=True)
+        if not any(postures[0].reaches() for postures in near):
+            return OutOfReach(min((postures[0].position_error for postures in near), default=None))
         failures: list[PlanFailure] = []
         for grasp, *_ in ways_to_hold(self._robot, arm, self._body, None, failures, UNRECORDED, base):
             return grasp.name

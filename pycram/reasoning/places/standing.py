@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from pycram.foundation import checks
-from pycram.foundation.failures import BadArgument, MissingPart, NoPlace
+from pycram.foundation.failures import MissingPart
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.batch import Batch, Spot
-from pycram.reasoning.places.grid import Grid, drawn, generator
+from pycram.reasoning.places.grid import Grid, generator, spread
 from pycram.reasoning.places.outline import room
 from pycram.reasoning.places.place import Place
+from pycram.reasoning.places.reaching import drives
 from pycram.reasoning.places.seeing import seen_share
+from pycram.reasoning.places.wishes import Wishes
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE
 from pycram.reasoning.rejections import Touching, Unseen
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.models.robots.description import Arm, RobotDescription
+    from pycram.models.robots.description import Arm
     from pycram.reasoning.places.place import Target
     from pycram.reasoning.places.reaching import Goal
     from pycram.reasoning.rejections import Rejection
@@ -41,8 +42,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_SPOTS: Final = 40  # that are drawn at once
-_BATCHES: Final = 4  # without a place, after which it is given up
+_SPOTS: Final = 30  # that are drawn at once
+_BATCHES: Final = 2  # without a place, after which it is given up
 _CHUNK: Final = 8  # spots that are checked for collisions at once
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
 _FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
@@ -66,7 +67,7 @@ def standing_places(
     avoid: Sequence[Sequence[float]] = (),
     seed: int | None = None,
 ) -> Iterator[Place]:
-    """Return places where a robot can stand, with its arms as they are now, best first, each checked when its turn comes.
+    """Return places where a robot can stand, arms as they are now, best first, each checked when its turn comes.
 
     A place is where `moving` would put the robot; an arm reaches there what `pick-up`, `place` or `accessing` would
     reach. Each place that is asked for is one query on record, with the map and why other places won't do. A robot that
@@ -89,9 +90,7 @@ def standing_places(
         NoPlace: when the first is asked for: there is none.
     """
     robot = unwrap(robot)
-    if getattr(robot, "description", None) is None:
-        raise BadArgument("robot", robot, "a robot with a description")
-    description: RobotDescription = robot.description
+    description = reaching.description_of("robot", robot)
     targets = [unwrap(target) for target in reach]
     chosen = [description.arm(name) for name in (description.arms if arms is None else arms)]
     if targets and not chosen:
@@ -108,23 +107,6 @@ def standing_places(
 
 def _point(name: str, given: Sequence[float]) -> Vector:
     return checks.vector(name, (*given, 0.0) if len(given) == 2 else given)
-
-
-@dataclass(frozen=True, slots=True)
-class _Maps:
-    """What is known of all places.
-
-    Attributes:
-        grid: the cells.
-        scores: (cells,) 0 to 1.
-        yaws: (cells,) heading for each, rad.
-        excluded_by: the wish that excluded the last cells; "" if some are left.
-    """
-
-    grid: Grid
-    scores: Array
-    yaws: Array
-    excluded_by: str = ""
 
 
 class _Search:
@@ -144,8 +126,9 @@ class _Search:
         self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
         self._see, self._near, self._seed = see, near, seed
         self._done: list[Vector] = list(avoid)  # places that aren't looked at again
-        self._counts: dict[str, int] = {}  # of places that a wish excluded
-        self._last = ""
+        wanted = [f"reach {goal.named()}" for goal in goals] + ([f"see {see.name}"] if see is not None else [])
+        self._wanted = " and ".join(wanted) or "stand"
+        self._wishes = Wishes(f"{robot.name} to {self._wanted}")
         self._arguments: Mapping[str, object] = {
             "robot": robot,
             **({"reach": [goal.named() for goal in goals]} if goals else {}),
@@ -157,58 +140,41 @@ class _Search:
 
     def places(self) -> Iterator[Place]:
         """Yield places, each from a query of its own."""
-        found, vain = False, 0
-        drives = self._robot.description is None or self._robot.description.drives
+        world, found, vain = self._robot.world, False, 0
         for number in itertools.count():
-            place = None
-            with self._robot.world.lock:
-                clone_of(self._robot.world, "reach").sync()
-                known = self._maps()
-                batch, spots = self._batch(known, number)
-                with batch.asked(self._robot.world, trace=False):
+            with world.lock:
+                clone_of(world, "reach").sync()
+                batch, spots = self._batch(number)
+                with batch.asked(world, trace=False):
                     place = self._first(batch, spots)
                     vain = 0 if place else vain + 1
-                    over = not spots or not drives or vain == _BATCHES
+                    over = not spots or not drives(self._robot) or vain == _BATCHES
                     if place is None and over and not found:
-                        raise self._failure(known)
+                        raise self._wishes.failure()
             if place is not None:
                 found = True
                 yield place
             if over:
                 return
 
-    def _failure(self, known: _Maps) -> NoPlace:
-        counts, last = dict(self._counts), self._last
-        if known.excluded_by:
-            last = known.excluded_by
-        wanted = [*(f"reach {goal.named()}" for goal in self._goals), *([f"see {self._see.name}"] if self._see else [])]
-        return NoPlace(f"{self._robot.name} to {' and '.join(wanted) or 'stand'}", counts, last)
-
     # --- all places at once ------------------------------------------------------------------------------------------
 
-    def _maps(self) -> _Maps:
-        """Return the product of the maps."""
+    def _maps(self) -> tuple[Grid, Array, Array]:
+        """Return the cells, the product (cells,) of the maps, and the heading (cells,) for each, rad."""
         robot = self._robot
         here, turn = robot.get_position_and_orientation()
         grid = self._grid(here)
         centers = grid.centers()
-        scores, yaws = np.ones(len(centers)), np.full(len(centers), geometry.to_rpy(turn)[2])
-        excluded_by = ""
-        facing = [goal.position for goal in self._goals] or ([center(self._see)] if self._see is not None else [])
-        wishes: list[tuple[str, Array]] = []
-        if facing:
-            reached, yaws = self._reach(centers, facing, here[2])
-            wishes.append(("reach" if self._goals else "see", reached))
+        wishes: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
+        yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
+        if self._goals or self._see is not None:
+            faced, yaws = self._faced(centers, here[2])
+            wishes.append((self._wanted, faced))
         wishes.append(("collision", room(robot, centers)))
         if self._near is not None:
             wishes.append(("near", maps.near(centers, self._near, _NEAR)))
-        wishes.append(("distance", maps.near(centers, here, _SHORT_WAY)))
         wishes.append(("avoid", maps.away(centers, self._done, _APART)))
-        for name, score in wishes:
-            scores = scores * score
-            if not excluded_by and not scores.any():
-                excluded_by = name
-        return _Maps(grid, scores / max(float(scores.max()), 1e-9), yaws, excluded_by)
+        return grid, self._wishes.product(wishes), yaws
 
     def _grid(self, here: Sequence[float]) -> Grid:
         """Return the cells from which everything may be reached and seen."""
@@ -224,8 +190,9 @@ class _Search:
         high = [min(point[axis] + radius for point, radius in areas) for axis in (0, 1)]
         return Grid.over(low, high, here[2])
 
-    def _reach(self, centers: Array, points: Sequence[Sequence[float]], ground: float) -> tuple[Array, Array]:
-        """Return for all cells how well points are reached or seen with the best heading, and that heading."""
+    def _faced(self, centers: Array, ground: float) -> tuple[Array, Array]:
+        """Return for all cells how well everything is reached or seen with the best heading, and that heading."""
+        points = [goal.position for goal in self._goals] or ([center(self._see)] if self._see is not None else [])
         offsets = np.asarray(points)[None, :, :2] - centers[:, None]  # (cells, points, 2)
         distances, bearings = np.hypot(offsets[..., 0], offsets[..., 1]), np.arctan2(offsets[..., 1], offsets[..., 0])
         middle = offsets.mean(axis=1)
@@ -256,29 +223,23 @@ class _Search:
         together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
         return together
 
-    def _batch(self, known: _Maps, number: int) -> tuple[Batch, Sequence[Spot]]:
+    def _batch(self, number: int) -> tuple[Batch, Sequence[Spot]]:
         """Draw places."""
         robot = self._robot
         position, turn = robot.get_position_and_orientation()
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
-        random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
-        upright = geometry.product(geometry.from_rpy(0.0, 0.0, -geometry.to_rpy(here[1])[2]), here[1])
+        grid, scores, yaws = self._maps()
         spots = []
-        if not number and not any(math.dist(here[0][:2], each[:2]) < _APART for each in self._done):
-            spots.append(Spot(_HERE, here, geometry.to_rpy(here[1])[2], 1.0))
-        if robot.description is not None and robot.description.drives:
-            cells = drawn(known.scores, _SPOTS, random)
-            jitter = random.uniform(-0.5, 0.5, (len(cells), 2)) * known.grid.resolution
-            turns = random.uniform(-_JITTER, _JITTER, len(cells))
-            for (x, y), yaw, score in zip(
-                (known.grid.centers()[cells] + jitter).round(4).tolist(),
-                (known.yaws[cells] + turns).round(4).tolist(),
-                known.scores[cells].tolist(),
-                strict=True,
-            ):
+        if not any(math.dist(here[0][:2], each[:2]) < _APART for each in self._done):
+            spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
+        if drives(robot):
+            random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
+            upright = geometry.product(geometry.from_rpy(0.0, 0.0, -geometry.to_rpy(turn)[2]), turn)
+            for cell, (x, y) in spread(grid, scores, _SPOTS, random):
+                yaw = round(float(yaws[cell] + random.uniform(-_JITTER, _JITTER)), 4)
                 pose = (x, y, here[0][2]), geometry.product(geometry.from_rpy(0.0, 0.0, yaw), upright)
-                spots.append(Spot(f"[{x:.2f}, {y:.2f}]", pose, yaw, score))
-        return Batch("standing_places", self._arguments, known.grid, known.scores, spots), spots
+                spots.append(Spot(f"[{x:.2f}, {y:.2f}]", pose, yaw, float(scores[cell])))
+        return Batch("standing_places", self._arguments, grid, scores, spots), spots
 
     # --- one place after the other -----------------------------------------------------------------------------------
 
@@ -294,9 +255,7 @@ class _Search:
                         spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms}
                     )
                     return excluded
-                self._last, reason = excluded
-                self._counts[self._last] = self._counts.get(self._last, 0) + 1
-                batch.reject(spot.name, reason)
+                self._wishes.exclude(batch, spot, *excluded)
         return None
 
     def _collisions(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:

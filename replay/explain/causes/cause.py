@@ -300,6 +300,28 @@ class NoLonger(Cause):
 
 
 @dataclass(frozen=True, slots=True)
+class Misbelief(Cause):
+    """The robot believed an object elsewhere than it was.
+
+    Attributes:
+        body: name of the object.
+        source: how it came to believe that: "seen", "told" by the world's state, or "placed", where it let go of it.
+        learned: the step at which it did; -1: before the recording.
+        position: where it believed it, m.
+        distance: from there to where it was, m.
+        change: what had moved it since; None if that isn't known.
+    """
+
+    kind = "misbelief"
+    body: str
+    source: str
+    learned: int
+    position: tuple[float, ...]
+    distance: float
+    change: Change | None
+
+
+@dataclass(frozen=True, slots=True)
 class InTheWay(Cause):
     """Something was in the way, or hid what was looked for.
 

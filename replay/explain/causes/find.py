@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
+from recorder.tasks import Node
 from replay.explain.causes import (
     gone,
     hand_states,
     in_the_way,
     interrupted,
+    misbelief,
     no_longer,
     out_of_reach,
     physics,
@@ -23,6 +25,7 @@ from replay.explain.causes.cause import (
     Gone,
     HandState,
     InTheWay,
+    Misbelief,
     NoCandidate,
     NoLonger,
     OutOfReach,
@@ -48,6 +51,7 @@ def find(case: Case) -> tuple[Cause, ...]:
         *refused.find(case),
         *physics.find(case),
         *no_longer.find(case),
+        *misbelief.find(case),
         *timeout.find(case),
         *gone.find(case),
         *raised.find(case),
@@ -74,10 +78,15 @@ def _is_explained(cause: Cause, found: Sequence[Cause]) -> bool:
         deeper = [each for each in found if isinstance(each, Swallowed | Refused)]
         gone = any(isinstance(each, Gone) and each.body == cause.body for each in found)
         return gone or any((each.precondition, each.subject) == (cause.precondition, cause.body) for each in deeper)
+    if isinstance(cause, Misbelief):
+        return any(isinstance(each, Physics) and each.body == cause.body for each in found)
+    if isinstance(cause, NoLonger) and isinstance(cause.asked, Node):  # what a look has told
+        believed = {each.body for each in found if isinstance(each, Misbelief)}
+        return believed.issuperset(change.body for change in cause.changes)
     if isinstance(cause, InTheWay):
         return any(isinstance(each, Physics) and each.body == cause.body for each in found)
     if isinstance(cause, NoCandidate) and cause.count == 1:  # then the message says it
         return len(found) > 1
     if isinstance(cause, OutOfReach | NoCandidate):
-        return any(isinstance(each, Physics | NoLonger | Swallowed) for each in found)
+        return any(isinstance(each, Physics | NoLonger | Misbelief | Swallowed) for each in found)
     return False

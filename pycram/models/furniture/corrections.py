@@ -1,0 +1,283 @@
+"""Corrections of furniture that was found: a TOML beside the URDF, ``kitchen.furniture.toml`` of ``kitchen.urdf``.
+
+Each table has the name of something that was found, and what is right about it; a new name adds something::
+
+    [surfaces."sink"]
+    name = "counter"
+
+    [surfaces."tray"]
+    link = "trolley"
+    position = [0.1, 0, 0.35]
+    size = [0.4, 0.3]
+
+    [containers."bread bin"]
+    joint = "bin_lid_joint"
+    handle = "bin_lid"
+    kind = "door"
+
+What names a link or joint is checked when the model is loaded; what names something found, when it is found.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.foundation import checks
+from pycram.foundation.failures import AssetError, BadArgument
+from pycram.models.files import parse_toml
+from pycram.models.furniture.furniture import (
+    DOOR,
+    DRAWER,
+    Container,
+    Furniture,
+    Surface,
+    closed_position,
+    open_position,
+)
+from recorder import geometry
+from recorder.records.asset import AssetFile
+from recorder.suggestions import did_you_mean, suggestion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from recorder.geometry.urdf import Urdf
+
+SUFFIX: Final = ".furniture.toml"
+_SURFACES: Final = "surfaces"
+_CONTAINERS: Final = "containers"
+_CACHED: Final = 128
+_NEW: Final = {_SURFACES: ("link", "position", "size or outline"), _CONTAINERS: ("joint", "kind")}
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What a TOML says of furniture, its entries checked.
+
+    Attributes:
+        source: the TOML's file, for errors.
+        surfaces: by name, what is said of each.
+        containers: likewise.
+    """
+
+    source: str
+    surfaces: Mapping[str, Mapping[str, Any]]
+    containers: Mapping[str, Mapping[str, Any]]
+
+
+def asset(name: str, content: bytes) -> AssetFile:
+    """Return a TOML as one of the files of a model."""
+    return AssetFile(name, content, "application/toml")
+
+
+def _polygon(argument: str, value: object) -> tuple[tuple[float, float], ...]:
+    """Return the corners of a convex polygon, counter-clockwise."""
+    points: list[tuple[float, float]] = []
+    for point in value if isinstance(value, list) else ():
+        x, y, _ = checks.vector(argument, [*point, 0.0] if isinstance(point, list) else point)
+        points.append((x, y))
+    turns = [
+        (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+        for a, b, c in zip(points, points[1:] + points[:1], points[2:] + points[:2], strict=True)
+    ]
+    if len(points) < 3 or min(turns) <= 0:
+        raise BadArgument(argument, value, "three or more corners [x, y] of a convex polygon, counter-clockwise")
+    return tuple(points)
+
+
+def _size(argument: str, value: object) -> tuple[tuple[float, float], ...]:
+    """Return the corners of a rectangle around the origin."""
+    x, y, _ = checks.vector(argument, [*value, 0.0] if isinstance(value, list) else value)
+    if min(x, y) <= 0:
+        raise BadArgument(argument, value, "two lengths [x, y] above 0 m")
+    a, b = x / 2, y / 2
+    return (-a, -b), (a, -b), (a, b), (-a, b)
+
+
+def _height(argument: str, value: object) -> float:
+    return math.inf if value == math.inf else checks.in_range(argument, value, 0.0)
+
+
+def _kind(argument: str, value: object) -> str:
+    if value not in (DRAWER, DOOR):
+        raise BadArgument(argument, value, f'"{DRAWER}" or "{DOOR}"')
+    return str(value)
+
+
+def _optional_text(argument: str, value: object) -> str:
+    return "" if value == "" else checks.text(argument, value)
+
+
+_ENTRIES: Final[Mapping[str, Mapping[str, Callable[[str, object], Any]]]] = {
+    _SURFACES: {
+        "name": checks.text,
+        "remove": checks.switch,
+        "link": checks.text,
+        "position": checks.vector,
+        "orientation": checks.quaternion,
+        "size": _size,
+        "outline": _polygon,
+        "clearance": _height,
+        "container": _optional_text,
+    },
+    _CONTAINERS: {
+        "name": checks.text,
+        "remove": checks.switch,
+        "kind": _kind,
+        "joint": checks.text,
+        "handle": _optional_text,
+        "closed": checks.number,
+        "open": checks.number,
+    },
+}
+
+
+@lru_cache(maxsize=_CACHED)
+def read(text: str, source: str | Path) -> Corrections:
+    """Return what a TOML says.
+
+    Raises:
+        AssetError: It isn't TOML, or an entry is unknown or impossible.
+    """
+    tables = parse_toml(text, source)
+    for key in tables:
+        if key not in _ENTRIES:
+            raise AssetError(source, f"{key}: no such entry; it takes {' and '.join(_ENTRIES)}")
+    checked = {}
+    for kind in _ENTRIES:
+        things = tables.get(kind, {})
+        if not isinstance(things, dict):
+            raise AssetError(source, f"{kind}: takes tables, as [{kind}.island]")
+        checked[kind] = {name: _checked(source, kind, name, said) for name, said in things.items()}
+    return Corrections(str(source), checked[_SURFACES], checked[_CONTAINERS])
+
+
+def _checked(source: str | Path, kind: str, name: str, said: object) -> Mapping[str, Any]:
+    """Return what is said of one thing, its entries checked."""
+    where, entries = f"{kind}.{name!r}", _ENTRIES[kind]
+    if not name or not isinstance(said, dict):
+        raise AssetError(source, f"{where}: takes a table with a name, has {said!r}")
+    for key in said:
+        if key not in entries:
+            raise AssetError(source, f"{where}.{key}: no such entry; {suggestion(key, entries)}")
+    if "size" in said and "outline" in said:
+        raise AssetError(source, f"{where}: takes a size or an outline, has both")
+    try:
+        return MappingProxyType({key: entries[key](key, value) for key, value in said.items()})
+    except BadArgument as error:
+        raise AssetError(source, f"{where}: {error}") from error
+
+
+def check(corrections: Corrections, urdf: Urdf) -> None:
+    """Refuse corrections that don't fit a URDF.
+
+    Raises:
+        AssetError: It has no such link or movable joint.
+    """
+    for name, said in corrections.surfaces.items():
+        _known(corrections, f"{_SURFACES}.{name!r}", "link", said.get("link"), urdf.links)
+    for name, said in corrections.containers.items():
+        where = f"{_CONTAINERS}.{name!r}"
+        _known(corrections, where, "joint", said.get("joint"), urdf.movable)
+        _known(corrections, where, "handle", said.get("handle") or None, urdf.links)
+
+
+def _known(corrections: Corrections, where: str, key: str, value: str | None, known: Sequence[str]) -> None:
+    if value is not None and value not in known:
+        what = "movable joint" if key == "joint" else "link"
+        raise AssetError(corrections.source, f"{where}.{key}: no {what} {value!r}; {suggestion(value, known)}")
+
+
+def correct(found: Furniture, corrections: Corrections, urdf: Urdf) -> Furniture:
+    """Return furniture as it was found, with corrections.
+
+    Raises:
+        AssetError: Something that is corrected wasn't found, or two things get one name.
+    """
+    return _Correction(corrections, urdf).apply(found)
+
+
+class _Correction:
+    def __init__(self, corrections: Corrections, urdf: Urdf) -> None:
+        self._said, self._urdf = corrections, urdf
+        self._poses = urdf.link_poses({name: closed_position(urdf.joints[name]) for name in urdf.movable})
+
+    def apply(self, found: Furniture) -> Furniture:
+        containers: dict[str, Container] = {}
+        names = {"": ""}  # of containers as they were found, what they are called
+        for key, container in self._things(_CONTAINERS, found.containers, self._said.containers):
+            said = self._said.containers.get(key, {})
+            corrected = self._container(said, container, said.get("name", key))
+            names[key] = corrected.name
+            self._add(_CONTAINERS, containers, corrected)
+        surfaces: dict[str, Surface] = {}
+        for key, surface in self._things(_SURFACES, found.surfaces, self._said.surfaces):
+            said = self._said.surfaces.get(key, {})
+            inside = said.get("container", names.get(surface.container, "") if surface else "")
+            if inside not in {"", *containers}:
+                raise self._error(_SURFACES, key, f"no container {inside!r}; {suggestion(inside, containers)}")
+            self._add(_SURFACES, surfaces, self._surface(said, surface, said.get("name", key), inside))
+        for name, container in containers.items():
+            inside_it = tuple(surface.name for surface in surfaces.values() if surface.container == name)
+            containers[name] = replace(container, surfaces=inside_it)
+        return Furniture(MappingProxyType(surfaces), MappingProxyType(containers))
+
+    def _things(self, kind: str, found: Mapping[str, Any], said: Mapping[str, Mapping[str, Any]]) -> list[Any]:
+        """Return the names and what was found, None of what is added; without what is removed."""
+        for key, entries in said.items():
+            needed = [part for part in _NEW[kind] if not any(name in entries for name in part.split(" or "))]
+            if key not in found and (needed or "remove" in entries):
+                hint = did_you_mean(key, found)
+                raise self._error(
+                    kind, key, f"nothing of that name was found{hint}; what is added takes {', '.join(_NEW[kind])}"
+                )
+        every = {**found, **dict.fromkeys(key for key in said if key not in found)}
+        return [(key, thing) for key, thing in every.items() if not said.get(key, {}).get("remove", False)]
+
+    def _add(self, kind: str, things: dict[str, Any], thing: Surface | Container) -> None:
+        if thing.name in things:
+            raise self._error(kind, thing.name, "two have that name")
+        things[thing.name] = thing
+
+    def _surface(self, said: Mapping[str, Any], found: Surface | None, name: str, container: str) -> Surface:
+        outline = said.get("outline") or said.get("size")
+        link = said.get("link") or (found.link if found else "")
+        upright = geometry.conjugate(self._poses[link][1])
+        if found is None:
+            clearance = said.get("clearance", math.inf)
+            return Surface(
+                name, link, said["position"], said.get("orientation", upright), outline, clearance, container
+            )
+        return replace(
+            found,
+            name=name,
+            link=link,
+            position=said.get("position", found.position),
+            orientation=said.get("orientation", found.orientation),
+            outline=outline or found.outline,
+            clearance=said.get("clearance", found.clearance),
+            container=container,
+        )
+
+    def _container(self, said: Mapping[str, Any], found: Container | None, name: str) -> Container:
+        joint = self._urdf.joints[said.get("joint") or (found.joint if found else "")]
+        same = found is not None and found.joint == joint.name
+        closed = said.get("closed", found.closed if found and same else closed_position(joint))
+        wide = said.get("open", found.open if found and same else open_position(joint))
+        for key, value in (("closed", closed), ("open", wide)):
+            if not joint.lower <= value <= joint.upper or not math.isfinite(value):
+                reason = (
+                    f"{key} is {value:g}, not within the limits of {joint.name}, {joint.lower:g} to {joint.upper:g}"
+                )
+                raise self._error(_CONTAINERS, name, reason)
+        kind = said.get("kind") or (found.kind if found else "")
+        handle = said.get("handle", found.handle if found and same else "")
+        return Container(name, kind, joint.child, joint.name, handle, closed, wide, ())
+
+    def _error(self, kind: str, name: str, reason: str) -> AssetError:
+        return AssetError(self._said.source, f"{kind}.{name!r}: {reason}")

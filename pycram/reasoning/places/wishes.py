@@ -1,0 +1,53 @@
+"""Which wishes excluded how many places: wishes may exclude each other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pycram.foundation.failures import NoPlace
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from pycram.reasoning.places.batch import Batch, Spot
+    from pycram.reasoning.rejections import Rejection
+
+    Array = NDArray[np.float64]
+
+
+class Wishes:
+    """Counts of the places that wishes excluded.
+
+    Args:
+        wanted: for what a place is wanted, in words.
+    """
+
+    def __init__(self, wanted: str) -> None:
+        self._wanted = wanted
+        self._counts: dict[str, int] = {}
+        self._last = ""
+
+    def product(self, maps: Iterable[tuple[str, Array]]) -> Array:
+        """Return the product (cells,) of maps by their wishes, the best cell 1; all cells are 0 if none is left."""
+        scores = np.ones(1)
+        for wish, score in maps:
+            left = scores.any()
+            scores = scores * score
+            if left and not scores.any() and not self._counts:
+                self._counts[wish], self._last = len(scores), wish
+        best = float(scores.max())
+        return scores / best if best else scores
+
+    def exclude(self, batch: Batch, spot: Spot, wish: str, reason: Rejection) -> None:
+        """Say that a wish excludes a place, and why."""
+        batch.reject(spot.name, reason)
+        self._counts[wish] = self._counts.get(wish, 0) + 1
+        self._last = wish
+
+    def failure(self) -> NoPlace:
+        """Return the failure that says so."""
+        return NoPlace(self._wanted, self._counts, self._last)

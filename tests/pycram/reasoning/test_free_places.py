@@ -1,0 +1,187 @@
+"""Where an object can be put down: proved by setting it there and letting time run."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import BadArgument, NoPlace, UnknownName
+from pycram.reasoning.places import free_places
+from recorder import geometry
+from recorder.records import Query
+from recorder.records.choices import rejections
+from recorder.records.grids import scores_of, spots_of
+from recorder.records.text import text_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pycram.reasoning.places import Place
+    from tests.conftest import MemorySink
+
+TOP = 0.72  # m, the table's
+FINGER = 0.02  # m
+
+
+@pytest.fixture(scope="module")
+def room() -> Iterator[BulletWorld]:
+    """A table 1.3 x 1.8 m with its middle at [0.35, 0], and a few things on it."""
+    with BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("floor", "environment", "plane.urdf")
+        Object("table", "environment", "table.urdf")
+        Object("bowl", "bowl", "bowl.stl", [0.35, 0.0, TOP + 0.04])
+        Object("cereal", "cereal", "breakfast_cereal.stl", [0.6, 0.5, TOP + 0.115])
+        Object("milk", "milk", "milk.stl", [0.3, 0.4, TOP + 0.1])
+        Object("cup", "cup", "cup.stl", [3.0, 3.0, 0.1])
+        world.simulate(0.3)
+        yield world
+
+
+@pytest.fixture
+def table(room: BulletWorld) -> Object:
+    BulletWorld.current_bullet_world = room
+    return room.get_object("table")
+
+
+def on(table: Object) -> list[tuple[Object, object]]:
+    return [(table, table.surface("table"))]
+
+
+def some(count: int, places: Iterator[Place]) -> list[Place]:
+    return list(itertools.islice(places, count))
+
+
+def apart(body: Object, other: Object) -> float:
+    """Return how far two objects are apart, m."""
+    points = body.world.engine.closest_points(body.handle, other.handle, 1.0)
+    return min((point.distance for point in points), default=1.0)
+
+
+@pytest.mark.slow
+def test_what_is_put_there_stays_and_leaves_room_for_fingers(room: BulletWorld, table: Object) -> None:
+    cup = room.get_object("cup")
+    others = [room.get_object(name) for name in ("bowl", "cereal", "milk")]
+    saved = room.save()
+    for place in some(8, free_places(cup, on=on(table), seed=3)):
+        cup.set_position_and_orientation(place.position, place.orientation)
+        assert all(apart(cup, other) > FINGER for other in others)
+        room.simulate(0.5)
+        assert math.dist(cup.get_position(), place.position) < 0.01
+        low, high = cup.get_AABB()
+        assert (low[2], place.surface) == (pytest.approx(TOP, abs=5e-3), "table")
+        assert -0.3 < low[0] < high[0] < 1.0
+        assert -0.9 < low[1] < high[1] < 0.9
+        room.restore(saved)
+
+
+def test_places_are_apart_and_belong_to_the_seed(room: BulletWorld, table: Object) -> None:
+    cup = room.get_object("cup")
+    first = some(4, free_places(cup, on=on(table), seed=1))
+    assert first == some(4, free_places(cup, on=on(table), seed=1))
+    assert first[0].position != next(free_places(cup, on=on(table), seed=2)).position
+    assert all(math.dist(a.position, b.position) > 0.03 for a, b in itertools.combinations(first, 2))
+    cup_was = cup.get_position_and_orientation()
+    next(free_places(cup, on=on(table)))
+    assert cup.get_position_and_orientation() == cup_was
+
+
+def test_it_is_near_a_point(room: BulletWorld, table: Object) -> None:
+    point = [0.8, -0.7]
+    place = next(free_places(room.get_object("cup"), on=on(table), near=point, seed=0))
+    assert math.dist(place.position[:2], point) < 0.2
+
+
+@pytest.mark.parametrize(("side", "axis", "sign"), [("left", 1, 1), ("right", 1, -1), ("front", 0, -1), ("back", 0, 1)])
+def test_it_is_on_a_side_as_seen_from_the_origin(
+    room: BulletWorld, table: Object, side: str, axis: int, sign: int
+) -> None:
+    """No robot is there, so the world's origin is where one looks from: along x."""
+    bowl, cup = room.get_object("bowl"), room.get_object("cup")
+    for place in some(2, free_places(cup, on=on(table), side=(side, bowl), seed=4)):
+        offset = np.subtract(place.position, bowl.get_position())
+        assert sign * offset[axis] > abs(offset[1 - axis])
+    for place in some(2, free_places(cup, on=on(table), side=side, seed=4)):
+        assert sign * (place.position[axis] - (0.35, 0.0)[axis]) > 0
+
+
+def test_an_orientation_that_is_asked_for_is_kept(room: BulletWorld, table: Object) -> None:
+    turn = geometry.from_rpy(0, 0, 1.0)
+    place = next(free_places(room.get_object("cereal"), on=on(table), orientation=turn, seed=0))
+    assert place.orientation == pytest.approx(turn)
+
+
+def test_a_full_surface_says_that_there_is_no_room(room: BulletWorld, table: Object, sink: MemorySink) -> None:
+    x, y, _ = room.get_object("bowl").get_position()
+    mat = replace(table.surface("table"), name="mat", outline=((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)))
+    assert math.dist(table.surface_pose(mat)[0][:2], (x, y)) < 0.01
+    with pytest.raises(NoPlace, match="cup on mat") as refused:
+        next(free_places(room.get_object("cup"), on=[(table, mat)], seed=0))
+    assert refused.value.last == "room"
+    assert set(refused.value.excluded) <= {"room", "edge"}
+    (*_, record) = sink.of(Query)
+    assert record.failure.type.endswith("NoPlace")
+
+
+def test_wishes_that_exclude_each_other_are_named(room: BulletWorld, table: Object) -> None:
+    bowl, cup = room.get_object("bowl"), room.get_object("cup")
+    bowl_was = bowl.get_position()
+    bowl.set_position([0.95, 0.0, TOP + 0.04])
+    try:
+        with pytest.raises(NoPlace) as refused:  # nothing of the table is there
+            next(free_places(cup, on=on(table), side=("back", bowl), seed=0))
+    finally:
+        bowl.set_position(bowl_was)
+    assert refused.value.last == "side back"
+    assert "the last by side back" in str(refused.value)
+
+
+def test_what_is_too_high_for_a_shelf_is_told_so(room: BulletWorld, table: Object) -> None:
+    kitchen = Object("kitchen", "environment", "kitchen.urdf", [10, 0, 0])
+    try:
+        drawer = kitchen.container("sink left upper drawer")
+        kitchen.set_joint_position(drawer.joint, drawer.open)
+        surface = (kitchen, kitchen.surface(drawer.surfaces[0]))
+        with pytest.raises(NoPlace) as refused:
+            next(free_places(room.get_object("cereal"), on=[surface], seed=0))
+        assert refused.value.last == "clearance"
+    finally:
+        kitchen.remove()
+
+
+def test_a_place_on_record_has_its_map_and_what_was_rejected(
+    room: BulletWorld, table: Object, sink: MemorySink
+) -> None:
+    place = next(free_places(room.get_object("cup"), on=on(table), near=room.get_object("bowl").get_position(), seed=2))
+    (record,) = sink.of(Query)
+    scores, spots = scores_of(record.grid), spots_of(record.grid)
+    assert scores.max() == 1.0
+    column, row = (np.array([0.35, 0.0]) - record.grid.origin[:2]) / record.grid.resolution
+    assert scores[int(row), int(column)] == 0.0, "the bowl stands there"
+    chosen = [number for number, spot in enumerate(record.grid.spots) if spot.candidate == record.chosen]
+    assert math.dist(spots[chosen[0]], place.position) < 1e-3
+    assert text_of(record)[0].startswith("free_places")
+    assert all(spot.candidate >= 0 for spot in record.grid.spots[: chosen[0]])
+    assert all(spot.candidate == -1 for spot in record.grid.spots[chosen[0] + 1 :])
+    if chosen[0]:
+        assert "something is there already" in rejections(record)
+
+
+def test_impossible_wishes_are_refused_at_once(room: BulletWorld, table: Object) -> None:
+    cup = room.get_object("cup")
+    with pytest.raises(UnknownName, match="left"):
+        free_places(cup, on=on(table), side="lefft")
+    with pytest.raises(BadArgument, match="surface"):
+        free_places(cup, on=[])
+    with pytest.raises(UnknownName, match="did you mean table"):
+        free_places(cup, on=[(table, "tabel")])
+    with pytest.raises(BadArgument, match="robot with a description"):
+        free_places(cup, on=on(table), reachable_for=table)
+    with pytest.raises(BadArgument, match="near"):
+        free_places(cup, on=on(table), near=[math.nan, 0])
