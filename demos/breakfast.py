@@ -85,6 +85,7 @@ def breakfast() -> None:
         do("fetching", object="cereal")
         do("handing-over", object="cereal")
         print("cereal: in the other hand")
+        do("parking-arms")
         do("delivering", object="cereal", target=there)
     print("breakfast is ready")
 
