@@ -10,7 +10,7 @@
 # reasoning/   queries that leave no trace: collision, kinematics, grasping, visibility, stability.
 # motions/     motion designators, their resolvers, the resources they move, and the process modules that execute them.
 # fluents/     values that branches wait for and react to, also those that follow a world.
-# projection/  actions tried in a copy of the process.     actions/  what a robot is to do, not how, on top of all these.
+# projection/  actions tried in a copy of the process.     actions/  what a robot is to do, not how, on top of these.
 #
 # bullet_world, bullet_world_reasoning, designator, motion_designators, process_module, fluent, event, failures, tasks:
 # the names of the thesis, from which plans import. cli: the commands "pycram demo" and "pycram run".

@@ -239,12 +239,18 @@ def _parser() -> argparse.ArgumentParser:
         )
     describe = commands.add_parser(
         "describe",
-        help="describe a robot",
-        description="Writes a first description of a robot, guessed from its URDF, to stdout; or checks a description.",
+        help="describe a robot or furniture",
+        description="Writes a first description of a robot, guessed from its URDF, to stdout, or checks a description; "
+        "of furniture, the surfaces, containers, joints and handles that are found in its URDF.",
     )
-    describe.add_argument("file", nargs="?", metavar="ROBOT.urdf", help="a URDF, or the name of a robot in the box")
+    describe.add_argument("file", nargs="?", metavar="FILE.urdf", help="a URDF, or the name of one in the box")
     describe.add_argument("--check", metavar="ROBOT.toml", help="test this description: reach, fingers, stillness, ...")
-    describe.add_argument("--picture", metavar="FILE", type=Path, help="also write a picture of the robot, parked")
+    describe.add_argument(
+        "--picture",
+        metavar="FILE",
+        type=Path,
+        help="also write a picture of the robot, parked; of furniture with its surfaces",
+    )
     return parser
 
 

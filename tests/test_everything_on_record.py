@@ -20,6 +20,7 @@ from pycram.event import Event
 from pycram.failures import PlanFailure, UsageError
 from pycram.fluent import Fluent
 from pycram.fluents import world as world_fluents
+from pycram.knowledge import learn
 from pycram.language import failure_handling, finally_, in_thread, par, timeout
 from pycram.process_module import ProcessModule
 from pycram.projection import project
@@ -61,6 +62,10 @@ class Things:
     def perform(self, kind: str = "opening-gripper") -> None:
         self.world.set_robot(Object("ur5", "robot", "ur5.urdf", [5, 5, 0], world=self.world))
         ProcessModule.perform(MotionDesignator([("type", kind)]))
+
+    def learn(self) -> None:
+        self.world.set_robot(Object("ur5", "robot", "ur5.urdf", [5, 5, 0], world=self.world))
+        learn({self.cup: self.cup.get_position_and_orientation()})
 
     def wait_with_lock(self) -> None:
         with self.world.lock:
@@ -215,6 +220,7 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "a world's fluent changes": (lambda t: t.spoon.set_position([0, 0, 9]), "fluent", "fluent position of spoon"),
     # --- queries
     "a query": (lambda t: btr.contact(t.cup, t.milk), "query", r"contact\(.*\) -> false"),
+    "a robot learns where things are": (lambda t: t.learn(), "query", r"seen\(robot=ur5\) -> \[cup\]"),
     "a query of the plan's own": (lambda t: curious(t.cup), "query", r"curious\(object=cup\) -> true"),
     "a query fails": (lambda t: broken(t.cup), "query", r"broken\(object=cup\) raised PlanFailure"),
     # --- refusals

@@ -25,6 +25,7 @@ from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import ObjectDesignator
 from pycram.actions.performing import ActionFailed, Try, perform
 from pycram.actions.projecting import projecting
+from pycram.actions.searching import ObjectNotFound
 
 __all__ = [
     "ActionDesignator",
@@ -32,6 +33,7 @@ __all__ = [
     "ActionType",
     "LocationDesignator",
     "ObjectDesignator",
+    "ObjectNotFound",
     "Try",
     "action",
     "perform",

@@ -71,11 +71,6 @@ class ActionType:
         """Describe its slots, for messages."""
         return described(self)
 
-    def prepared(self, designator: ActionDesignator) -> None:
-        """Do what is done before choices are found."""
-        if self.prepare is not None:
-            self.prepare(**arguments(self.prepare, checked_type(designator)[1]))
-
     def call(self, slots: Mapping[str, Any]) -> Any:
         """Do it, with everything chosen, and return the function's result."""
         return self.function(**arguments(self.function, slots))
@@ -195,6 +190,16 @@ def checked_type(designator: ActionDesignator) -> tuple[ActionType, dict[str, An
     """
     kind, given = given_slots(designator, TYPES, "action ")
     return kind, checked_slots(kind, given)
+
+
+def prepare(designator: ActionDesignator) -> None:
+    """Do what is done before the choices of an action are found."""
+    try:
+        kind, slots = checked_type(designator)
+    except DesignatorError:  # only a resolver of the plan's own may know it
+        return
+    if kind.prepare is not None:
+        kind.prepare(**arguments(kind.prepare, slots))
 
 
 def resolve(designator: ActionDesignator) -> Iterator[Solution]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from pycram.actions.performing import perform
-from pycram.foundation.failures import BadArgument, NoPlace, PlanFailure, UnknownName
+from pycram.foundation.failures import AccessFailed, BadArgument, NoPlace, PlanFailure, UnknownName
 from pycram.motions import slot_checks
 from pycram.motions.designator import MotionDesignator
 from pycram.reasoning.collision.ray_cast import center
@@ -113,18 +113,21 @@ def access_of(container: Access | Object, joint: str | None, handle: str | None)
     if isinstance(container, Access):
         return container
     body = container
-    for access, _ in containers():
-        if access.body is body and (joint in (None, access.joint)) and (handle in (None, access.handle)):
-            if joint is None and handle is None:
-                break
-            return access
+    meant = [
+        access
+        for access, _ in containers()
+        if access.body is body and joint in (None, access.joint) and handle in (None, access.handle)
+    ]
+    if len(meant) == 1:
+        return meant[0]
     if handle is not None and joint is None:
         body.check_link(handle)
         joint = next((name for name in body.joints if handle in carried.moved_links(body.urdf, [name])), None)
         if joint is None:
             raise BadArgument("handle", handle, f"a link of {body.name} that a joint moves")
     if joint is None or handle is None:
-        raise BadArgument("container", body, "the name of a container, or a piece of furniture with joint and handle")
+        names = ", ".join(access.name for access in meant) or "it has none"
+        raise BadArgument("container", body.name, f"one of its containers, or also its joint and handle; {names}")
     return Access(handle, body, joint, handle, Handle(body, joint, handle).closed, body.joint_limits(joint)[1])
 
 
@@ -137,15 +140,17 @@ def ways(access: Access, arm: str | None, values: Sequence[float]) -> Iterator[M
         values: Of its joint, rad or m, the best first.
 
     Raises:
+        AccessFailed: No arm is free.
         NoPlace: There is none for any.
     """
     robot = BulletWorld.current_robot()
+    arms = _free_arms(robot, access, arm)
     failure: NoPlace | None = None
     found = False
     for value in values:
         pull = Pull(access.body, access.joint, access.handle, value)
         try:
-            for place in itertools.islice(standing_places(robot, reach=[pull], arms=arm and [arm]), _PLACES):
+            for place in itertools.islice(standing_places(robot, reach=[pull], arms=arms), _PLACES):
                 found = True
                 for each in place.arms:
                     yield {
@@ -158,6 +163,22 @@ def ways(access: Access, arm: str | None, values: Sequence[float]) -> Iterator[M
             failure = failure or none
     if not found and failure is not None:
         raise failure
+
+
+def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:
+    """Return the arms, or the one that is wanted, that have a gripper and hold nothing.
+
+    Raises:
+        AccessFailed: There are none.
+    """
+    arms = robot.description.arms.values() if robot.description else ()
+    chosen = [arm for arm in arms if wanted in (None, arm.name) and arm.hand is not None]
+    held = {each.carrier_link: each.body.name for each in robot.carried}
+    free = [arm.name for arm in chosen if arm.tool_frame not in held]
+    if not free:
+        full = ", ".join(f"the {arm.name} gripper holds {held[arm.tool_frame]}" for arm in chosen)
+        raise AccessFailed(access.joint, full or "the robot has no gripper for it", handle=access.handle)
+    return free
 
 
 def move(access: Access, arm: str, distance: float, place: Sequence[float], orientation: Sequence[float]) -> None:

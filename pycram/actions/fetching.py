@@ -74,12 +74,12 @@ def ways(
             yield from ({"arm": each, "place": location(found)} for each in found.arms)
     except NoPlace as failure:
         vain = failure
-    try:
-        for found in standing_places(robot, reach=[center(body)], arms=free):
-            yield from ({"arm": each, "place": location(found), "clear": True} for each in found.arms)
-    except NoPlace:
-        if vain is not None:
-            raise vain from None
+    if making_room.crowded(body):
+        with suppress(NoPlace):
+            for found in itertools.islice(standing_places(robot, reach=[center(body)], arms=free), _MOST):
+                yield from ({"arm": each, "place": location(found), "clear": True} for each in found.arms)
+    if vain is not None:
+        raise vain
 
 
 def location(place: Place) -> LocationDesignator:

@@ -18,10 +18,18 @@ if TYPE_CHECKING:
     from pycram.models.furniture.furniture import Surface
     from pycram.world.object import Object
 
+_BESIDE: Final = 0.5  # m between things one of which may be in the way of the other
 _NEAREST: Final = 3  # surfaces to which something is cleared away
 
 #: What waits until something is cleared away, from the outside in.
 _waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=())
+
+
+def crowded(body: Object) -> bool:
+    """Whether something is beside an object that could be put elsewhere."""
+    others = [each for each in body.world.objects if each is not body and not each.fixed and not each.is_robot]
+    free = [each for each in others if each.carrier is None and each not in _waiting.get()]
+    return any(math.dist(each.get_position(), body.get_position()) < _BESIDE for each in free)
 
 
 def clear(body: Object, arm: str | None) -> None:

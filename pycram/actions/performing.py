@@ -7,7 +7,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.actions.action import TYPES, ActionDesignator, ActionType, type_of
+from pycram.actions.action import ActionDesignator, ActionType, prepare, type_of
 from pycram.actions.projecting import AT_ONCE, Thinking, imagine, not_projecting, thinking
 from pycram.foundation.failures import PlanFailure
 from pycram.foundation.names import export, qualified_name
@@ -145,8 +145,14 @@ def _act(designator: Designator) -> _Act:
         raise DesignatorError(problem, value=designator)
     BulletWorld.current_robot()
     if next(designator.branches(), None) is None:
-        designator.check()  # before anything else is done
+        _check(designator)  # before anything else is done
     return _Act(designator)
+
+
+def _check(designator: ActionDesignator) -> None:
+    """Check an action's slots, unless resolvers of the plan's own may know better."""
+    if not any(cls.resolvers for cls in type(designator).__mro__ if issubclass(cls, ActionDesignator)):
+        designator.check()
 
 
 class _Act:
@@ -166,6 +172,7 @@ class _Act:
         for branch in self._designator.branches():
             branch.result()
         checkpoint()
+        _check(self._designator)
         with performing(self._designator):
             return self._carried_out()
 
@@ -174,8 +181,7 @@ class _Act:
         budget = self._room(slots.get("budget"))
         ahead = thinking(wanted=slots.get("projected"))
         with Binding(_budget, budget):
-            if self._designator.type in TYPES:
-                TYPES[self._designator.type].prepared(self._designator)
+            prepare(self._designator)
             solutions = self._solutions()
             first = next(solutions)
             kind = type_of(first)
@@ -185,14 +191,16 @@ class _Act:
 
     def _solutions(self) -> Iterator[Solution]:
         """Yield its solutions; how the first one was found goes on record."""
-        self.span.decision = decision = Decision(environment=current_environment())
-        try:
-            self.span.solution = first = self._designator.reference()
-            decision.module = qualified_name(type_of(first).function)
-        finally:
-            found = self._designator.resolution()
-            decision.resolver, decision.solution = found.resolver, found.index
-            decision.known, decision.complete = found.known, found.complete
+        self.span.solution = first = self._designator.reference()
+        found = self._designator.resolution()
+        self.span.decision = Decision(
+            environment=current_environment(),
+            resolver=found.resolver,
+            solution=found.index,
+            known=found.known,
+            complete=found.complete,
+            module=qualified_name(type_of(first).function),
+        )
         yield first
         yield from itertools.islice(self._designator.solutions(), 1, None)
 
@@ -232,6 +240,7 @@ class _Tries(FailureHandling):
         self._found = solutions
         self._solutions = solutions if ahead is None else self._imagined(ahead)
         self._solution: Solution = {}
+        self._spent = False  # whether there may be choices that weren't imagined
 
     @property
     def fields(self) -> dict[str, object]:
@@ -266,7 +275,7 @@ class _Tries(FailureHandling):
         except PlanFailure as last:
             raise ActionFailed(self._kind.type, self._tried, last=last) from last
         if solution is None:
-            raise ActionFailed(self._kind.type, self._tried)
+            raise ActionFailed(self._kind.type, self._tried, spent=self._spent)
         self._solution = solution
         return self._choice(solution)
 
@@ -284,7 +293,7 @@ class _Tries(FailureHandling):
         """Yield the solutions that succeed in projections, in their order."""
         imagined, seconds = 0, 0.0
         while imagined < ahead.budget and (ahead.seconds is None or seconds < ahead.seconds):
-            batch = list(itertools.islice(self._found, min(AT_ONCE, ahead.budget - imagined)))
+            batch = self._batch(min(AT_ONCE, ahead.budget - imagined))
             if not batch:
                 return
             outcomes = imagine([(type_of(each), each, self._choice(each)) for each in batch])
@@ -297,3 +306,20 @@ class _Tries(FailureHandling):
                 else:
                     assert outcome.failure is not None  # noqa: S101  as it hasn't succeeded
                     self._tried.append(Try(self._choice(solution), outcome.failure, imagined=True))
+        self._spent = True
+
+    def _batch(self, size: int) -> list[Solution]:
+        """Return the next solutions; why there are no more is raised when it is the next ones' turn."""
+        batch: list[Solution] = []
+        try:
+            batch.extend(itertools.islice(self._found, size))  # keeps what was found before an error
+        except PlanFailure as failure:
+            if not batch:
+                raise
+            self._found = _raising(failure)
+        return batch
+
+
+def _raising(failure: PlanFailure) -> Iterator[Solution]:
+    raise failure
+    yield {}

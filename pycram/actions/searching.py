@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import ActionDesignator, action
@@ -49,11 +48,8 @@ class ObjectNotFound(PerceptionError):
         seen = dict.fromkeys(where for where, failure in looked if isinstance(failure, PerceptionError))
         vain = [where for where in dict.fromkeys(where for where, _ in looked) if where not in seen]
         told = f"it was looked for {', '.join(seen)}" if seen else "there was nothing to look at"
-        self.args = (f"no {object_type} found: {told}{f'; not seen were {_listed(vain)}' if vain else ''}",)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)
+        rest = f"; no look was possible {', '.join(vain)}" if vain else ""
+        self.args = (f"no {object_type} found: {told}{rest}",)
 
 
 export("pycram.actions", ObjectNotFound)
@@ -145,7 +141,7 @@ class _Search:
         closed = [access for access, _ in containers() if access.is_closed]
         closed.sort(key=lambda access: self._distance(access.body.get_link_position(access.handle)))
         for access in closed:
-            if self._perform(f"in {access.name}", "opening", access):
+            if self._open(access):
                 for point in _points(self._robot, access):
                     self._look(point)
                     yield
@@ -161,32 +157,40 @@ class _Search:
         except PlanFailure as failure:
             self.looked.append((point.where, failure))
 
-    def _perform(self, where: str, kind: str, access: Access) -> bool:
+    def _open(self, access: Access) -> bool:
         try:
-            perform(ActionDesignator(type=kind, container=access.name, budget=_TRIES))
+            perform(ActionDesignator(type="opening", container=access.name, budget=_TRIES))
         except PlanFailure as failure:
-            self.looked.append((where, failure))
+            self.looked.append((f"in {access.name}", failure))
             return False
         return True
 
     def _beside(self, point: _Point, points: Sequence[_Point]) -> Iterator[None]:
         """Go to a place beside a point, and look at all that are near."""
+        if self._goes_beside(point):
+            self._stood.append(self._here())
+            for each in points:
+                if self._is_near(each.position):
+                    self._look(each)
+                    yield
+
+    def _goes_beside(self, point: _Point) -> bool:
         if self._robot.description is None or not self._robot.description.drives:
-            return
-        try:
-            for place in islice(standing_places(self._robot, near=point.position), _PLACES):
+            return False
+        places = standing_places(self._robot, near=point.position)
+        for _ in range(_PLACES):
+            try:
+                place = next(places, None)
+                if place is None:
+                    break
                 across, along = (point.position[axis] - place.position[axis] for axis in (0, 1))
                 facing = geometry.from_rpy(0.0, 0.0, math.atan2(along, across))
                 perform(MotionDesignator(type="moving", target=place.position, orientation=facing))
-                break
-        except PlanFailure as failure:
-            self.looked.append((point.where, failure))
-            return
-        self._stood.append(self._here())
-        for each in points:
-            if self._is_near(each.position):
-                self._look(each)
-                yield
+            except PlanFailure as failure:
+                self.looked.append((point.where, failure))
+            else:
+                return True
+        return False
 
     def _open_points(self) -> list[_Point]:
         """Return points of the surfaces that aren't behind something closed, the nearest first."""
@@ -212,8 +216,7 @@ def _points(robot: Object, inside: Access | None = None) -> list[_Point]:
         for surface in body.surfaces.values():
             if inside is not None and (body is not inside.body or surface.container != inside.name):
                 continue
-            link = body.get_link_position_and_orientation(surface.link)
-            frame = geometry.multiply(link, (surface.position, surface.orientation))
+            frame = body.surface_pose(surface)
             where = f"in {surface.container}" if surface.container else f"on {surface.name}"
             container = f"{body.name}/{surface.container}" if surface.container else ""
             for x, y in _spread(surface.outline):

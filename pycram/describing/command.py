@@ -1,4 +1,4 @@
-"""``pycram describe``: writes a first description to stdout, or checks one."""
+"""``pycram describe``: writes a first description to stdout, or checks one; of furniture, what is found in it."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pycram.describing import furniture
 from pycram.describing.check import check
 from pycram.describing.describe import describe
 from pycram.foundation.failures import AssetError
-from pycram.models import robot_urdfs
+from pycram.models import load, robot_urdfs
 from pycram.models.robots.description import RobotDescription
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
     import argparse
+
+    from pycram.models.load import Model
 
 _FINE, _FAILED, _WRONG_USAGE = 0, 1, 2  # exit codes
 
@@ -25,6 +28,8 @@ def run(options: argparse.Namespace) -> int:
     if options.file is None and options.check is None:
         return _refused("it takes a URDF, or --check with a description")
     try:
+        if options.file and not options.check and furniture.is_furniture(model := load.load(options.file)):
+            return _furniture(model, options)
         text = None if options.check else describe(options.file)
         if options.check:
             description = RobotDescription.load(options.check)
@@ -40,6 +45,14 @@ def _write(text: str, description: RobotDescription, options: argparse.Namespace
     if options.picture:
         with BulletWorld() as world:
             _draw(_loaded(description, options.file, world), options.picture)
+    return _FINE
+
+
+def _furniture(model: Model, options: argparse.Namespace) -> int:
+    print(furniture.describe(model, options.file), end="")
+    if options.picture:
+        with BulletWorld() as world:
+            _draw(Object(model.urdf.name or "furniture", "environment", options.file, world=world), options.picture)
     return _FINE
 
 
@@ -68,11 +81,11 @@ def _loaded(description: RobotDescription, urdf: str, world: BulletWorld) -> Obj
     return robot
 
 
-def _draw(robot: Object, file: Path) -> None:
+def _draw(body: Object, file: Path) -> None:
     from pycram.describing.picture import draw  # noqa: PLC0415  needs the extra for pictures
 
     try:
-        draw(robot, file)
+        draw(body, file)
     except (OSError, ValueError) as error:  # ValueError: of a name that is no picture's
         raise AssetError(file, str(error)) from error
     print(f"picture in {file}", file=sys.stderr)

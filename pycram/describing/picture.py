@@ -1,4 +1,4 @@
-"""A picture of a robot: parked, with its tool frames as three small axes."""
+"""A picture of a robot, parked, with its tool frames as three small axes; or of furniture with its surfaces."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.models.furniture.furniture import DOOR, DRAWER
 from pycram.vision.camera import Camera, drawable
 from recorder import geometry
 from recorder.packages import needed
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    from pycram.models.furniture.furniture import Surface
     from pycram.models.robots.arm import Arm
     from pycram.world.object import Object
     from recorder.geometry import Vector
@@ -24,42 +29,72 @@ with needed():
 
 _SIZE: Final = (800, 600)  # pixels
 _AWAY: Final = (1.0, 0.7, 0.45)  # direction from the robot to the viewpoint
+_ABOVE: Final = (-0.45, -0.5, 1.0)  # the same of furniture: into a room with walls, and into its fronts
 _MARGIN: Final = 1.1  # times the distance from which the robot fills the picture
 _OVERSAMPLING: Final = 2
 _FIELD: Final = math.tan(math.radians(25))  # of half the horizontal field of view
 _AXIS: Final = 0.12  # m, length of a tool frame's axes
 _COLORS: Final = ("#e03030", "#30a030", "#3060e0")  # x, y, z
+_OPEN: Final = (48, 160, 48)  # RGB of surfaces that are in nothing
+_INSIDE: Final = {DRAWER: (230, 120, 20), DOOR: (48, 96, 224)}  # of those in a container, by its kind
+_FILLED: Final = 110  # of 255, how much of a surface's own colour covers what is behind it
 
 
-def draw(robot: Object, file: Path) -> None:
-    """Write a picture of a robot as it stands; the suffix of the file says in which format.
+def draw(body: Object, file: Path) -> None:
+    """Write a picture of a robot or of furniture as it stands; the suffix of the file says in which format.
+
+    Surfaces are shown through what hides them: green if they are open, orange in drawers, blue behind doors.
 
     Raises:
         OSError: the file can't be written.
         ValueError: its suffix is no picture's.
     """
-    low, high = (np.array(corner) for corner in robot.get_AABB())
-    middle = (low + high) / 2
-    height = _FIELD * _SIZE[1] / _SIZE[0]
-    tools = [_axes(robot, arm) for arm in robot.description.arms.values()] if robot.description else []
-    points = np.vstack([*itertools.product(*zip(low, high, strict=True)), *itertools.chain(*tools)]) - middle
-    turn = geometry.look_at(_AWAY, (0.0, 0.0, 0.0))
-    right, down, ahead = (points @ geometry.to_matrix(turn)).T
-    distance = _MARGIN * float(np.maximum(np.abs(right) / _FIELD - ahead, np.abs(down) / height - ahead).max())
-    x, y, z = (middle + distance * np.array(_AWAY) / math.hypot(*_AWAY)).tolist()
-    camera = Camera(((x, y, z), turn), _FIELD, height)
+    low, high = (np.array(corner) for corner in body.get_AABB())
+    surfaces = {surface: _corners(body, surface) for surface in body.surfaces.values()}
+    if surfaces:  # a kitchen's walls are not what is to be seen
+        corners = np.array([*itertools.chain(*surfaces.values())])
+        low[:2], high[:2] = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+        high[2] = corners[:, 2].max()
+    tools = [_axes(body, arm) for arm in body.description.arms.values()] if body.description else []
+    points = np.vstack([*itertools.product(*zip(low, high, strict=True)), *itertools.chain(*tools)])
+    camera = _camera(points, (low + high) / 2, _AWAY if body.is_robot else _ABOVE)
     pixels = (_SIZE[0] * _OVERSAMPLING, _SIZE[1] * _OVERSAMPLING)
-    with robot.world.lock:
-        sight = camera.draw([drawable(robot)], camera.window, pixels)
+    with body.world.lock:
+        sight = camera.draw([drawable(body)], camera.window, pixels)
     up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
     image = Image.fromarray(sight.picture(up)).resize(_SIZE, Image.Resampling.BOX)
-    pen = ImageDraw.Draw(image)
+    pen = ImageDraw.Draw(image, "RGBA")
+    for surface, outline in surfaces.items():
+        color = _INSIDE[body.container(surface.container).kind] if surface.container else _OPEN
+        pen.polygon([(x, y) for x, y in _flat(camera, outline)], fill=(*color, _FILLED), outline=color)
     for tool in tools:
-        seen = camera.to_frame(np.array(tool))
-        flat = (seen[:, :2] / seen[:, 2:] / [_FIELD, height] + 1) / 2 * _SIZE
-        for end, color in zip(flat[1:], _COLORS, strict=True):
-            pen.line([*flat[0].tolist(), *end.tolist()], fill=color, width=3)
+        origin, *ends = _flat(camera, tool)
+        for end, axis in zip(ends, _COLORS, strict=True):
+            pen.line([*origin, *end], fill=axis, width=3)
     image.save(file)
+
+
+def _camera(points: NDArray[np.float64], middle: NDArray[np.float64], away: Vector) -> Camera:
+    """Return a camera that looks at a point and sees points (n, 3) in the world, from a direction."""
+    height = _FIELD * _SIZE[1] / _SIZE[0]
+    turn = geometry.look_at(away, (0.0, 0.0, 0.0))
+    right, down, ahead = ((points - middle) @ geometry.to_matrix(turn)).T
+    distance = _MARGIN * float(np.maximum(np.abs(right) / _FIELD - ahead, np.abs(down) / height - ahead).max())
+    x, y, z = (middle + distance * np.array(away) / math.hypot(*away)).tolist()
+    return Camera(((x, y, z), turn), _FIELD, height)
+
+
+def _corners(body: Object, surface: Surface) -> list[Vector]:
+    """Return the corners of a surface in the world."""
+    pose = body.surface_pose(surface)
+    return [geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline]
+
+
+def _flat(camera: Camera, points: Sequence[Vector]) -> list[list[float]]:
+    """Return where points in the world are in the picture, pixels."""
+    seen = camera.to_frame(np.array(points))
+    flat: list[list[float]] = ((seen[:, :2] / seen[:, 2:] / [camera.right, camera.down] + 1) / 2 * _SIZE).tolist()
+    return flat
 
 
 def _axes(robot: Object, arm: Arm) -> list[Vector]:

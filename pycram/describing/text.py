@@ -47,8 +47,8 @@ def as_toml(
     urdf = guess.model.urdf
     lines = [
         "# Written by pycram describe: a first description, to be looked through. Metres, radians.",
-        f"robot = {_quoted(urdf.name)}",
-        f"base_link = {_quoted(urdf.root)}",
+        f"robot = {quoted(urdf.name)}",
+        f"base_link = {quoted(urdf.root)}",
         f"drives = {'true' if guess.drives else 'false'}",
     ]
     pairs = sorted(may_touch)
@@ -59,7 +59,7 @@ def as_toml(
         lines += [
             "",
             "[torso]",
-            f"joint = {_quoted(guess.torso.name)}",
+            f"joint = {quoted(guess.torso.name)}",
             f"default = {_number(middle)}  # it is loaded with this",
         ]
     if guess.camera:
@@ -67,9 +67,9 @@ def as_toml(
             lines += [
                 "",
                 "[head]",
-                *(f"{part} = {_quoted(guess.head[part])}" for part in ("pan", "tilt") if part in guess.head),
+                *(f"{part} = {quoted(guess.head[part])}" for part in ("pan", "tilt") if part in guess.head),
             ]
-        lines += ["", "[camera]", f"frame = {_quoted(guess.camera)}"]
+        lines += ["", "[camera]", f"frame = {quoted(guess.camera)}"]
         lines += [_USUAL] if "optical" in guess.camera.lower() else [_OPTICAL_OFFSET, _USUAL]
     for arm, hand in guess.arms:
         lines += _arm(arm, hand, (postures or {}).get(arm.name))
@@ -78,8 +78,8 @@ def as_toml(
 
 def _arm(arm: ArmChain, hand: HandGuess | str, park: Sequence[float] | None) -> Iterator[str]:
     gripper = None if isinstance(hand, str) else hand
-    yield from ("", f"[arms.{arm.name}]", f"base_link = {_quoted(arm.joints[0].parent)}")
-    yield f"tool_frame = {_quoted(gripper.palm if gripper else arm.joints[-1].child)}"
+    yield from ("", f"[arms.{arm.name}]", f"base_link = {quoted(arm.joints[0].parent)}")
+    yield f"tool_frame = {quoted(gripper.palm if gripper else arm.joints[-1].child)}"
     if gripper and gripper.offset != IDENTITY:
         yield _offset(gripper.offset)
     yield from _listed("joints", [joint.name for joint in arm.joints])
@@ -88,7 +88,7 @@ def _arm(arm: ArmChain, hand: HandGuess | str, park: Sequence[float] | None) -> 
     if isinstance(hand, str):
         yield f"# no gripper: {hand}"
         return
-    yield from ("", f"[arms.{arm.name}.gripper]", f"palm = {_quoted(hand.palm)}")
+    yield from ("", f"[arms.{arm.name}.gripper]", f"palm = {quoted(hand.palm)}")
     yield from _listed("fingers", hand.fingers)
     yield from _listed("joints", list(hand.closed))
     yield f"closed = {_row(hand.closed.values())}"
@@ -107,7 +107,8 @@ def _offset(offset: Pose) -> str:
     return f"tool_offset = {{ xyz = {_row((x, y, z))}, rpy = [{angles}] }}"
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
+    """Return a text as TOML."""
     return json.dumps(text, ensure_ascii=False)  # TOML's basic strings are JSON's
 
 
@@ -122,10 +123,10 @@ def _row(values: Iterable[float]) -> str:
 
 
 def _list(names: Iterable[str]) -> str:
-    return f"[{', '.join(map(_quoted, names))}]"
+    return f"[{', '.join(map(quoted, names))}]"
 
 
 def _listed(key: str, names: Sequence[str]) -> list[str]:
     """Return the lines of a list of names, several where it is long."""
     line = f"{key} = {_list(names)}"
-    return [line] if len(line) <= _WIDTH else [f"{key} = [", *(f"    {_quoted(name)}," for name in names), "]"]
+    return [line] if len(line) <= _WIDTH else [f"{key} = [", *(f"    {quoted(name)}," for name in names), "]"]

@@ -234,6 +234,10 @@ class Designator(Equated, ABC):
         designator.equate(self)
         return designator
 
+    def __reduce__(self) -> tuple[type[Designator], tuple[list[tuple[str, Value]]]]:
+        """Return what makes one with the same slots, in another process too; it is equated with nothing."""
+        return type(self), (list(self._slots),)
+
     def __record__(self) -> object:
         """Return its slots by name."""
         slots: dict[str, object] = {}

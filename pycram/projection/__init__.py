@@ -344,13 +344,11 @@ def _path() -> Path | None:
     if beside is None:
         return None
     number = 1
-    taken = {each.name for each in beside.parent.glob(f"{beside.stem}.projection-*")} | getattr(
-        _numbers, "given", set()
-    )
-    while (name := f"{beside.stem}.projection-{number}{beside.suffix}") in taken:
+    taken = {*beside.parent.glob(f"{beside.stem}.projection-*"), *getattr(_numbers, "given", ())}
+    while (path := beside.with_name(f"{beside.stem}.projection-{number}{beside.suffix}")) in taken:
         number += 1
-    _numbers.given = {*getattr(_numbers, "given", ()), name}
-    return beside.with_name(name)
+    _numbers.given = {*getattr(_numbers, "given", ()), path}
+    return path
 
 
 # --- in the child -----------------------------------------------------------------------------------------------------

@@ -124,8 +124,8 @@ def follow(
         del beliefs[key]
     if carriers is None:
         return []
-    before = [key for key, belief in beliefs.items() if belief.source == Belief.HELD]
-    after = [(robot, body) for body in carriers if (robot := _holder(body, carriers, robots))]
+    before = dict.fromkeys(key for key, belief in beliefs.items() if belief.source == Belief.HELD)
+    after = dict.fromkeys(sorted((robot, body) for body in carriers if (robot := _holder(body, carriers, robots))))
     learned = []
     for key in before:
         if key not in after:

@@ -209,9 +209,8 @@ def _(cause: kinds.Misbelief) -> Iterator[str]:
 
 
 def _whereabouts(cause: kinds.Misbelief) -> str:
-    moved = f"step {cause.change.step}: {change_text(cause.change)}" if cause.change is not None else ""
-    was = f"it was {formatting.length(cause.distance)} from there at step {cause.steps[-1]}"
-    return f"{moved}, and {was}" if moved else was
+    was = f"at step {cause.steps[-1]} it was {formatting.length(cause.distance)} from there"
+    return was if cause.change is None else f"at step {cause.change.step} {change_text(cause.change)}; {was}"
 
 
 @_words.register

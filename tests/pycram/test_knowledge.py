@@ -17,7 +17,9 @@ from pycram.process_module import ProcessModule
 from pycram.projection import project
 from pycram.world import transaction
 from recorder.records import Keyframe
+from replay.cli.main import main
 from replay.restore.verify import verify
+from tests.replay.copies import rewritten_by_mcap
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -220,6 +222,34 @@ def test_a_recording_has_at_each_step_what_was_believed(tmp_path: Path, keyframe
         states = [told(log.state_at(step)) for step in range(1, log.final_step() + 1)]
         assert [each for each, _ in groupby(states) if each] == [each for each, _ in groupby(expected) if each]
         assert states[-1] == []
+
+
+def test_a_copy_by_another_program_whose_channels_name_no_world_tells_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder.record(path), BulletWorld(name="bench") as world:
+        for _ in plan(Bench(world)):
+            pass
+    copy = rewritten_by_mcap(path, tmp_path / "copy.mcap", bare_channels=True)
+    with replay.open(path) as log, replay.open(copy) as other:
+        steps = range(1, log.final_step() + 1)
+        assert [told(other.state_at(step)) for step in steps] == [told(log.state_at(step)) for step in steps]
+
+
+def test_state_prints_what_is_believed_and_how_far_that_is_off(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder.record(path), BulletWorld(name="bench") as world:
+        bench = Bench(world)
+        look(bench.cup)
+        seen = believed("cup").step
+        bench.cup.set_position([1, 0.5, 0.5])
+    main(["state", str(path), str(seen + 1)])
+    line = capsys.readouterr().out.splitlines()[-1]
+    expected = (
+        f"arm believes cup at [1.0000, 0.0000, 0.5000]: seen at step {seen}, at 0.000 s; it is 0.500 m from there"
+    )
+    assert line.strip() == expected
 
 
 def test_a_restored_world_has_the_beliefs_of_its_step(tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ def _optional_text(argument: str, value: object) -> str:
     return "" if value == "" else checks.text(argument, value)
 
 
-_ENTRIES: Final[Mapping[str, Mapping[str, Callable[[str, object], Any]]]] = {
+ENTRIES: Final[Mapping[str, Mapping[str, Callable[[str, object], Any]]]] = {
     _SURFACES: {
         "name": checks.text,
         "remove": checks.switch,
@@ -146,10 +146,10 @@ def read(text: str, source: str | Path) -> Corrections:
     """
     tables = parse_toml(text, source)
     for key in tables:
-        if key not in _ENTRIES:
-            raise AssetError(source, f"{key}: no such entry; it takes {' and '.join(_ENTRIES)}")
+        if key not in ENTRIES:
+            raise AssetError(source, f"{key}: no such entry; it takes {' and '.join(ENTRIES)}")
     checked = {}
-    for kind in _ENTRIES:
+    for kind in ENTRIES:
         things = tables.get(kind, {})
         if not isinstance(things, dict):
             raise AssetError(source, f"{kind}: takes tables, as [{kind}.island]")
@@ -159,7 +159,7 @@ def read(text: str, source: str | Path) -> Corrections:
 
 def _checked(source: str | Path, kind: str, name: str, said: object) -> Mapping[str, Any]:
     """Return what is said of one thing, its entries checked."""
-    where, entries = f"{kind}.{name!r}", _ENTRIES[kind]
+    where, entries = f"{kind}.{name!r}", ENTRIES[kind]
     if not name or not isinstance(said, dict):
         raise AssetError(source, f"{where}: takes a table with a name, has {said!r}")
     for key in said:
@@ -245,7 +245,7 @@ class _Correction:
         things[thing.name] = thing
 
     def _surface(self, said: Mapping[str, Any], found: Surface | None, name: str, container: str) -> Surface:
-        outline = said.get("outline") or said.get("size")
+        outline: Any = said.get("outline") or said.get("size")
         link = said.get("link") or (found.link if found else "")
         upright = geometry.conjugate(self._poses[link][1])
         if found is None:

@@ -98,51 +98,61 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece]) -> Iterator[Face]:
     yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
     cosine, sine = math.cos(yaw), math.sin(yaw)
     turn = np.array([[cosine, -sine], [sine, cosine]])  # corners @ turn: into the face's frame
-    edges = [piece.corners[piece.corners[:, 2] > height - 2 * _THICK, :2] for piece in tops]
-    corners = np.concatenate(edges) @ turn
-    if (np.ptp(corners, axis=0) < SIDE).any():
+    edges = np.concatenate([piece.corners[piece.corners[:, 2] > height - 2 * _THICK, :2] for piece in tops])
+    if (np.ptp(edges @ turn, axis=0) < SIDE).any():
         return
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    hull = _hull(edges @ turn)
+    low, high = edges.min(axis=0), edges.max(axis=0)
     above = [
         piece
         for piece in every
-        if piece.high[2] > height + _ROUGH
-        and ((own := piece.corners[:, :2] @ turn).max(axis=0) > low).all()
-        and (own.min(axis=0) < high).all()
+        if piece.high[2] > height + _ROUGH and (piece.high[:2] > low).all() and (piece.low[:2] < high).all()
     ]
-    lines = [_lines([*tops, *above], turn, axis, low[axis], high[axis]) for axis in (0, 1)]
-    rows, columns = lines
-    middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in lines), indexing="ij"), axis=-1)
-    points = middles.reshape(-1, 2) @ turn.T
-    standing = np.zeros(len(points), dtype=bool)
-    for piece in tops:
-        standing |= piece.columns(points)[1] >= height - _THICK
-    clearance = np.full(len(points), np.inf)
-    for piece in above:
-        into, out = piece.columns(points)
-        met = out > height + _ROUGH
-        clearance[met] = np.minimum(clearance[met], np.maximum(into[met] - height, 0.0))
-    shape = middles.shape[:2]
-    standing, clearance = standing.reshape(shape), clearance.reshape(shape)
+    rows, columns = (_lines([*tops, *above], turn, axis, *bounds) for axis, bounds in enumerate(_bounds(hull)))
+    middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in (rows, columns)), indexing="ij"), axis=-1)
+    standing, clearance = _free(tops, above, height, middles @ turn.T)
     cells = np.outer(np.diff(rows), np.diff(columns))
-    hull = _hull(corners)
     for least in CLEARANCES:
         free = standing & (clearance >= least)
-        if (cells[free].sum()) >= _WHOLE * _area(hull):
-            outlines = [(hull, free)]
-        else:
-            outlines = []
-            for top, left, bottom, right in divide(free, rows, columns, SIDE, AREA):
-                within = np.zeros(shape, dtype=bool)
-                within[top:bottom, left:right] = True
-                (a, b), (c, d) = rows[[top, bottom]], columns[[left, right]]
-                outlines.append((np.array([[a, c], [b, c], [b, d], [a, d]]), within))
+        outlines = [(hull, free)]
+        if cells[free].sum() < _WHOLE * _area(hull):
+            outlines = list(_rectangles(free, rows, columns))
         for outline, within in outlines:
             standing = standing & ~within
             center = (outline.min(axis=0) + outline.max(axis=0)) / 2
             if _area(outline) >= AREA:
                 middle = np.array([*(center @ turn.T), height])
                 yield Face(tops[0].link, middle, yaw, outline - center, float(clearance[within].min()))
+
+
+def _free(
+    tops: Sequence[Piece], above: Sequence[Piece], height: float, points: Array
+) -> tuple[NDArray[np.bool_], Array]:
+    """Return at which points (n, m, 2) there is something to stand on, and how much is free above, m."""
+    flat = points.reshape(-1, 2)
+    standing = np.zeros(len(flat), dtype=bool)
+    for piece in tops:
+        standing |= piece.columns(flat)[1] >= height - _THICK
+    clearance = np.full(len(flat), np.inf)
+    for piece in above:
+        into, out = piece.columns(flat)
+        met = out > height + _ROUGH
+        clearance[met] = np.minimum(clearance[met], np.maximum(into[met] - height, 0.0))
+    return standing.reshape(points.shape[:2]), clearance.reshape(points.shape[:2])
+
+
+def _rectangles(free: NDArray[np.bool_], rows: Array, columns: Array) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
+    """Yield rectangles of free cells: their corners, counter-clockwise, and their cells."""
+    for top, left, bottom, right in divide(free, rows, columns, SIDE, AREA):
+        within = np.zeros_like(free)
+        within[top:bottom, left:right] = True
+        (a, b), (c, d) = rows[[top, bottom]], columns[[left, right]]
+        yield np.array([[a, c], [b, c], [b, d], [a, d]]), within
+
+
+def _bounds(corners: Array) -> list[tuple[float, float]]:
+    """Return the least and the greatest of each coordinate of corners (n, 2)."""
+    return [(float(low), float(high)) for low, high in zip(corners.min(axis=0), corners.max(axis=0), strict=True)]
 
 
 def _yaw(piece: Piece) -> float:
@@ -167,13 +177,16 @@ def _lines(parts: Sequence[Piece], turn: Array, axis: int, low: float, high: flo
         fine |= bool(((normals > _ALONG) & (normals < 1 - _ALONG)).any())
     at = np.unique(np.concatenate(edges))
     at = at[(at >= low) & (at <= high)]
-    kept = at[np.concatenate([[True], np.diff(at) > _GAP])]
+    kept: Array = at[np.concatenate([[True], np.diff(at) > _GAP])]
     kept[-1] = high
     if not fine:
         return kept
     regular = np.linspace(low, high, max(int((high - low) / _FINE), 1) + 1)
-    both = np.unique(np.concatenate([kept, regular])) if len(kept) < len(regular) else regular
-    return both[np.concatenate([[True], np.diff(both) > _GAP])]
+    if len(kept) >= len(regular):
+        return regular
+    both = np.unique(np.concatenate([kept, regular]))
+    thinned: Array = both[np.concatenate([[True], np.diff(both) > _GAP])]
+    return thinned
 
 
 def _hull(corners: Array) -> Array:

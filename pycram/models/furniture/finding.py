@@ -26,7 +26,7 @@ from pycram.models.furniture.furniture import (
     open_position,
 )
 from pycram.models.furniture.naming import distinct, readable
-from pycram.models.furniture.pieces import pieces
+from pycram.models.furniture.pieces import Rays, pieces
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -43,14 +43,16 @@ _GROUND: Final = 10.0  # m^2 of a surface that is a floor
 _NARROW: Final = 0.2  # m, width of the top of a wall at most
 _UPRIGHT: Final = 4.0  # times as high as it is wide, a wall at least
 _RAYS: Final = 24  # to the sides
-_NEAR: Final = 0.3  # m beyond its outline, that something hides a surface
-_LOW: Final = 0.05  # m above a surface, of rays at most
+_NEAR: Final = 0.6  # m beyond its outline, that something hides a surface
+_HEIGHTS: Final = (0.3, 0.6, 0.9)  # of rays, shares of the free height above a surface: a hand needs all of it
+_HAND: Final = 0.2  # m of free height that a hand needs at most
 _LEVEL: Final = 0.5  # z of the axis of a joint that moves sideways
 _TRAVEL: Final = (0.05, 2.0)  # m of a drawer
 _HANDLE: Final = ("handle", "knob", "grip", "pull")  # in names of links
 
 _ANGLES: Final = np.arange(_RAYS) * 2 * math.pi / _RAYS
-_DIRECTIONS: Final = np.vstack([np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)]), (0.0, 0.0, 1.0)])
+_DIRECTIONS: Final = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)])
+_UP: Final = np.array([0.0, 0.0, 1.0])
 
 
 def find(path: Path, urdf: Urdf) -> Furniture:
@@ -92,6 +94,7 @@ class _Search:
 
     def __init__(self, urdf: Urdf, poses: Mapping[str, Pose], every: Sequence[Piece], offered: Sequence[Face]) -> None:
         self._urdf, self._poses, self._every, self._offered = urdf, poses, every, offered
+        self._rays = Rays(every)
         self._movers: dict[str, Joint | None] = {}  # the nearest joint above each link that moves it
         for link in urdf.links:
             joint = urdf.parent_joint(link)
@@ -128,13 +131,13 @@ class _Search:
         """Return the joint of the door that hides a face, "" if it is open, None if nothing opens the way to it."""
         if face.clearance == math.inf:
             return ""
-        origin = face.middle + np.array([0.0, 0.0, min(face.clearance, 2 * _LOW) / 2])
-        met = np.array([piece.enter(origin, _DIRECTIONS) for piece in self._every])
-        first, distances = met.argmin(axis=0), met.min(axis=0)
-        radius = float(np.linalg.norm(face.outline, axis=1).max())
-        if (distances > radius + _NEAR).any():
+        heights = [share * min(face.clearance, _HAND) for share in _HEIGHTS]
+        origins = np.vstack([np.tile(face.middle + height * _UP, (_RAYS, 1)) for height in heights] + [face.middle])
+        first, distances = self._rays.first(origins, np.vstack([_DIRECTIONS] * len(heights) + [_UP]))
+        far = distances > float(np.linalg.norm(face.outline, axis=1).max()) + _NEAR
+        if far[-1] or far[:-1].reshape(len(heights), _RAYS).all(axis=0).any():
             return ""
-        movers = [self._movers[self._every[number].link] for number in first]
+        movers = [self._movers[self._every[number].link] for number in first[~far]]
         doors = Counter(joint.name for joint in movers if joint is not None and joint.name not in drawers)
         hinged = [name for name, _ in doors.most_common() if math.isfinite(self._urdf.joints[name].upper)]
         return hinged[0] if hinged else None

@@ -25,7 +25,11 @@ def readable(link: str, model: str, dropped: Iterable[str] = ()) -> str:
     if every[: len(own)] == own:
         every = every[len(own) :]
     empty = _EMPTY | set(dropped)
-    said = [word for number, word in enumerate(every) if word not in empty and word not in every[:number]]
+    said = [
+        word
+        for number, word in enumerate(every)
+        if word not in empty and (word.isdecimal() or word not in every[:number])
+    ]
     return " ".join(said) or " ".join(word for word in every if word not in dropped) or link
 
 

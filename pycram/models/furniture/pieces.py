@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _PARALLEL: Final = 1e-9  # of a unit normal along a line
+_FIRST: Final = np.zeros(1, dtype=np.intp)
 _SAME_PLANE: Final = 6  # decimals: triangles of one side of a hull have the same plane
 
 
@@ -49,24 +50,45 @@ class Piece:
     def columns(self, points: Array) -> tuple[Array, Array]:
         """Return at which heights the vertical lines through points (n, 2) enter and leave it; inf, -inf if never."""
         origins = np.column_stack([points, np.zeros(len(points))])
-        return _through(self.planes, origins, np.broadcast_to((0.0, 0.0, 1.0), origins.shape))
-
-    def enter(self, origin: Array, directions: Array) -> Array:
-        """Return after how many m rays in directions (n, 3) from a point enter it; infinite if they miss it."""
-        into, out = _through(self.planes, np.broadcast_to(origin, directions.shape), directions)
-        return np.where((into <= out) & (out > 0), np.maximum(into, 0.0), np.inf)
+        into, out = _through(self.planes, _FIRST, origins, np.array([[0.0, 0.0, 1.0]]))
+        return into[:, 0], out[:, 0]
 
 
-def _through(planes: Array, origins: Array, directions: Array) -> tuple[Array, Array]:
-    """Return where lines (n, 3) enter and leave what lies behind planes (k, 4); infinity and -infinity if never."""
-    slopes = directions @ planes[:, :3].T
+class Rays:
+    """What rays meet first of pieces.
+
+    Args:
+        every: the pieces.
+    """
+
+    def __init__(self, every: Sequence[Piece]) -> None:
+        self._planes = np.concatenate([piece.planes for piece in every])
+        self._starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
+
+    def first(self, origins: Array, directions: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return the numbers of the pieces that rays (n, 3) meet first, and after how many m; infinite if none."""
+        into, out = _through(self._planes, self._starts, origins, directions)
+        met = np.where((into <= out) & (out > 0), np.maximum(into, 0.0), np.inf)
+        return met.argmin(axis=1), met.min(axis=1)
+
+
+def _through(planes: Array, starts: NDArray[np.intp], origins: Array, directions: Array) -> tuple[Array, Array]:
+    """Return where lines enter and leave pieces, m along them; infinity and -infinity where they miss one.
+
+    Args:
+        planes: (k, 4) of all pieces.
+        starts: (m,) numbers of the first plane of each.
+        origins: (n, 3) points on the lines, m.
+        directions: (n, 3) or (1, 3) unit vectors.
+    """
+    slopes = np.broadcast_to(directions @ planes[:, :3].T, (len(origins), len(planes)))
     heights = origins @ planes[:, :3].T + planes[:, 3]
     along = np.abs(slopes) < _PARALLEL
     with np.errstate(divide="ignore", invalid="ignore"):
         at = -heights / slopes
-    into = np.where(along | (slopes > 0), -np.inf, at).max(axis=1)
-    out = np.where(along | (slopes < 0), np.inf, at).min(axis=1)
-    missed = (along & (heights > 0)).any(axis=1) | (into > out)
+    into = np.maximum.reduceat(np.where(along | (slopes > 0), -np.inf, at), starts, axis=1)
+    out = np.minimum.reduceat(np.where(along | (slopes < 0), np.inf, at), starts, axis=1)
+    missed = np.logical_or.reduceat(along & (heights > 0), starts, axis=1) | (into > out)
     return np.where(missed, np.inf, into), np.where(missed, -np.inf, out)
 
 

@@ -144,6 +144,11 @@ class ArmKinematics:
         reaching = found[(misses < 1.0).all(axis=1)]
         return _distinct(reaching, home) if len(reaching) else found[[int(np.argmin(misses.sum(axis=1)))]]
 
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether it is solved in closed form."""
+        return self._closed is not None
+
     def closed_form(self, targets: Sequence[Target], seed: Mapping[str, float]) -> list[list[Posture]]:
         """Return the closed form's solutions for many targets, in a fraction of a search's time.
 

@@ -104,6 +104,11 @@ class Solver:
         goals = [self._in_root(*target) for target in targets]
         return self._kinematics.solve(goals, seeds, thorough=thorough, quick=quick, enough=threshold)
 
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether the joints are solved in closed form."""
+        return bool(self.joints) and self._kinematics.in_closed_form
+
     def closed_form(self, targets: Sequence[Target]) -> list[list[Posture]]:
         """Return postures for targets that are found without searching; an empty list proves nothing."""
         if not self.joints:

@@ -46,28 +46,37 @@ class Batch(Choice):
     Args:
         name: what is asked for.
         arguments: what about, by name.
-        grid: the cells.
-        scores: (cells,) of them, 0 to 1.
-        spots: those that were drawn, best first.
     """
 
-    __slots__ = ("_grid", "_scores", "_spots")
+    __slots__ = ("_drawn",)
 
-    def __init__(
-        self, name: str, arguments: Mapping[str, object], grid: Grid, scores: Array, spots: Sequence[Spot]
-    ) -> None:
+    def __init__(self, name: str, arguments: Mapping[str, object]) -> None:
         super().__init__(name, arguments, wanted=journal.recording())
-        self._grid, self._scores, self._spots = grid, scores, spots
+        self._drawn: tuple[Grid, Array, Sequence[Spot]] | None = None
+
+    def draw(self, grid: Grid, scores: Array, spots: Sequence[Spot]) -> Sequence[Spot]:
+        """Say what is considered, and return it.
+
+        Args:
+            grid: the cells.
+            scores: (cells,) of them, 0 to 1.
+            spots: those that were drawn, best first.
+        """
+        self._drawn = grid, scores, spots
+        return spots
 
     def add_candidates(self, record: records.Query) -> Mapping[str, int]:
         """Put the candidates into a record, and the grid."""
         groups = super().add_candidates(record)
-        shades = np.ceil(np.clip(self._scores, 0.0, 1.0) * 255).astype(np.uint8)
-        height, width = self._grid.shape
+        if self._drawn is None:
+            return groups
+        grid, scores, spots = self._drawn
+        shades = np.ceil(np.clip(scores, 0.0, 1.0) * 255).astype(np.uint8)
+        height, width = grid.shape
         record.grid.CopyFrom(
             records.Grid(
-                origin=self._grid.origin,
-                resolution=self._grid.resolution,
+                origin=grid.origin,
+                resolution=grid.resolution,
                 width=width,
                 height=height,
                 scores=zlib.compress(shades.tobytes()),
@@ -75,7 +84,7 @@ class Batch(Choice):
                     records.Spot(
                         position=spot.pose[0], yaw=spot.yaw, score=spot.score, candidate=groups.get(spot.name, -1)
                     )
-                    for spot in self._spots
+                    for spot in spots
                 ],
             )
         )

@@ -182,20 +182,16 @@ class _Search:
         """Yield places, each from a query of its own."""
         found = False
         for number in itertools.count():
-            with self._body.world.lock:
+            batch = Batch("free_places", self._arguments)
+            with batch.asked(self._body.world, trace=False):
                 clone_of(self._body.world, "reach").sync()
-                left = [field for field in self._fields if field.vain < _BATCHES]
-                known = [self._maps(field) for field in left]
-                best = max(range(len(left)), key=lambda each: left[each].share * known[each][1].max())
-                field, (grid, scores) = left[best], known[best]
-                batch, spots = self._batch(field, grid, scores, number)
-                with batch.asked(self._body.world, trace=False):
-                    place = self._first(batch, spots, field)
-                    if place is None:
-                        field.vain = field.vain + 1 if spots else _BATCHES
-                    over = all(each.vain >= _BATCHES for each in self._fields)
-                    if over and not found:
-                        raise self._wishes.failure()
+                field, spots = self._drawn(batch, number)
+                place = self._first(batch, spots, field)
+                if place is None:
+                    field.vain = field.vain + 1 if spots else _BATCHES
+                over = all(each.vain >= _BATCHES for each in self._fields)
+                if over and not found:
+                    raise self._wishes.failure()
             if place is not None:
                 found, field.vain, field.share = True, 0, field.share * _LATER
                 yield place
@@ -204,8 +200,8 @@ class _Search:
 
     # --- all places at once ------------------------------------------------------------------------------------------
 
-    def _maps(self, field: _Field) -> tuple[Grid, Array]:
-        """Return the product of the maps of a surface."""
+    def _maps(self, field: _Field) -> tuple[Grid, Array, float]:
+        """Return the cells of a surface, the product (cells,) of its maps, and how good the best cell is."""
         outline = field.outline()
         (_, _, height), _ = field.pose()
         corners = np.array(outline)
@@ -226,7 +222,7 @@ class _Search:
         if self._robot is not None:
             wishes.append(("reach", self._reach(grid)))
         wishes.append(("tried", maps.away(centers, self._done, _APART)))
-        return grid, self._wishes.product(wishes)
+        return grid, *self._wishes.product(wishes)
 
     def _turned(self, yaw: float) -> Array:
         """Return the object's corners (n, 3) from its origin when it stands upright, turned by a yaw in rad."""
@@ -265,12 +261,13 @@ class _Search:
         turn = {"back": 0.0, "left": math.pi / 2, "front": math.pi, "right": -math.pi / 2}[str(name)]
         x, y = math.cos(facing + turn), math.sin(facing + turn)
         offsets = centers - np.asarray(middle[:2])
-        along = offsets @ (x, y)
+        along: Array = offsets @ (x, y)
         if reference is None:
-            return (along > 0.0).astype(np.float64)
+            return np.where(along > 0.0, 1.0, 0.0)
         across = np.abs(offsets @ (-y, x))
         near = maps.near(centers, middle, _NEAR)
-        return np.where(along > across, near, 0.0)
+        beside: Array = np.where(along > across, near, 0.0)
+        return beside
 
     def _reach(self, grid: Grid) -> Array:
         """Return how well a robot reaches cells, from where it stands, or from wherever it could."""
@@ -303,10 +300,14 @@ class _Search:
         """Return how far above what it stands on an object is taken, roughly: at half of its height, m."""
         return float(np.ptp(self._corners[:, 2])) / 2
 
-    def _batch(self, field: _Field, grid: Grid, scores: Array, number: int) -> tuple[Batch, Sequence[Spot]]:
-        """Draw places."""
-        arguments = {**self._arguments, "on": [field.furniture, field.surface.name]}
-        random = generator(self._seed, "free_places", number, repr(arguments))
+    def _drawn(self, batch: Batch, number: int) -> tuple[_Field, Sequence[Spot]]:
+        """Return the surface that promises most, and places drawn from its maps, for the n-th batch from 0."""
+        left = [field for field in self._fields if field.vain < _BATCHES]
+        known = [self._maps(field) for field in left]
+        best = max(range(len(left)), key=lambda each: left[each].share * known[each][2])
+        field, (grid, scores, _) = left[best], known[best]
+        batch.arguments = {**self._arguments, "on": [field.furniture, field.surface.name]}
+        random = generator(self._seed, "free_places", number, repr(batch.arguments))
         start = yaw_of(self._body.get_orientation())
         (_, _, height), _ = field.pose()
         spots = []
@@ -318,7 +319,7 @@ class _Search:
             turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
             pose = (x, y, height - float(self._turned(yaw)[:, 2].min())), turn
             spots.append(Spot(f"[{x:.3f}, {y:.3f}]", pose, yaw_of(turn), float(scores[cell])))
-        return Batch("free_places", arguments, grid, scores, spots), spots
+        return field, batch.draw(grid, scores, spots)
 
     # --- one place after the other -----------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _UPRIGHT: Final = 0.999  # of a unit axis along the vertical
 _DIRECTIONS: Final = 36
+_BEHIND: Final = 0.02  # of its score that a place keeps from which something is behind something else
 _SURE: Final = 0.85  # of the radius of a circle within an outline: boxes are a little wider than what they are around
 
 
@@ -64,13 +65,31 @@ class Footprints:
             self.axes[number] = axes[number][:2, flat]
             self.halves[number] = halves[number, flat]
 
-    def distances(self, points: Array) -> Array:
-        """Return how far points (n, 2) are from the nearest rectangle, m; 0 inside of one."""
-        nearest = np.full(len(points), np.inf)
-        for center, axes, halves in zip(self.centers, self.axes, self.halves, strict=True):
+    def distances(self, points: Array, most: float) -> Array:
+        """Return how far points (n, 2) are from the nearest rectangle, m: 0 inside of one, ``most`` and more alike."""
+        nearest = np.full(len(points), most)
+        around = np.hypot(*self.halves.T)[:, None] + most
+        low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+        counted = ((self.centers > low - around) & (self.centers < high + around)).all(axis=1)
+        for center, axes, halves in zip(self.centers[counted], self.axes[counted], self.halves[counted], strict=True):
             beyond = np.maximum(np.abs((points - center) @ axes) - halves, 0.0)
             np.minimum(nearest, np.hypot(beyond[:, 0], beyond[:, 1]), out=nearest)
         return nearest
+
+    def between(self, points: Array, target: Sequence[float]) -> NDArray[np.bool_]:
+        """Return for points (n, 2) whether a rectangle meets the straight line to a target that isn't in it."""
+        end = np.asarray(target[:2])
+        hidden = np.zeros(len(points), dtype=bool)
+        for center, axes, halves in zip(self.centers, self.axes, self.halves, strict=True):
+            last = (end - center) @ axes
+            if (np.abs(last) <= halves).all():
+                continue
+            first = (points - center) @ axes
+            way = np.where(last == first, 1e-12, last - first)
+            one, other = (-halves - first) / way, (halves - first) / way  # shares of the way, by slabs
+            enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+            hidden |= np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)
+        return hidden
 
     def corners(self) -> Array:
         """Return the corners (4 * k, 2) of the rectangles, m."""
@@ -89,6 +108,11 @@ def radii(outline: Array) -> tuple[float, float]:
     return max(inner, 0.0), float(np.hypot(*outline.T).max(initial=0.0))
 
 
+def straight(centers: Array, target: Sequence[float], obstacles: Footprints) -> Array:
+    """Return little where something is between a place and a target, as a wall or the side of a cupboard, else 1."""
+    return np.where(obstacles.between(centers, target), _BEHIND, 1.0)
+
+
 def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> Array:
     """Return 0 where something is within a robot's outline whatever its heading, 1 where nothing is near.
 
@@ -98,7 +122,7 @@ def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> 
         inner: radius of a circle within the outline, m.
         outer: radius of a circle around it, m.
     """
-    distance = obstacles.distances(centers)
+    distance = obstacles.distances(centers, outer)
     sure = _SURE * inner
     score: Array = np.clip((distance - sure) / max(outer - sure, 1e-6), 0.0, 1.0)
-    return np.where(distance < sure, 0.0, 0.2 + 0.8 * score)
+    return np.where(distance < sure, 0.0, 0.5 + 0.5 * score)

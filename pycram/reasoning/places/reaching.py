@@ -5,21 +5,26 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final, Protocol
 
+import numpy as np
+
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, Blocked, GraspFailed, PlaceFailed, PlanFailure, Unreachable
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.grasping import sides
 from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.grasping.handle_path import DeadEnd, plan
-from pycram.reasoning.grasping.handles import Handle
+from pycram.reasoning.grasping.handles import ANGLES, Handle
 from pycram.reasoning.grasping.putting import Refusals, placements
+from pycram.reasoning.grasping.sides import GRASPS, grasp_orientation
 from pycram.reasoning.grasping.taking import ways_to_hold
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.places.place import Pull, PutDown
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unfit
 from pycram.world.object import Object
+from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +34,7 @@ if TYPE_CHECKING:
     from pycram.reasoning.rejections import Rejection
     from recorder.geometry import Pose, Quaternion, Vector
 
+_TURNS: Final = 6  # about the vertical, in which what is put down may roughly stand
 _STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle has to be reached
 
 
@@ -45,6 +51,9 @@ class Goal(Protocol):
 
     def named(self) -> str:
         """Return what it is called."""
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:
+        """Return some poses, roughly, of which the tool would have to get to one with the robot's base at a pose."""
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return the side that an arm would come from with the robot's base at a pose, "" for none; or why it can't."""
@@ -76,6 +85,29 @@ def goal_of(robot: Object, target: Target) -> Goal:
     return Touch(robot, checks.vector("reach", parts))
 
 
+def promising(robot: Object, goals: Sequence[Goal], arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
+    """Return for poses of a robot's base whether each goal is roughly in reach of one of some arms.
+
+    It tells in which order to look; of arms that aren't solved in closed form it says that all are.
+    """
+    within = np.ones(len(bases), dtype=bool)
+    for goal in goals:
+        by_some = np.zeros(len(bases), dtype=bool)
+        for arm in arms:
+            solver = Solver(robot, arm.tool_frame)
+            if not solver.in_closed_form:
+                by_some[:] = True
+                break
+            tools = [goal.tools(arm, base) for base in bases]
+            targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each]
+            found = [bool(postures) for postures in solver.closed_form(targets)]
+            owners = np.repeat(np.arange(len(bases)), [len(each) for each in tools])
+            by_some |= np.bincount(owners, weights=found, minlength=len(bases)) > 0
+        within &= by_some
+    promises: list[bool] = within.tolist()
+    return promises
+
+
 def description_of(argument: str, robot: object) -> RobotDescription:
     """Return a robot's description.
 
@@ -101,34 +133,47 @@ def held(robot: Object, arm: Arm | None = None) -> list[Object]:
 
 
 class Taking:
-    """An object that is to be picked up."""
+    """An object that is to be picked up.
+
+    Attributes:
+        body: the object.
+    """
 
     def __init__(self, robot: Object, body: Object) -> None:
-        self._robot, self._body = robot, body
+        self._robot, self.body = robot, body
 
     @property
     def position(self) -> Vector:
         """Its middle, m."""
-        return center(self._body)
+        return center(self.body)
 
     def named(self) -> str:
         """Return its name."""
-        return self._body.name
+        return self.body.name
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  whichever arm
+        """Return the tool in its middle, from all sides."""
+        return [(self.position, grasp_orientation(side, self._robot, base)) for side in GRASPS]
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return the side of the first grasp that would hold it."""
+        if self.body.fixed:
+            return Unfit(f"{self.body.name} is fixed")
         if arm.hand is None:
             return Unfit("it has no gripper")
         in_hand = held(self._robot, arm)
         if in_hand:
             return Unfit(f"it holds {in_hand[0].name}")
         solver = Solver(self._robot, arm.tool_frame)  # most places are out of reach: they are told quickly
-        grasps = candidates(self._body, self._robot, arm, base=base)
+        grasps = [
+            *candidates(self.body, self._robot, arm, base=base),
+            *candidates(self.body, self._robot, arm, base=base, off_center=True),
+        ]
         near = solver.search([(grasp.position, grasp.orientation, base) for grasp in grasps], quick=True)
         if not any(postures[0].reaches() for postures in near):
             return OutOfReach(min((postures[0].position_error for postures in near), default=None))
         failures: list[PlanFailure] = []
-        for grasp, *_ in ways_to_hold(self._robot, arm, self._body, None, failures, UNRECORDED, base):
+        for grasp, *_ in ways_to_hold(self._robot, arm, self.body, None, failures, UNRECORDED, base):
             return grasp.name
         return _rejection(failures[0])
 
@@ -149,11 +194,27 @@ class Putting:
         """Return where it is put."""
         return _named(self._target.position)
 
+    def _held(self, arm: Arm) -> Object | None:
+        """Return what an arm holds, if it is what shall be put down."""
+        in_hand = held(self._robot, arm)
+        return in_hand[0] if in_hand and self._target.body in (None, in_hand[0]) else None
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  wherever it stands
+        """Return where the tool would be that holds the object there, turned about the vertical."""
+        body = self._held(arm)
+        if body is None:
+            return []
+        tool = arm.tool_pose(self._robot.get_link_position_and_orientation(arm.tool_frame))
+        body_T_tool = geometry.multiply(geometry.invert(body.get_position_and_orientation()), tool)
+        turns = [geometry.from_rpy(0.0, 0.0, sides.yaw(body) + math.pi / 3 * step) for step in range(_TURNS)]
+        if self._target.orientation is not None:
+            turns = [self._target.orientation]
+        return [geometry.multiply((self._target.position, turn), body_T_tool) for turn in turns]
+
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the arm can put down there what it holds."""
-        in_hand = held(self._robot, arm)
-        body = in_hand[0] if in_hand else None
-        if body is None or (self._target.body is not None and body is not self._target.body):
+        body = self._held(arm)
+        if body is None:
             return Unfit(f"it doesn't hold {self._target.body.name if self._target.body else 'anything'}")
         refusals, rests = Refusals(), self._rests.setdefault(arm.name, {})
         target, turn = self._target.position, self._target.orientation
@@ -183,6 +244,13 @@ class Pulling:
         """Return the handle's name."""
         return self._target.handle
 
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:
+        """Return the tool at the handle when it is opened or closed, turned about its bar."""
+        target = self._target
+        handle = Handle(target.container, target.joint, target.handle)
+        grip = handle.grips(self._robot, arm.gripper, base)[0]
+        return [geometry.multiply(handle.pose(target.to), grip.tool(angle)) for angle in ANGLES[::2]]
+
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the arm can hold the handle all the way."""
         if arm.hand is None:
@@ -208,6 +276,10 @@ class Touch:
     def named(self) -> str:
         """Return where it is."""
         return _named(self.position)
+
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  as above
+        """Return the tool there, from all sides."""
+        return [(self.position, grasp_orientation(side, self._robot, base)) for side in GRASPS]
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the tool gets there with nothing in the way."""

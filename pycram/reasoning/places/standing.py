@@ -17,14 +17,14 @@ from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.batch import Batch, Spot
 from pycram.reasoning.places.grid import Grid, generator, spread
-from pycram.reasoning.places.outline import room
+from pycram.reasoning.places.outline import room, surroundings
 from pycram.reasoning.places.place import Place
 from pycram.reasoning.places.reaching import drives
 from pycram.reasoning.places.seeing import seen_share
 from pycram.reasoning.places.wishes import Wishes
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE
-from pycram.reasoning.rejections import Touching, Unseen
+from pycram.reasoning.rejections import Touching, Unseen, Untried
 from pycram.scheduling.future import unwrap
 from recorder import geometry
 
@@ -42,17 +42,17 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_SPOTS: Final = 30  # that are drawn at once
-_BATCHES: Final = 2  # without a place, after which it is given up
-_CHUNK: Final = 8  # spots that are checked for collisions at once
+_SPOTS: Final = (30, 60)  # that are drawn at once, and once more where none of them will do
+_DOUBTFUL: Final = 10  # of each that are looked at though no arm seems to reach from there
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
 _FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
-_JITTER: Final = math.radians(6)
+_JITTER: Final = (math.radians(6), math.radians(40))  # of the heading, in the first and the second draw
 _APART: Final = 0.07  # m between places that are offered, or were tried
 _SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
 _ROOM: Final = 1.5  # m around a point, where nothing else says how far
 _NEAR: Final = 0.7  # m at which a place near a point counts half
 _SHORT_WAY: Final = 8.0  # m of driving that count half
+_LEVEL: Final = 0.05  # m above what is reached: what is lower isn't between
 _HERE: Final = "where it stands"
 
 
@@ -142,15 +142,15 @@ class _Search:
         """Yield places, each from a query of its own."""
         world, found, vain = self._robot.world, False, 0
         for number in itertools.count():
-            with world.lock:
+            batch = Batch("standing_places", self._arguments)
+            with batch.asked(world, trace=False):
                 clone_of(world, "reach").sync()
-                batch, spots = self._batch(number)
-                with batch.asked(world, trace=False):
-                    place = self._first(batch, spots)
-                    vain = 0 if place else vain + 1
-                    over = not spots or not drives(self._robot) or vain == _BATCHES
-                    if place is None and over and not found:
-                        raise self._wishes.failure()
+                spots = self._drawn(batch, number, vain)
+                place = self._first(batch, spots)
+                vain = 0 if place else vain + 1
+                over = not spots or not drives(self._robot) or vain == len(_SPOTS)
+                if place is None and over and not found:
+                    raise self._wishes.failure()
             if place is not None:
                 found = True
                 yield place
@@ -170,11 +170,20 @@ class _Search:
         if self._goals or self._see is not None:
             faced, yaws = self._faced(centers, here[2])
             wishes.append((self._wanted, faced))
-        wishes.append(("collision", room(robot, centers)))
+            wishes += [(self._wanted, self._straight(centers, goal)) for goal in self._goals]
+        if drives(robot):
+            wishes.append(("collision", room(robot, centers)))
         if self._near is not None:
             wishes.append(("near", maps.near(centers, self._near, _NEAR)))
         wishes.append(("avoid", maps.away(centers, self._done, _APART)))
-        return grid, self._wishes.product(wishes), yaws
+        return grid, self._wishes.product(wishes)[0], yaws
+
+    def _straight(self, centers: Array, goal: Goal) -> Array:
+        """Return little where something is between a place and a goal, at the height of what would be reached."""
+        x, y, z = goal.position
+        target = [goal.body] if isinstance(goal, reaching.Taking) else []
+        between = maps.Footprints(surroundings(self._robot, *target), z, z + _LEVEL)
+        return maps.straight(centers, (x, y), between)
 
     def _grid(self, here: Sequence[float]) -> Grid:
         """Return the cells from which everything may be reached and seen."""
@@ -223,8 +232,8 @@ class _Search:
         together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
         return together
 
-    def _batch(self, number: int) -> tuple[Batch, Sequence[Spot]]:
-        """Draw places."""
+    def _drawn(self, batch: Batch, number: int, vain: int) -> Sequence[Spot]:
+        """Return places that are drawn from the maps, for the n-th batch from 0, after some others in vain."""
         robot = self._robot
         position, turn = robot.get_position_and_orientation()
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
@@ -235,32 +244,42 @@ class _Search:
         if drives(robot):
             random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
             upright = geometry.product(geometry.from_rpy(0.0, 0.0, -geometry.to_rpy(turn)[2]), turn)
-            for cell, (x, y) in spread(grid, scores, _SPOTS, random):
-                yaw = round(float(yaws[cell] + random.uniform(-_JITTER, _JITTER)), 4)
+            for cell, (x, y) in spread(grid, scores, _SPOTS[vain], random):
+                yaw = round(float(yaws[cell] + random.uniform(-_JITTER[vain], _JITTER[vain])), 4)
                 pose = (x, y, here[0][2]), geometry.product(geometry.from_rpy(0.0, 0.0, yaw), upright)
                 spots.append(Spot(f"[{x:.2f}, {y:.2f}]", pose, yaw, float(scores[cell])))
-        return Batch("standing_places", self._arguments, grid, scores, spots), spots
+        return batch.draw(grid, scores, spots)
 
     # --- one place after the other -----------------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
-        """Return the first place that will do."""
-        for start in range(0, len(spots), _CHUNK):
-            chunk = spots[start : start + _CHUNK]
-            for spot, blocked in zip(chunk, self._collisions(chunk), strict=True):
+        """Return the first place that will do: the promising ones are looked at first."""
+        free = []
+        for spot, blocked in zip(spots, self._collisions(spots), strict=True):
+            if blocked:
                 self._done.append(spot.pose[0])
-                excluded = blocked or self._excluded(spot)
-                if isinstance(excluded, Place):
-                    batch.take(
-                        spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms}
-                    )
-                    return excluded
-                self._wishes.exclude(batch, spot, *excluded)
+                self._wishes.exclude(batch, spot, *blocked)
+            else:
+                free.append(spot)
+        likely = reaching.promising(self._robot, self._goals, self._arms, [spot.pose for spot in free])
+        first = [spot for spot, promises in zip(free, likely, strict=True) if promises]
+        doubtful = [spot for spot, promises in zip(free, likely, strict=True) if not promises]
+        for spot in doubtful[_DOUBTFUL:]:
+            batch.reject(spot.name, Untried())
+        for spot in (*first, *doubtful[:_DOUBTFUL]):
+            self._done.append(spot.pose[0])
+            excluded = self._excluded(spot)
+            if isinstance(excluded, Place):
+                batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms})
+                return excluded
+            self._wishes.exclude(batch, spot, *excluded)
         return None
 
     def _collisions(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
         """Return for each place what the robot would touch there; None for nothing, and where it stands."""
         found: list[tuple[str, Rejection] | None] = []
+        if not spots:
+            return found
         with CollisionChecker(self._robot, (), all_links=True) as checker:
             for spot, candidate in zip(spots, checker.predict_at([spot.pose for spot in spots]), strict=True):
                 first = None if spot.name == _HERE else next(checker.collisions(candidate), None)

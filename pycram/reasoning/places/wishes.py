@@ -31,8 +31,11 @@ class Wishes:
         self._counts: dict[str, int] = {}
         self._last = ""
 
-    def product(self, maps: Iterable[tuple[str, Array]]) -> Array:
-        """Return the product (cells,) of maps by their wishes, the best cell 1; all cells are 0 if none is left."""
+    def product(self, maps: Iterable[tuple[str, Array]]) -> tuple[Array, float]:
+        """Return the product (cells,) of maps by their wishes, the best cell 1, and how good that one is.
+
+        All cells are 0 if none is left.
+        """
         scores = np.ones(1)
         for wish, score in maps:
             left = scores.any()
@@ -40,7 +43,7 @@ class Wishes:
             if left and not scores.any() and not self._counts:
                 self._counts[wish], self._last = len(scores), wish
         best = float(scores.max())
-        return scores / best if best else scores
+        return scores / (best or 1.0), best
 
     def exclude(self, batch: Batch, spot: Spot, wish: str, reason: Rejection) -> None:
         """Say that a wish excludes a place, and why."""

@@ -78,12 +78,10 @@ def _is_explained(cause: Cause, found: Sequence[Cause]) -> bool:
         deeper = [each for each in found if isinstance(each, Swallowed | Refused)]
         gone = any(isinstance(each, Gone) and each.body == cause.body for each in found)
         return gone or any((each.precondition, each.subject) == (cause.precondition, cause.body) for each in deeper)
-    if isinstance(cause, Misbelief):
-        return any(isinstance(each, Physics) and each.body == cause.body for each in found)
     if isinstance(cause, NoLonger) and isinstance(cause.asked, Node):  # what a look has told
         believed = {each.body for each in found if isinstance(each, Misbelief)}
         return believed.issuperset(change.body for change in cause.changes)
-    if isinstance(cause, InTheWay):
+    if isinstance(cause, InTheWay | Misbelief):
         return any(isinstance(each, Physics) and each.body == cause.body for each in found)
     if isinstance(cause, NoCandidate) and cause.count == 1:  # then the message says it
         return len(found) > 1

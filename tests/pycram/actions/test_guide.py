@@ -13,6 +13,7 @@ GUIDE = Path(__file__).parents[3] / "docs" / "actions.md"
 BLOCK = re.compile(r"```(python|text)\n(.*?)```", re.DOTALL)
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_the_guide_s_programs_print_what_the_guide_says() -> None:
     plan, printed, own = (text for _, text in BLOCK.findall(GUIDE.read_text(encoding="utf-8")))

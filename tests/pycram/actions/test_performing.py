@@ -10,7 +10,7 @@ from pycram import tasks
 from pycram.actions import ActionFailed, action, perform, projecting, replaced
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator, ObjectDesignator
-from pycram.failures import GraspFailed, PlanFailure, ReasoningError, UnknownName
+from pycram.failures import GraspFailed, MissingPart, PlanFailure, ReasoningError, UnknownName
 from pycram.knowledge import learn
 from pycram.language import par
 from recorder.tasks.node import walk
@@ -147,7 +147,7 @@ def test_resolvers_of_users_are_asked_first() -> None:
     counting = Counting("six", "five")
 
     def resolver(designator: ActionDesignator) -> list[dict[str, str]] | None:
-        if designator.type != "counting":
+        if designator.type != "numbering":
             return None
         return [{"action": "counting", "number": number} for number in ("six", "five")]
 
@@ -155,7 +155,7 @@ def test_resolvers_of_users_are_asked_first() -> None:
         replaced("counting", counting.count, choices=counting.numbers),
         ActionDesignator.resolvers.added(resolver),
     ):
-        designator = ActionDesignator(type="counting")
+        designator = ActionDesignator(type="numbering", what="cups")
         assert perform(designator) == "six m"
         following = designator.next_solution()
         assert following is not None
@@ -188,10 +188,17 @@ def test_actions_are_branches_of_blocks_and_wait_for_what_their_slots_stand_for(
     ],
 )
 def test_wrong_slots_are_refused_before_anything_is_done(slots: dict[str, Any], message: str) -> None:
+    before = len(tasks.tree())
     with pytest.raises(DesignatorError) as raised:
         perform(ActionDesignator(slots))
     assert message in str(raised.value)
-    assert all(node.name not in ("pick-up", "place", "moving") for node in tasks.tree().find(kind="motion"))
+    assert len(tasks.tree()) == before
+
+
+def test_a_robot_without_arms_is_told_so_before_anything_moves(world: BulletWorld) -> None:
+    learn({world.get_object("cup"): ([1, 0, 0], [0, 0, 0, 1])})
+    with pytest.raises(MissingPart, match="gripper has no arm"):
+        perform(ActionDesignator(type="transporting", object="cup", target=[0, 1, 0]))
 
 
 def test_what_isn_t_to_be_performed_is_refused() -> None:
@@ -269,6 +276,22 @@ def test_no_more_is_imagined_than_the_budget_allows(world: BulletWorld) -> None:
     ):
         perform(ActionDesignator(type="waiting"))
     assert len(raised.value.tried) == 4  # that many are begun at once
+
+
+def test_what_was_found_before_there_is_nothing_more_is_imagined_too(world: BulletWorld) -> None:
+    def few() -> Iterator[Mapping[str, Any]]:
+        yield {"number": "one"}
+        yield {"number": "two"}
+        raise ReasoningError("there are no others")
+
+    counting = Counting("two")
+    with replaced("counting", counting.count, choices=few), projecting():
+        assert perform(ActionDesignator(type="counting")) == "two m"
+    counting.does = ()
+    with replaced("counting", counting.count, choices=few), projecting(), pytest.raises(ActionFailed) as raised:
+        perform(ActionDesignator(type="counting"))
+    assert len(raised.value.tried) == 2
+    assert isinstance(raised.value.last, ReasoningError)
 
 
 def test_what_is_imagined_imagines_nothing_itself(world: BulletWorld) -> None:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import pytest
 
+from pycram.actions import ActionFailed, Try
+from pycram.designator import LocationDesignator
 from pycram.failures import (
     BadArgument,
     BranchesFailed,
@@ -43,6 +45,7 @@ FAILURES = [
     NoProcessModule("dance", "pr2", "simulated", ["looking"]),
     ResourceError("moving", Resources({"base"}), Resources({"head"})),
     LockHeld(),
+    ActionFailed("fetching", [Try({"place": LocationDesignator(position=[1, 2, 0])}, Unreachable("left", (1, 2, 3)))]),
     BranchesFailed("par", [Slipped(0.2), Slipped(0.3)]),
     BranchesFailed("par", [TimedOut(1, "wall"), BranchesFailed("seq", [Slipped(0.2)])]),
 ]
