@@ -51,7 +51,7 @@ def _ways(object: Any, target: Any, place: LocationDesignator | None = None) -> 
         raise vain[-1]
 
 
-@action("delivering", choices=_ways)
+@action("delivering", choices=_ways, prepare=park)
 def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> Any:  # noqa: A002  the slot's name
     """Goes where it reaches a place, puts down there what a hand holds, and folds the arms.
 

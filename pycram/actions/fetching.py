@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,17 +15,21 @@ from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import ObjectDesignator, object_of
 from pycram.actions.performing import perform
 from pycram.foundation.failures import Blocked, NoPlace, PerceptionError, PlanFailure
+from pycram.knowledge import believed
 from pycram.language.retries import failure_handling
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.places import standing_places
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pycram.reasoning.places import Place
+    from pycram.reasoning.places.place import Target
+    from pycram.world.object import Object
 
 _MOST: Final = 6  # places with room for the hand that are tried before others
+_MOVED: Final = 0.05  # m from where an object is believed to be, at which it isn't there any more
 _IN_THE_WAY: Final = 2  # things that are cleared away, one after the other
 
 
@@ -41,17 +46,22 @@ def prepare(object: Any) -> None:  # noqa: A002  the slot's name
 
 
 def found(thing: Any) -> Any:
-    """Return what an object designator stands for, after a search for it if nothing is believed of it.
+    """Return what an object designator stands for, after a search for it if it isn't known where it is.
 
     Raises:
         PerceptionError: It isn't found; the error says where it was looked for.
     """
     if isinstance(thing, ObjectDesignator):
         try:
-            return object_of(thing)
+            body = object_of(thing)
         except PerceptionError:
             perform(ActionDesignator(type="searching", object=thing))
-    return object_of(thing)
+            return object_of(thing)
+        belief = believed(body)
+        if belief is not None and math.dist(belief.position, body.get_position()) > _MOVED:
+            perform(ActionDesignator(type="searching", object=body))  # looks there first, in vain
+        return body
+    return thing
 
 
 def ways(
@@ -60,7 +70,7 @@ def ways(
     place: LocationDesignator | None = None,
 ) -> Iterator[Mapping[str, Any]]:
     """Yield where to stand and with which arm to take an object; then where it can be reached if something is moved."""
-    body, robot = object_of(object), BulletWorld.current_robot()
+    body = object_of(object)
     if holder(body) is not None:
         yield {}
         return
@@ -70,16 +80,24 @@ def ways(
         return
     vain: NoPlace | None = None
     try:
-        for found in itertools.islice(standing_places(robot, reach=[body], arms=free), _MOST):
-            yield from ({"arm": each, "place": location(found)} for each in found.arms)
+        yield from _from_places(body, free, body)
     except NoPlace as failure:
         vain = failure
-    if making_room.crowded(body):
+    if holder(body) is None and making_room.crowded(body):
         with suppress(NoPlace):
-            for found in itertools.islice(standing_places(robot, reach=[center(body)], arms=free), _MOST):
-                yield from ({"arm": each, "place": location(found), "clear": True} for each in found.arms)
+            yield from ({**way, "clear": True} for way in _from_places(body, free, center(body)))
     if vain is not None:
         raise vain
+
+
+def _from_places(body: Object, free: Sequence[str], reach: Target) -> Iterator[Mapping[str, Any]]:
+    """Yield places from which a target is reached, and arms, until one has taken the object."""
+    robot = BulletWorld.current_robot()
+    for spot in itertools.islice(standing_places(robot, reach=[reach], arms=free), _MOST):
+        for arm in spot.arms:
+            yield {"arm": arm, "place": location(spot)}
+            if holder(body) is not None:
+                return
 
 
 def location(place: Place) -> LocationDesignator:
