@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _UPRIGHT: Final = 0.999  # of a unit axis along the vertical
 _DIRECTIONS: Final = 36
-_BEHIND: Final = 1e-4  # of its score that a place keeps from which something is behind something else: where all are, none is better
+_BEHIND: Final = 1e-4  # of its score that a place keeps with something between: where all have that, none is better
 _SURE: Final = 0.85  # of the radius of a circle within an outline: boxes are a little wider than what they are around
 
 

@@ -42,12 +42,14 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_SPOTS: Final = (30, 60)  # that are drawn at once, and once more where none of them will do
+_SPOTS: Final = (30, 120)  # that are drawn at once, and once more where none of them will do
 _DOUBTFUL: Final = 10  # of each that are looked at though no arm seems to reach from there
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
 _FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
 _JITTER: Final = (math.radians(6), math.radians(40))  # of the heading, in the first and the second draw
-_APART: Final = 0.07  # m between places that are offered, or were tried
+_APART: Final = 0.07  # m between places that are offered
+_TRIED: Final = 0.02  # m around places that won't do: another heading may
+_POOR: Final = 1e-3  # of the best score, below which a place isn't drawn
 _SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
 _ROOM: Final = 1.5  # m around a point, where nothing else says how far
 _NEAR: Final = 0.7  # m at which a place near a point counts half
@@ -125,7 +127,8 @@ class _Search:
     ) -> None:
         self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
         self._see, self._near, self._seed = see, near, seed
-        self._done: list[Vector] = list(avoid)  # places that aren't looked at again
+        self._avoid: list[Vector] = list(avoid)  # with the places that were offered
+        self._vain: list[Vector] = []  # places that won't do
         wanted = [f"reach {goal.named()}" for goal in goals] + ([f"see {see.name}"] if see is not None else [])
         self._wanted = " and ".join(wanted) or "stand"
         self._wishes = Wishes(f"{robot.name} to {self._wanted}")
@@ -175,8 +178,10 @@ class _Search:
             wishes.append(("collision", room(robot, centers)))
         if self._near is not None:
             wishes.append(("near", maps.near(centers, self._near, _NEAR)))
-        wishes.append(("avoid", maps.away(centers, self._done, _APART)))
-        return grid, self._wishes.product(wishes)[0], yaws
+        scores, _ = self._wishes.product(wishes)
+        scores[scores < _POOR] = 0.0
+        left = maps.away(centers, self._avoid, _APART) * maps.away(centers, self._vain, _TRIED)
+        return grid, scores * left, yaws
 
     def _straight(self, centers: Array, goal: Goal) -> Array:
         """Return little where something is between a place and a goal, at the height of what would be reached."""
@@ -239,7 +244,7 @@ class _Search:
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
         grid, scores, yaws = self._maps()
         spots = []
-        if not any(math.dist(here[0][:2], each[:2]) < _APART for each in self._done):
+        if not any(math.dist(here[0][:2], each[:2]) < _APART for each in (*self._avoid, *self._vain)):
             spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
         if drives(robot):
             random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
@@ -257,7 +262,7 @@ class _Search:
         free = []
         for spot, blocked in zip(spots, self._collisions(spots), strict=True):
             if blocked:
-                self._done.append(spot.pose[0])
+                self._vain.append(spot.pose[0])
                 self._wishes.exclude(batch, spot, *blocked)
             else:
                 free.append(spot)
@@ -267,11 +272,12 @@ class _Search:
         for spot in doubtful[_DOUBTFUL:]:
             batch.reject(spot.name, Untried())
         for spot in (*first, *doubtful[:_DOUBTFUL]):
-            self._done.append(spot.pose[0])
             excluded = self._excluded(spot)
             if isinstance(excluded, Place):
+                self._avoid.append(spot.pose[0])
                 batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms})
                 return excluded
+            self._vain.append(spot.pose[0])
             self._wishes.exclude(batch, spot, *excluded)
         return None
 

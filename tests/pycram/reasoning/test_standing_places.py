@@ -84,7 +84,7 @@ def test_the_robot_fits_where_it_is_offered_to_stand_and_not_where_it_is_said_to
         for spot in record.grid.spots:
             reason = record.candidates[spot.candidate] if 0 <= spot.candidate != record.chosen else None
             touching = argument_values(reason.data).get("pairs", []) if reason else []
-            if any(pair["link"].startswith(("base", "fl_caster", "fr_caster")) for pair in touching):
+            if collided < 5 and any(pair["link"].startswith(("base", "fl_caster", "fr_caster")) for pair in touching):
                 base = tuple(spot.position), geometry.from_rpy(0, 0, spot.yaw)
                 assert checker.touched(robot, {}, base, all_links=True), rejections(record)
                 collided += 1
