@@ -135,7 +135,9 @@ def test_every_robot_in_the_box_sets_a_breakfast_as_far_as_it_can(tmp_path: Path
         assert not world.attachments
         if not bolted:
             assert world.body("kitchen").joints["iai_fridge_door_joint"] == pytest.approx(0, abs=0.02)
-            handed = [task for task in log.records(Task) if task.name == "handing-over" and task.status == Task.SUCCEEDED]
+            handed = [
+                task for task in log.records(Task) if task.name == "handing-over" and task.status == Task.SUCCEEDED
+            ]
             assert handed
 
 
