@@ -15,6 +15,7 @@ from make.files import write_text, write_things
 from make.floor import floor
 from make.gripper import two_finger_gripper
 from make.kitchen import kitchen
+from make.kitchen_names import kitchen_names
 from make.table import table
 
 THINGS = (
@@ -42,6 +43,7 @@ def main() -> None:
     folder: Path = parser.parse_args().into
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "kitchen.urdf", kitchen())
+    write_text(folder / "kitchen.furniture.toml", kitchen_names())
     write_text(folder / "plane.urdf", floor())
     write_text(folder / "table.urdf", table())
     write_text(folder / "two_finger_gripper.urdf", two_finger_gripper())

@@ -46,6 +46,7 @@ def test_python_prints_what_the_guide_shows() -> None:
     assert len(blocks) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "shown"), COMMANDS)
 def test_commands_print_what_the_guide_shows(
     command: str, shown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -72,6 +73,7 @@ def test_the_corrections_that_the_guide_shows_are_read(tmp_path: Path) -> None:
     assert surfaces["window sill"].size == pytest.approx((0.15, 1.2))
 
 
+@pytest.mark.slow
 def test_what_describe_prints_can_be_saved_as_corrections(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

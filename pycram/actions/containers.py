@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _PLACES: Final = 3  # to stand at, that are tried for each width
 _SAME: Final = (0.005, math.radians(0.5))  # m and rad within which the robot stands where it is to stand
-_CLOSED: Final = 0.02  # m or rad up to which a drawer or door counts as closed
+_CLOSED: Final = 0.1  # m or rad up to which a hand doesn't get in, nor a look
 
 
 @dataclass(frozen=True, slots=True)

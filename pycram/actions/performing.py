@@ -185,9 +185,13 @@ class _Act:
             solutions = self._solutions()
             first = next(solutions)
             kind = type_of(first)
-            if kind.choices is None:
-                return kind.call(first)
-            return _Tries(kind, slots, itertools.chain([first], solutions), budget, ahead).carried_out()
+            solutions = itertools.chain([first], solutions)
+            if not _chosen(first, slots):  # all is said: perhaps there is nothing to choose
+                some, rest = _taken(solutions, 2)
+                if len(some) == 1:
+                    return kind.call(first)
+                solutions = itertools.chain(some, rest)
+            return _Tries(kind, slots, solutions, budget, ahead).carried_out()
 
     def _solutions(self) -> Iterator[Solution]:
         """Yield its solutions; how the first one was found goes on record."""
@@ -280,20 +284,13 @@ class _Tries(FailureHandling):
         return self._choice(solution)
 
     def _choice(self, solution: Solution) -> dict[str, Any]:
-        """Return what was chosen."""
-        chosen: dict[str, Any] = {}
-        for slot, value in solution.items():
-            given = self._given.get(slot)
-            resolved = isinstance(given, Designator) and not isinstance(value, Designator)
-            if slot != "action" and (given is None or resolved):
-                chosen[slot] = value
-        return chosen
+        return _chosen(solution, self._given)
 
     def _imagined(self, ahead: Thinking) -> Iterator[Solution]:
         """Yield the solutions that succeed in projections, in their order."""
         imagined, seconds = 0, 0.0
         while imagined < ahead.budget and (ahead.seconds is None or seconds < ahead.seconds):
-            batch = self._batch(min(AT_ONCE, ahead.budget - imagined))
+            batch, self._found = _taken(self._found, min(AT_ONCE, ahead.budget - imagined))
             if not batch:
                 return
             outcomes = imagine([(type_of(each), each, self._choice(each)) for each in batch])
@@ -308,16 +305,28 @@ class _Tries(FailureHandling):
                     self._tried.append(Try(self._choice(solution), outcome.failure, imagined=True))
         self._spent = True
 
-    def _batch(self, size: int) -> list[Solution]:
-        """Return the next solutions; why there are no more is raised when it is the next ones' turn."""
-        batch: list[Solution] = []
-        try:
-            batch.extend(itertools.islice(self._found, size))  # keeps what was found before an error
-        except PlanFailure as failure:
-            if not batch:
-                raise
-            self._found = _raising(failure)
-        return batch
+
+def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], Iterator[Solution]]:
+    """Return the next solutions, and those after them; why there are no more is raised when it is their turn."""
+    found: list[Solution] = []
+    try:
+        found.extend(itertools.islice(solutions, size))  # keeps what was found before an error
+    except PlanFailure as failure:
+        if not found:
+            raise
+        return found, _raising(failure)
+    return found, solutions
+
+
+def _chosen(solution: Solution, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what was chosen in a solution: what the action's slots leave open."""
+    chosen: dict[str, Any] = {}
+    for slot, value in solution.items():
+        asked = given.get(slot)
+        resolved = isinstance(asked, Designator) and not isinstance(value, Designator)
+        if slot != "action" and value is not None and (asked is None or resolved):
+            chosen[slot] = value
+    return chosen
 
 
 def _raising(failure: PlanFailure) -> Iterator[Solution]:

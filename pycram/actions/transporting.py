@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from pycram.actions.action import ActionDesignator, action
 from pycram.actions.fetching import prepare, ways
@@ -10,12 +10,9 @@ from pycram.actions.hands import arms, held_by, holder
 from pycram.actions.objects import object_of
 from pycram.actions.performing import ActionFailed, perform
 from pycram.foundation.failures import NoPlace, PlanFailure
-from pycram.language.retries import failure_handling
 
 if TYPE_CHECKING:
     from pycram.world.object import Object
-
-_OUT_OF_REACH: Final = (NoPlace, ActionFailed)  # for the arm that holds it
 
 
 @action("transporting", choices=ways, prepare=prepare)
@@ -39,10 +36,12 @@ def transporting(
     """
     body = object_of(object)
     perform(ActionDesignator(type="fetching", object=body, arm=arm, grasp=grasp, place=place, clear=clear))
-    for attempt in failure_handling(1, *_OUT_OF_REACH).on(PlanFailure, lambda failure: hand_over(body, failure)):
-        with attempt:
-            perform(ActionDesignator(type="delivering", object=body, target=target))
-    return body
+    deliver = ActionDesignator(type="delivering", object=body, target=target)
+    try:
+        return perform(deliver)
+    except (NoPlace, ActionFailed) as failure:  # for the arm that holds it
+        hand_over(body, failure)
+        return perform(deliver.copy())
 
 
 def hand_over(body: Object, failure: PlanFailure) -> None:

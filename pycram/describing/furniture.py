@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from pycram.describing.guess import guess
 from pycram.describing.text import quoted
@@ -21,11 +21,15 @@ if TYPE_CHECKING:
     from pycram.models.load import Model
     from recorder.geometry.urdf import Urdf
 
+_IN_A_ROW: Final = 2  # movable joints of furniture: a drawer behind a door
+
 
 def is_furniture(model: Model) -> bool:
-    """Whether a model is furniture: something can stand on it or in it, and it has no arms and doesn't drive."""
-    found = guess(model)
-    return not found.arms and not found.drives and bool(furniture_of(model).surfaces)
+    """Whether a model is furniture: something can stand on or in it, and it has neither arms, legs nor wheels."""
+    found, tree = guess(model), model.urdf
+    in_a_row = max(sum(joint.movable for joint in tree.chain(tree.root, link)) for link in tree.links)
+    limbs = bool(found.arms) or in_a_row > _IN_A_ROW
+    return not limbs and not found.drives and bool(furniture_of(model).surfaces)
 
 
 def describe(model: Model, urdf: str | Path) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.models.furniture.pieces import vertical_extents
 from pycram.models.furniture.rectangles import divide
 
 if TYPE_CHECKING:
@@ -129,16 +130,13 @@ def _free(
     tops: Sequence[Piece], above: Sequence[Piece], height: float, points: Array
 ) -> tuple[NDArray[np.bool_], Array]:
     """Return at which points (n, m, 2) there is something to stand on, and how much is free above, m."""
-    flat = points.reshape(-1, 2)
-    standing = np.zeros(len(flat), dtype=bool)
-    for piece in tops:
-        standing |= piece.columns(flat)[1] >= height - _THICK
-    clearance = np.full(len(flat), np.inf)
-    for piece in above:
-        into, out = piece.columns(flat)
-        met = out > height + _ROUGH
-        clearance[met] = np.minimum(clearance[met], np.maximum(into[met] - height, 0.0))
-    return standing.reshape(points.shape[:2]), clearance.reshape(points.shape[:2])
+    flat, shape = points.reshape(-1, 2), points.shape[:2]
+    standing: NDArray[np.bool_] = np.any(vertical_extents(tops, flat)[1] >= height - _THICK, axis=1)
+    if not above:
+        return standing.reshape(shape), np.full(shape, np.inf)
+    into, out = vertical_extents(above, flat)
+    clearance: Array = np.min(np.where(out > height + _ROUGH, np.maximum(into - height, 0.0), np.inf), axis=1)
+    return standing.reshape(shape), clearance.reshape(shape)
 
 
 def _rectangles(free: NDArray[np.bool_], rows: Array, columns: Array) -> Iterator[tuple[Array, NDArray[np.bool_]]]:

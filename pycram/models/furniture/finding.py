@@ -26,7 +26,7 @@ from pycram.models.furniture.furniture import (
     open_position,
 )
 from pycram.models.furniture.naming import distinct, readable
-from pycram.models.furniture.pieces import Rays, pieces
+from pycram.models.furniture.pieces import first_met, pieces
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -94,7 +94,6 @@ class _Search:
 
     def __init__(self, urdf: Urdf, poses: Mapping[str, Pose], every: Sequence[Piece], offered: Sequence[Face]) -> None:
         self._urdf, self._poses, self._every, self._offered = urdf, poses, every, offered
-        self._rays = Rays(every)
         self._movers: dict[str, Joint | None] = {}  # the nearest joint above each link that moves it
         for link in urdf.links:
             joint = urdf.parent_joint(link)
@@ -131,13 +130,20 @@ class _Search:
         """Return the joint of the door that hides a face, "" if it is open, None if nothing opens the way to it."""
         if face.clearance == math.inf:
             return ""
+        reach = float(np.linalg.norm(face.outline, axis=1).max()) + _NEAR
+        low, high = face.middle[:2] - reach, face.middle[:2] + reach
+        near = [
+            piece
+            for piece in self._every
+            if piece.high[2] > face.middle[2] and (piece.high[:2] > low).all() and (piece.low[:2] < high).all()
+        ]
         heights = [share * min(face.clearance, _HAND) for share in _HEIGHTS]
         origins = np.vstack([np.tile(face.middle + height * _UP, (_RAYS, 1)) for height in heights] + [face.middle])
-        first, distances = self._rays.first(origins, np.vstack([_DIRECTIONS] * len(heights) + [_UP]))
-        far = distances > float(np.linalg.norm(face.outline, axis=1).max()) + _NEAR
+        first, distances = first_met(near, origins, np.vstack([_DIRECTIONS] * len(heights) + [_UP]))
+        far = distances > reach
         if far[-1] or far[:-1].reshape(len(heights), _RAYS).all(axis=0).any():
             return ""
-        movers = [self._movers[self._every[number].link] for number in first[~far]]
+        movers = [self._movers[near[number].link] for number in first[~far]]
         doors = Counter(joint.name for joint in movers if joint is not None and joint.name not in drawers)
         hinged = [name for name, _ in doors.most_common() if math.isfinite(self._urdf.joints[name].upper)]
         return hinged[0] if hinged else None

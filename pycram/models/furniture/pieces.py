@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _PARALLEL: Final = 1e-9  # of a unit normal along a line
-_FIRST: Final = np.zeros(1, dtype=np.intp)
 _SAME_PLANE: Final = 6  # decimals: triangles of one side of a hull have the same plane
 
 
@@ -47,29 +46,28 @@ class Piece:
     low: Array
     high: Array
 
-    def columns(self, points: Array) -> tuple[Array, Array]:
-        """Return at which heights the vertical lines through points (n, 2) enter and leave it; inf, -inf if never."""
-        origins = np.column_stack([points, np.zeros(len(points))])
-        into, out = _through(self.planes, _FIRST, origins, np.array([[0.0, 0.0, 1.0]]))
-        return into[:, 0], out[:, 0]
 
+def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Array]:
+    """Return at which heights the vertical lines through points (n, 2) enter and leave pieces; inf, -inf if never.
 
-class Rays:
-    """What rays meet first of pieces.
-
-    Args:
-        every: the pieces.
+    Returns:
+        Two (n, m), a column for each piece.
     """
+    origins = np.column_stack([points, np.zeros(len(points))])
+    return _through(*_stacked(every), origins, np.array([[0.0, 0.0, 1.0]]))
 
-    def __init__(self, every: Sequence[Piece]) -> None:
-        self._planes = np.concatenate([piece.planes for piece in every])
-        self._starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
 
-    def first(self, origins: Array, directions: Array) -> tuple[NDArray[np.intp], Array]:
-        """Return the numbers of the pieces that rays (n, 3) meet first, and after how many m; infinite if none."""
-        into, out = _through(self._planes, self._starts, origins, directions)
-        met = np.where((into <= out) & (out > 0), np.maximum(into, 0.0), np.inf)
-        return met.argmin(axis=1), met.min(axis=1)
+def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the numbers of the pieces that rays (n, 3) meet first, and after how many m; infinite if none."""
+    into, out = _through(*_stacked(every), origins, directions)
+    met = np.where((into <= out) & (out > 0), np.maximum(into, 0.0), np.inf)
+    return met.argmin(axis=1), met.min(axis=1)
+
+
+def _stacked(every: Sequence[Piece]) -> tuple[Array, NDArray[np.intp]]:
+    """Return the planes of pieces, and the number of the first of each."""
+    starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
+    return np.concatenate([piece.planes for piece in every]), starts
 
 
 def _through(planes: Array, starts: NDArray[np.intp], origins: Array, directions: Array) -> tuple[Array, Array]:

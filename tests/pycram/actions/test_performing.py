@@ -106,6 +106,20 @@ def test_the_budget_is_that_of_an_action_with_those_that_it_is_made_of() -> None
     assert (tried, len(inner.tried), raised.value.spent) == (["a", "b"], 7, True)
 
 
+def test_where_all_is_said_nothing_is_tried_and_the_failure_is_raised_as_it_is() -> None:
+    counting = Counting("one")
+
+    def one(number: str) -> Iterator[Mapping[str, Any]]:
+        yield {"number": number}
+
+    with replaced("counting", counting.count, choices=one):
+        assert perform(ActionDesignator(type="counting", number="one")) == "one m"
+        with pytest.raises(GraspFailed):
+            perform(ActionDesignator(type="counting", number="two"))
+    (*_, act) = tasks.tree().find(kind="action", name="counting")
+    assert not act.children
+
+
 def test_why_there_is_nothing_to_choose_is_raised_as_it_is() -> None:
     def none() -> Iterator[Mapping[str, Any]]:
         raise ReasoningError("there is nothing")

@@ -158,6 +158,7 @@ def test_nothing_else_is_found_in_the_kitchen() -> None:
     assert not any("wall" in surface.link or "handle" in surface.link for surface in kitchen().surfaces.values())
 
 
+@pytest.mark.slow
 def test_things_stand_on_every_open_surface_of_the_kitchen() -> None:
     with BulletWorld() as world:
         world.set_gravity([0, 0, -9.81])
