@@ -1,9 +1,9 @@
 """Surfaces and containers of a model, found in its shapes and joints.
 
-What a link's top offers (:mod:`pycram.models.furniture.faces`) is a surface if something gets there: from above, from a
-side, or because a joint opens the way. A drawer is what a horizontal prismatic joint moves and has a surface in it. A
-door is what hides a surface while it is closed: the first thing that rays from there meet, all of which end near by.
-What nothing opens is a hollow in which nothing can be put.
+What a link's top offers (:mod:`pycram.models.furniture.faces`) is a surface if something gets there: from above, from
+a side, or because a joint opens the way. A drawer is what a horizontal prismatic joint moves and has a surface in it, or
+a handle. A door is what hides a surface while it is closed: the first thing that rays from there meet, all of which end
+near by. What nothing opens is a hollow in which nothing can be put.
 """
 
 from __future__ import annotations
@@ -116,7 +116,12 @@ class _Search:
             mover = self._movers[face.link]
             if not opened and mover is not None and mover.name in doors:  # a rack on the inside of a door
                 kept[number] = face, mover.name
-        return self._named(kept, drawers)
+        solid = {
+            name
+            for name, joint in self._urdf.joints.items()
+            if joint.movable and name not in doors and self._drawer(joint.child) and self._handle(joint)
+        }
+        return self._named(kept, drawers | solid)
 
     def _drawer(self, link: str) -> Joint | None:
         """Return the joint that pulls a link out like a drawer, if one does."""
@@ -149,7 +154,8 @@ class _Search:
         return hinged[0] if hinged else None
 
     def _named(self, kept: Sequence[tuple[Face, str]], drawers: set[str]) -> Furniture:
-        joints = list(dict.fromkeys(opened for _, opened in kept if opened))
+        opening = {opened for _, opened in kept if opened} | drawers
+        joints = [name for name in self._urdf.joints if name in opening]
         by_joint = dict(zip(joints, distinct(self._container_name(name, drawers) for name in joints), strict=True))
         # the largest of several on one link is what the link is named after; those in a container count from below
         order = sorted(range(len(kept)), key=lambda number: 0.0 if kept[number][1] else -kept[number][0].area)

@@ -247,6 +247,35 @@ def test_a_door_before_it_makes_it_a_container(tmp_path: Path) -> None:
     assert sorted(furniture.surfaces[name].position[2] for name in container.surfaces) == pytest.approx([0.02, 0.31])
 
 
+def test_a_solid_drawer_opens_but_has_no_inside(tmp_path: Path) -> None:
+    limit = '<limit lower="0" upper="0.4" effort="1" velocity="1"/>'
+    furniture = found(
+        tmp_path,
+        CASE,
+        link("drawer", box("block", "0.5 0.5 0.24")),
+        link("grip", box("bar", "0.02 0.2 0.02")),
+        joint("prismatic", "drawer", f'<origin xyz="0 0 0.15"/>{limit}'),
+        joint("fixed", "grip", '<origin xyz="0.27 0 0"/>', parent="drawer"),
+    )
+    (drawer,) = furniture.containers.values()
+    assert (drawer.kind, drawer.joint, drawer.handle, drawer.surfaces) == (DRAWER, "drawer_joint", "grip", ())
+    assert "drawer" not in {surface.link for surface in furniture.surfaces.values()}
+
+
+def test_a_sliding_door_is_no_drawer(tmp_path: Path) -> None:
+    limit = '<limit lower="0" upper="0.5" effort="1" velocity="1"/>'
+    furniture = found(
+        tmp_path,
+        CASE,
+        link("slider", box("leaf", "0.02 0.6 0.58")),
+        link("slider_handle", box("bar", "0.02 0.02 0.2")),
+        joint("prismatic", "slider", f'<origin xyz="0.312 0 0.3"/><axis xyz="0 1 0"/>{limit}'),
+        joint("fixed", "slider_handle", '<origin xyz="0.03 0.2 0"/>', parent="slider"),
+    )
+    (slider,) = furniture.containers.values()
+    assert (slider.kind, slider.handle, len(slider.surfaces)) == (DOOR, "slider_handle", 2)
+
+
 def test_a_button_and_a_lift_are_no_drawers(tmp_path: Path) -> None:
     limit = '<limit lower="0" upper="0.3" effort="1" velocity="1"/>'
     top = link("top", box("top", "0.6 0.6 0.02"))
