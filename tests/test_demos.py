@@ -128,7 +128,7 @@ def test_every_robot_in_the_box_sets_a_breakfast_as_far_as_it_can(tmp_path: Path
         for name, there in set_there.items():
             body = world.body(name)
             x, y, z = body.position
-            assert z > 0.7, f"{name} has fallen off"
+            assert z > 0.5, f"{name} has fallen off"  # the fridge begins there
             assert (y > 0 if bolted else x < -0.6) == there, name
             if name != "spoon":
                 assert geometry.rotate(body.orientation, (0.0, 0.0, 1.0))[2] > math.cos(math.radians(10)), name
