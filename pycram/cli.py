@@ -26,7 +26,7 @@ _SWEEP = (
     "Runs a plan many times, with other seeds and parameters, and records each run into a folder. Started again, it "
     "does what is missing. Arguments after -- go to the plan."
 )
-_WITH_ROBOTS = "set_the_table"  # the demo that any of the robots in the box runs
+_WITH_ROBOTS = ("breakfast", "set_the_table")  # the demos that any of the robots in the box runs
 
 
 def demos() -> Path:
@@ -111,8 +111,8 @@ def _run_command(argv: Sequence[str] | None) -> int:
 
 def _check_together(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Refuse options that don't go together."""
-    if options.command == "demo" and options.robot and options.name != _WITH_ROBOTS:
-        parser.error(f"--robot goes with the demo {_WITH_ROBOTS}")
+    if options.command == "demo" and options.robot and options.name not in _WITH_ROBOTS:
+        parser.error(f"--robot goes with the demos {' and '.join(_WITH_ROBOTS)}")
     for name in ("depth", "limit", "json") if options.explore is None else ():
         if getattr(options, name):
             parser.error(f"--{name} goes with --explore")
@@ -201,7 +201,8 @@ def _parser() -> argparse.ArgumentParser:
     demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
     demo.add_argument("name", nargs="?", default="set_the_table", choices=names, help="which (default: set_the_table)")
     robots = sorted(file.stem for file in (Path(__file__).parent / "models" / "robots").glob("*.toml"))
-    demo.add_argument("--robot", choices=robots, help=f"which robot does it, in {_WITH_ROBOTS} (default: pr2)")
+    where = " and ".join(_WITH_ROBOTS)
+    demo.add_argument("--robot", choices=robots, help=f"which robot does it, in {where} (default: pr2)")
     plan = commands.add_parser(
         "run", help="run a plan", description="Runs a plan: any Python file. Arguments after -- go to the plan."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import math
 import os
@@ -107,6 +108,47 @@ def test_every_robot_in_the_box_sets_the_table(tmp_path: Path, robot: str, goals
     assert replay_command(["verify", str(file)]) == 0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "robot", ["panda", *(pytest.param(robot, marks=pytest.mark.long) for robot in ("ur5", "pr2", "tiago_pro"))]
+)
+def test_every_robot_in_the_box_sets_a_breakfast_as_far_as_it_can(tmp_path: Path, robot: str) -> None:
+    ended = pycram("demo", "breakfast", "--robot", robot, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    told = [line for line in ended.stdout.splitlines() if "says its description" in line]
+    assert ended.stdout.splitlines()[: len(told)] == told, "before it begins"
+    bolted = robot in {"panda", "ur5"}
+    assert ["no base that drives" in line for line in told] == ([True, False] if bolted else [])
+    assert ["no second arm" in line for line in told] == ([False, True] if bolted else [])
+    with replay.open(tmp_path / "breakfast.mcap") as log:
+        assert log.complete
+        closing = next(r.seq for r in log.records(Mutation) if r.WhichOneof("command") == "close_world")
+        world = log.state_at(closing - 1).world()
+        set_there = {"spoon": True, "cereal": True, "bowl": False, "milk": False}
+        for name, there in set_there.items():
+            body = world.body(name)
+            x, y, z = body.position
+            assert z > 0.5, f"{name} has fallen off"  # the fridge begins there
+            assert (y > 0 if bolted else x < -0.6) == there, name
+            if name != "spoon":
+                assert geometry.rotate(body.orientation, (0.0, 0.0, 1.0))[2] > math.cos(math.radians(10)), name
+        assert not world.attachments
+        if not bolted:
+            assert world.body("kitchen").joints["iai_fridge_door_joint"] == pytest.approx(0, abs=0.02)
+            handed = [
+                task for task in log.records(Task) if task.name == "handing-over" and task.status == Task.SUCCEEDED
+            ]
+            assert handed
+
+
+def test_the_plan_of_the_breakfast_has_no_pose() -> None:
+    tree = ast.parse((REPO / "demos" / "breakfast.py").read_text())
+    plan = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+    for name in ("bring", "do", "breakfast"):
+        numbers = [each.value for each in ast.walk(plan[name]) if isinstance(each, ast.Constant)]
+        assert [value for value in numbers if isinstance(value, int | float)] in ([], [2]), "2 digits are printed"
+
+
 @pytest.mark.parametrize(
     ("blocks", "circle"),
     [
@@ -132,7 +174,7 @@ def test_things_that_block_each_other_end_the_plan(
 def test_a_demo_that_has_one_robot_takes_no_other(tmp_path: Path) -> None:
     ended = pycram("demo", "fails_to_reach", "--robot", "panda", cwd=tmp_path)
     assert ended.returncode == 2
-    assert "--robot goes with the demo set_the_table" in ended.stderr
+    assert "--robot goes with the demos breakfast and set_the_table" in ended.stderr
     assert not list(tmp_path.iterdir())
 
 

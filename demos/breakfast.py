@@ -1,0 +1,119 @@
+"""Sets a breakfast and clears it away, without one pose of where to stand or how to grasp: it says what, not where.
+
+The milk stands in the fridge, the spoon lies in a drawer, bowl and cereal stand on the counter. All of it goes to the
+kitchen island, the cereal from one hand to the other on its way; afterwards bowl and milk go back, and the fridge is
+shut. Run it with ``pycram demo breakfast``. Arms that are bolted down have breakfast on a table, from its right side
+to its left. What a robot can't do, as with an arm too few, is told before it begins.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from pycram.actions import perform
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import ActionDesignator, LocationDesignator
+from pycram.failures import MissingPart
+
+if TYPE_CHECKING:
+    from pycram.designator import Designator
+
+ROBOTS = ("pr2", "tiago_pro", "panda", "ur5")
+BOLTED_DOWN = ("panda", "ur5")
+BASE, ARM = "base that drives", "second arm"
+WITHOUT = {BASE: "breakfast is on a table, without fridge and drawer", ARM: "nothing is handed over"}
+
+
+def build_kitchen(robot: str) -> None:
+    """Loads a kitchen, a robot in it, and what there is for breakfast."""
+    Object("kitchen", "environment", "kitchen.urdf")
+    BulletWorld.robot = Object(robot, "robot", f"{robot}.urdf")
+    Object("milk", "milk", "milk.stl", [1.42, -1.05, 0.87])  # on the lowest shelf but one
+    Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.72])
+    Object("bowl", "bowl", "bowl.stl", [1.4, 0.9, 0.89])
+    Object("cereal", "cereal", "breakfast_cereal.stl", [1.4, 0.6, 0.97])
+
+
+def build_table(robot: str) -> None:
+    """Loads a table with a robot that is bolted to it, and the same things."""
+    Object("table", "environment", "table.urdf")
+    BulletWorld.robot = body = Object(robot, "robot", f"{robot}.urdf", [0, 0, 0.72])
+    for arm in body.description.arms.values():  # as it is loaded, it may lie where the objects come
+        body.set_joint_positions(arm.posture("park"))
+    Object("milk", "milk", "milk.stl", [0.6, -0.25, 0.83])
+    Object("spoon", "spoon", "spoon.stl", [0.3, -0.45, 0.74])
+    Object("bowl", "bowl", "bowl.stl", [0.4, -0.2, 0.76])
+    Object("cereal", "cereal", "breakfast_cereal.stl", [0.45, -0.5, 0.85])
+
+
+def missing() -> list[MissingPart]:
+    """Returns what the robot lacks of what a whole breakfast takes."""
+    robot = BulletWorld.robot
+    lacks = []
+    if not robot.description.drives:
+        lacks.append(MissingPart(robot.name, BASE))
+    if len(robot.description.arms) < 2:
+        lacks.append(MissingPart(robot.name, ARM))
+    return lacks
+
+
+def do(type: str, **slots: object) -> object:  # noqa: A002  the slot's name
+    """Performs an action."""
+    return perform(ActionDesignator(type=type, **slots))
+
+
+def bring(kind: str, target: Designator) -> None:
+    """Carries something, which says what it is and where it goes."""
+    body = do("transporting", object=kind, target=target)
+    print(f"{kind}: at", [round(x, 2) for x in body.get_position()])
+
+
+def breakfast() -> None:
+    """Sets everything, and clears bowl and milk away."""
+    lacks = {failure.part for failure in missing()}
+    there: Designator = LocationDesignator(on="island")
+    away: Designator = LocationDesignator(on="counter")
+    if BASE in lacks:
+        there, away = LocationDesignator(on="table", side="left"), LocationDesignator(on="table", side="right")
+
+    for kind in ("bowl", "milk", "spoon"):
+        bring(kind, there)
+    if ARM in lacks:
+        bring("cereal", there)
+    else:
+        do("fetching", object="cereal")
+        do("handing-over", object="cereal")
+        print("cereal: in the other hand")
+        do("parking-arms")
+        do("delivering", object="cereal", target=there)
+    print("breakfast is ready")
+
+    bring("bowl", away)
+    if BASE in lacks:
+        bring("milk", away)
+    else:
+        bring("milk", LocationDesignator(in_="fridge"))
+        do("closing", container="fridge")
+    print("and cleared away")
+
+
+def main(robot: str = "pr2") -> None:
+    world = BulletWorld()
+    world.set_gravity([0, 0, -9.8])
+    Object("floor", "environment", "plane.urdf")
+    if robot in BOLTED_DOWN:
+        build_table(robot)
+    else:
+        build_kitchen(robot)
+    world.settle()  # everything comes to rest where it was put
+    for failure in missing():
+        print(f"{failure}: {WITHOUT[failure.part]}")
+    breakfast()
+    world.exit()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Sets a breakfast and clears it away.")
+    parser.add_argument("--robot", choices=ROBOTS, default="pr2")
+    main(parser.parse_args().robot)
