@@ -1,9 +1,9 @@
 """Surfaces and containers of a model, found in its shapes and joints.
 
 What a link's top offers (:mod:`pycram.models.furniture.faces`) is a surface if something gets there: from above, from
-a side, or because a joint opens the way. A drawer is what a horizontal prismatic joint moves and has a surface in it, or
-a handle. A door is what hides a surface while it is closed: the first thing that rays from there meet, all of which end
-near by. What nothing opens is a hollow in which nothing can be put.
+a side, or because a joint opens the way. A drawer is what a horizontal prismatic joint moves, with a surface in it or a
+handle on it. A door is what hides a surface while it is closed: the first thing that rays from there meet, all of which
+end near by. What nothing opens is a hollow in which nothing can be put.
 """
 
 from __future__ import annotations

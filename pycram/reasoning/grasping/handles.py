@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.models.furniture.furniture import closed_position
 from pycram.models.visual import shapes_of
 from pycram.reasoning.collision.ray_cast import half_extent
 from pycram.reasoning.grasping.sides import grasp_orientation
@@ -74,8 +75,7 @@ class Handle:
         self.container, self.joint, self.link = container, joint, link
         self._root = container.get_position_and_orientation()
         self._now = container.get_joint_positions()
-        lower, upper = container.joint_limits(joint)
-        self.closed = min(max(lower, 0.0), upper)
+        self.closed = closed_position(container.urdf.joint(joint))
 
     def pose(self, value: float, link: str | None = None) -> Pose:
         """Return the pose of the handle, or of another link, in the world when its joint is at a value."""
