@@ -96,12 +96,17 @@ class Folder:
 
     Args:
         path: the folder.
+
+    Raises:
+        NotALog: there is no such folder, or no recording in it.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         if not self.path.is_dir():
             raise NotALog(self.path, "is no folder of recordings" if self.path.exists() else "there is no such folder")
+        if not self.recordings():
+            raise NotALog(self.path, "is a directory in which no recording lies")
         self._contents = _Contents()
 
     @property

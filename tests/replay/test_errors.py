@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,12 +15,24 @@ from replay.debug.copies import PlanEnded
 from replay.debug.guided_plan import Interrupted
 from replay.debug.quantities import NoQuantity
 from replay.debug.session import NoFurther
-from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
+from replay.errors import (
+    Damaged,
+    LogClosed,
+    MissingModels,
+    NoSuchName,
+    NoSuchStep,
+    NotALog,
+    NotRestored,
+    ReplayError,
+    Unreadable,
+)
 from replay.restore.question import BadQuestion
 from replay.retrace.changes import BadChange
 from replay.retrace.fork import NotForked
 from replay.retrace.guide import Difference
 from replay.retrace.plan_process import CantRetrace
+from replay.runs.folder import NotRead
+from replay.runs.runs import Refused
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,6 +56,9 @@ ERRORS: tuple[PortableError, ...] = (
     Interrupted(12),
     NoQuantity("milc.z", "no body is called so"),
     NoFurther(0, "the recording begins here"),
+    MissingModels("00003.mcap", "models-0123456789ab.mcap isn't there"),
+    NotRead(Path("runs"), "its tables can't be written (Permission denied)"),
+    Refused("drop table runs", "it isn't one that only reads"),
 )
 
 

@@ -9,6 +9,7 @@ import pytest
 from pycram.designator import DesignatorError
 from pycram.exploration import NotExplorable
 from pycram.failures import UsageError
+from pycram.fluent import NotSettable
 from pycram.language import timeout
 from pycram.motions.modules.simulated import NoDescription
 from pycram.projection import NotProjectable
@@ -91,7 +92,9 @@ def test_all_of_pycram_s_usage_errors_are_known_as_mistakes() -> None:
                 yield each.__name__
                 yield from below(each)
 
-    assert {DesignatorError, NoDescription, NotExplorable, NotProjectable} <= set(UsageError.__subclasses__())
+    assert {DesignatorError, NoDescription, NotExplorable, NotProjectable, NotSettable} <= set(
+        UsageError.__subclasses__()
+    )
     assert timeout  # the words of the plan language are loaded, with what they refuse
     assert {*below(UsageError), "UsageError"} == USAGE_ERRORS
 
