@@ -19,7 +19,7 @@ test: .venv/ready-dev  ## the tests, and a slice of each long measure: some 7 mi
 test-fast: .venv/ready-dev  ## the inner loop, under a minute
 	$(BIN)/pytest -n auto --dist worksteal -m "not slow and not long and not costly"
 
-test-long: .venv/ready-dev  ## the full measures; a run that was ended goes on where it was
+test-long: .venv/ready-long  ## the full measures; a run that was ended goes on where it was
 	$(BIN)/pytest -n auto --dist worksteal -m "long or measure or costly" --resume .measures/results.jsonl
 
 test-lowest: .venv-lowest/ready  ## the inner loop with the lowest versions that pyproject.toml allows
@@ -60,6 +60,10 @@ clean:
 .venv/ready-dev: pyproject.toml
 	@.ci/environment .venv '.[all,dev]'
 	@touch .venv/ready $@
+
+.venv/ready-long: pyproject.toml
+	@.ci/environment .venv '.[all,dev,long]'
+	@touch .venv/ready .venv/ready-dev $@
 
 # uv resolves to the lowest versions, which pip can't.
 .venv-lowest/ready: pyproject.toml

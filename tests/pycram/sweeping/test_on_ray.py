@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from pycram.sweeping import Outcome, Sweep
 
-ray = pytest.importorskip("ray", reason="the extra ray isn't installed")
-
 PLAN = """
 import os, uuid
 from pathlib import Path
@@ -38,7 +36,10 @@ def test_a_node_is_lost_in_the_middle(tmp_path: Path) -> None:
     plan, folder, marks = tmp_path / "plan.py", tmp_path / "runs", tmp_path / "marks"
     plan.write_text(PLAN)
     marks.mkdir()
-    cluster = pytest.importorskip("ray.cluster_utils").Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    import ray  # noqa: PLC0415  heavy, and of `make test-long` alone
+    from ray.cluster_utils import Cluster  # noqa: PLC0415  as above
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     second = cluster.add_node(num_cpus=1)
     cluster.wait_for_nodes()
     seen: list[int] = []
