@@ -15,8 +15,7 @@ import pytest
 from pycram import cli
 from pycram.bullet_world import BulletWorld
 from pycram.failures import UsageError
-from pycram.models import load
-from pycram.models.furniture import corrections
+from pycram.models import corrections, load
 from pycram.models.furniture.of_model import furniture_of
 
 if TYPE_CHECKING:

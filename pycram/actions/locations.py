@@ -22,7 +22,7 @@ from recorder.suggestions import suggestion
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from pycram.models.furniture.furniture import Surface
+    from pycram.models.surfaces import Surface
     from pycram.motions.designator import Resolver
     from pycram.motions.motion_types import Slotted
     from pycram.motions.solutions import Solution

@@ -15,7 +15,7 @@ from pycram.scheduling.cancellation import Binding
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
-    from pycram.models.furniture.furniture import Surface
+    from pycram.models.surfaces import Surface
     from pycram.world.object import Object
 
 _BESIDE: Final = 0.5  # m between things one of which may be in the way of the other

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.describing.guess import guess
 from pycram.describing.text import quoted
+from pycram.models.corrections import SUFFIX
 from pycram.models.files import parse_toml
-from pycram.models.furniture.corrections import SUFFIX
 from pycram.models.furniture.finding import find
-from pycram.models.furniture.furniture import Container, Surface, closed_position
 from pycram.models.furniture.of_model import furniture_of
+from pycram.models.surfaces import Container, Surface, closed_position
 from recorder import geometry
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.furniture.furniture import DOOR, DRAWER
+from pycram.models.surfaces import DOOR, DRAWER
 from pycram.vision.camera import Camera, drawable
 from recorder import geometry
 from recorder.packages import needed
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.models.furniture.furniture import Surface
     from pycram.models.robots.arm import Arm
+    from pycram.models.surfaces import Surface
     from pycram.world.object import Object
     from recorder.geometry import Vector
 

@@ -19,6 +19,7 @@ from pycram.foundation.failures import AssetError, BadArgument
 from pycram.models import (
     canonical_urdf,
     conversion_cache,
+    corrections,
     mesh,
     packages as packages_of,
     robot_urdfs,
@@ -26,7 +27,6 @@ from pycram.models import (
     textured_shapes,
 )
 from pycram.models.files import read_bytes, read_text
-from pycram.models.furniture import corrections
 from pycram.models.texture import warn_of_missing
 from pycram.models.warming import notable
 from pycram.physics.loading import NOW, Loading
@@ -51,7 +51,7 @@ class Model:
         path: The canonical URDF in the store.
         urdf: Its tree of links and joints.
         files: All its files, the URDF first, which refers to the others by their keys; but for corrections of what is
-            found in it (:mod:`pycram.models.furniture.corrections`).
+            found in it (:mod:`pycram.models.corrections`).
         loading: How the engine makes a body of it.
     """
 

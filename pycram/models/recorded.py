@@ -14,9 +14,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import AssetError
-from pycram.models import canonical_urdf, mesh, store
+from pycram.models import canonical_urdf, corrections, mesh, store
 from pycram.models.files import parse_urdf
-from pycram.models.furniture import corrections
 from pycram.models.load import Model
 from recorder.records.asset import AssetFile
 

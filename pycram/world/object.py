@@ -10,9 +10,9 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.models import load
-from pycram.models.furniture.furniture import NONE, Surface
 from pycram.models.furniture.of_model import furniture_of
 from pycram.models.robots.description import RobotDescription, find_description
+from pycram.models.surfaces import NONE, Surface
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment, carried, joints, overlaps
 from pycram.world.read_only import ReadOnlyAttributes, update
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from pycram.models.furniture.furniture import Container
     from pycram.models.load import Model
+    from pycram.models.surfaces import Container
     from pycram.physics.body import Body
     from pycram.world.attachment import Attachment
     from pycram.world.world import BulletWorld

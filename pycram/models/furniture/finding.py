@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models.furniture.faces import Face, faces
-from pycram.models.furniture.furniture import (
+from pycram.models.furniture.naming import distinct, readable
+from pycram.models.furniture.pieces import first_met, pieces
+from pycram.models.surfaces import (
     DOOR,
     DRAWER,
     Container,
@@ -25,8 +27,6 @@ from pycram.models.furniture.furniture import (
     closed_position,
     open_position,
 )
-from pycram.models.furniture.naming import distinct, readable
-from pycram.models.furniture.pieces import first_met, pieces
 from recorder import geometry
 
 if TYPE_CHECKING:

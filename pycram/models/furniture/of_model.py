@@ -5,15 +5,15 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
+from pycram.models.corrections import SUFFIX, correct, read
 from pycram.models.files import parse_urdf
-from pycram.models.furniture.corrections import SUFFIX, correct, read
 from pycram.models.furniture.finding import find
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pycram.models.furniture.furniture import Furniture
     from pycram.models.load import Model
+    from pycram.models.surfaces import Furniture
 
 _CACHED_MODELS: Final = 128
 

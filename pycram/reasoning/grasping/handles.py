@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.furniture.furniture import closed_position
+from pycram.models.surfaces import closed_position
 from pycram.models.visual import shapes_of
 from pycram.reasoning.collision.ray_cast import half_extent
 from pycram.reasoning.grasping.sides import grasp_orientation

@@ -11,7 +11,7 @@ import numpy as np
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlaceFailed, UnknownName
-from pycram.models.furniture.furniture import Surface
+from pycram.models.surfaces import Surface
 from pycram.models.visual import pieces_of
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.boxes import concatenate

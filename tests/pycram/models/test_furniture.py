@@ -13,9 +13,9 @@ import pytest
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError, UnknownName
 from pycram.models import load, recorded
-from pycram.models.furniture.corrections import SUFFIX
-from pycram.models.furniture.furniture import DOOR, DRAWER, Furniture
+from pycram.models.corrections import SUFFIX
 from pycram.models.furniture.of_model import furniture_of
+from pycram.models.surfaces import DOOR, DRAWER, Furniture
 from recorder import geometry
 from tests.large_kitchen import CABINETS, TOP, write_row
 

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram.foundation import checks
 from pycram.foundation.failures import AssetError, BadArgument
 from pycram.models.files import parse_toml
-from pycram.models.furniture.furniture import (
+from pycram.models.surfaces import (
     DOOR,
     DRAWER,
     Container,
