@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from tests.replay.runs.seeded import Cause, sweep
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 RIGHT_ARM = Cause("arm", "spoon", "right", ("arm=right at pick-up(spoon)",))
 COUNT = 24

@@ -59,7 +59,7 @@ def test_tables_hold_what_the_recordings_do(runs: Path) -> None:
 
 
 def test_where_bodies_are_is_what_the_recording_has(runs: Path) -> None:
-    name = sorted(runs.glob("*.mcap"))[0].name
+    name = min(runs.glob("*.mcap")).name
     with replay.open_runs(runs) as tables, replay.open(runs / name) as log:
         state = log.state_at(log.final_step()).world("kitchen")
         last = tables.sql("SELECT body, arg_max([x, y, z], step) FROM poses WHERE run = ? GROUP BY body", [name])
@@ -93,7 +93,7 @@ def test_rows_of_the_runs_own_process_are_those_of_its_file(runs: Path) -> None:
     for recording in runs.glob("*.mcap"):
         write_rows(recording)
         assert (runs / "tables" / "new" / f"{recording.name}.arrows").is_file()
-    victim = sorted(runs.glob("*.mcap"))[0]
+    victim = min(runs.glob("*.mcap"))
     os.utime(victim, ns=(1, 1))  # these rows aren't of the file as it is now
     with Runs(runs) as tables:
         after = {table: tables.sql(f"SELECT * FROM {table} ORDER BY ALL").rows() for table in before}
@@ -106,7 +106,7 @@ def test_a_killed_update_and_lost_tables_are_made_good(runs: Path) -> None:
         rows = tables.sql("SELECT count(*) FROM tasks").rows()
     (part,) = Folder(runs).tables.glob("0*")
     shutil.copytree(part, part.with_name("000002"))  # an update that ended before it was told in the contents
-    shutil.copy2(sorted(runs.glob("*.mcap"))[0], runs / "more.mcap")
+    shutil.copy2(min(runs.glob("*.mcap")), runs / "more.mcap")
     assert read(runs) == [1]
     (part / "tasks.parquet").unlink()
     with Runs(runs) as tables:
@@ -115,7 +115,7 @@ def test_a_killed_update_and_lost_tables_are_made_good(runs: Path) -> None:
 
 def test_what_is_no_run_is_named_and_left_out(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (runs / "notes.mcap").write_text("not a recording")
-    whole = sorted(runs.glob("0*.mcap"))[0].read_bytes()
+    whole = min(runs.glob("0*.mcap")).read_bytes()
     damaged = bytearray(whole)
     chunk = max(whole.rfind(magic) for magic in (b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"))  # of zstd, lz4
     damaged[chunk + 8 : chunk + 40] = bytes(32)
