@@ -50,8 +50,8 @@ def test_frames_are_where_the_robot_was(opened: Path, tmp_path: Path) -> None:
         assert set(of["episode_index"]) == {number}
         drawer = [state[names.index(DRAWER)] for state in of["observation.state"]]
         with replay.open(opened / row["run"]) as log:
-            for at in (0, 8, len(of) - 1):
-                state = log.state_at(f"{at / 30 + 1e-4:.4f}s").world("lab").body("cabinet")
+            for at, step in ((8, f"{8 / 30 + 1e-4:.4f}s"), (len(of) - 1, log.final_step())):
+                state = log.state_at(step).world("lab").body("cabinet")
                 assert drawer[at] == pytest.approx(state.joint(DRAWER), abs=2e-5)
         assert [a[names.index(DRAWER)] for a in of["action"]][:-1] == drawer[1:]
         assert of["next.done"].tolist() == [False] * (len(of) - 1) + [True]
