@@ -52,8 +52,11 @@ class Goal(Protocol):
     def named(self) -> str:
         """Return what it is called."""
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:
-        """Return some poses, roughly, of which the tool would have to get to one with the robot's base at a pose."""
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose] | None:
+        """Return poses, roughly, to one of which the tool would have to get with the robot's base at a pose.
+
+        None stands for too many to say.
+        """
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return the side that an arm would come from with the robot's base at a pose, "" for none; or why it can't."""
@@ -85,25 +88,21 @@ def goal_of(robot: Object, target: Target) -> Goal:
     return Touch(robot, checks.vector("reach", parts))
 
 
-def promising(robot: Object, goals: Sequence[Goal], arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
-    """Return for poses of a robot's base whether each goal is roughly in reach of one of some arms.
+def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
+    """Return for poses of a robot's base whether a goal is roughly in reach of one of some arms, all at once.
 
-    It tells in which order to look; of arms that aren't solved in closed form it says that all are.
+    Of arms that aren't solved in closed form, and of goals that don't say from where, it says that all are.
     """
-    within = np.ones(len(bases), dtype=bool)
-    for goal in goals:
-        by_some = np.zeros(len(bases), dtype=bool)
-        for arm in arms:
-            solver = Solver(robot, arm.tool_frame)
-            if not solver.in_closed_form:
-                by_some[:] = True
-                break
-            tools = [goal.tools(arm, base) for base in bases]
-            targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each]
-            found = [bool(postures) for postures in solver.closed_form(targets)]
-            owners = np.repeat(np.arange(len(bases)), [len(each) for each in tools])
-            by_some |= np.bincount(owners, weights=found, minlength=len(bases)) > 0
-        within &= by_some
+    within = np.zeros(len(bases), dtype=bool)
+    for arm in arms:
+        solver = Solver(robot, arm.tool_frame)
+        tools = [goal.tools(arm, base) for base in bases]
+        if not solver.in_closed_form or any(each is None for each in tools):
+            return [True] * len(bases)
+        targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each or ()]
+        found = [bool(postures) for postures in solver.closed_form(targets)]
+        owners = np.repeat(np.arange(len(bases)), [len(each or ()) for each in tools])
+        within |= np.bincount(owners, weights=found, minlength=len(bases)) > 0
     promises: list[bool] = within.tolist()
     return promises
 
@@ -277,9 +276,8 @@ class Touch:
         """Return where it is."""
         return _named(self.position)
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  as above
-        """Return the tool there, from all sides."""
-        return [(self.position, grasp_orientation(side, self._robot, base)) for side in GRASPS]
+    def tools(self, arm: Arm, base: Pose) -> None:
+        """Return None: it may come from anywhere."""
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the tool gets there with nothing in the way."""

@@ -24,7 +24,7 @@ from pycram.reasoning.places.seeing import seen_share
 from pycram.reasoning.places.wishes import Wishes
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE
-from pycram.reasoning.rejections import Touching, Unseen, Untried
+from pycram.reasoning.rejections import OutOfReach, Touching, Unseen
 from pycram.scheduling.future import unwrap
 from recorder import geometry
 
@@ -42,11 +42,10 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_SPOTS: Final = (30, 120)  # that are drawn at once, and once more where none of them will do
-_DOUBTFUL: Final = 10  # of each that are looked at though no arm seems to reach from there
+_SPOTS: Final = (30, 120, 120)  # that are drawn at once, and again where none of them will do
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
 _FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
-_JITTER: Final = (math.radians(6), math.radians(40))  # of the heading, in the first and the second draw
+_JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # of the heading, in each of these draws
 _APART: Final = 0.07  # m between places that are offered
 _TRIED: Final = 0.02  # m around places that won't do: another heading may
 _POOR: Final = 1e-3  # of the best score, below which a place isn't drawn
@@ -258,20 +257,15 @@ class _Search:
     # --- one place after the other -----------------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
-        """Return the first place that will do: the promising ones are looked at first."""
-        free = []
-        for spot, blocked in zip(spots, self._collisions(spots), strict=True):
-            if blocked:
-                self._vain.append(spot.pose[0])
-                self._wishes.exclude(batch, spot, *blocked)
+        """Return the first place that will do."""
+        left = []
+        for spot, known in zip(spots, self._at_first_sight(spots), strict=True):
+            if known is None:
+                left.append(spot)
             else:
-                free.append(spot)
-        likely = reaching.promising(self._robot, self._goals, self._arms, [spot.pose for spot in free])
-        first = [spot for spot, promises in zip(free, likely, strict=True) if promises]
-        doubtful = [spot for spot, promises in zip(free, likely, strict=True) if not promises]
-        for spot in doubtful[_DOUBTFUL:]:
-            batch.reject(spot.name, Untried())
-        for spot in (*first, *doubtful[:_DOUBTFUL]):
+                self._vain.append(spot.pose[0])
+                self._wishes.exclude(batch, spot, *known)
+        for spot in left:
             excluded = self._excluded(spot)
             if isinstance(excluded, Place):
                 self._avoid.append(spot.pose[0])
@@ -281,7 +275,18 @@ class _Search:
             self._wishes.exclude(batch, spot, *excluded)
         return None
 
-    def _collisions(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
+    def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
+        """Return which wish excludes each place at first sight, of all at once; None for those that may do."""
+        found = self._collisions(spots)
+        for goal in self._goals:
+            left = [number for number, excluded in enumerate(found) if excluded is None]
+            bases = [spots[number].pose for number in left]
+            for number, promises in zip(left, reaching.promising(self._robot, goal, self._arms, bases), strict=True):
+                if not promises:
+                    found[number] = f"reach {goal.named()}", OutOfReach(None)
+        return found
+
+    def _collisions(self, spots: Sequence[Spot]) -> list[tuple[str, Rejection] | None]:
         """Return for each place what the robot would touch there; None for nothing, and where it stands."""
         found: list[tuple[str, Rejection] | None] = []
         if not spots:
