@@ -440,13 +440,12 @@ class _Rows:
 
 def _number(start: Run) -> int | None:
     """Return which run of its sweep it is."""
-    known = "sweep" in start.DESCRIPTOR.fields_by_name and start.HasField("sweep")
-    return int(start.sweep.number) if known else None
+    return start.sweep.number if start.HasField("sweep") else None
 
 
 def _parameters(start: Run) -> list[tuple[str, str]]:
     """Return what a run was given: a sweep's parameters, else options of its arguments."""
-    given = {each.name: each.value_json for each in getattr(start, "parameters", ())}
+    given = {each.name: each.value_json for each in start.parameters}
     return list((given or _options(start.arguments)).items())
 
 
