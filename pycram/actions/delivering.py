@@ -6,6 +6,7 @@ import itertools
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import ActionDesignator, action
+from pycram.actions.checks import place_for_an_object
 from pycram.actions.fetching import go, location, park
 from pycram.actions.hands import holder
 from pycram.actions.locations import LocationDesignator
@@ -51,7 +52,7 @@ def _ways(object: Any, target: Any, place: LocationDesignator | None = None) -> 
         raise vain[-1]
 
 
-@action("delivering", choices=_ways, prepare=park)
+@action("delivering", choices=_ways, prepare=park, checked={"target": place_for_an_object})
 def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> Any:  # noqa: A002  the slot's name
     """Goes where it reaches a place, puts down there what a hand holds, and folds the arms.
 

@@ -60,6 +60,8 @@ _FINGERS: Final = 0.025  # m from an object to others: a finger fits between
 _ABOVE: Final = 0.003  # m above a surface from which on something stands in the way; the surface's own boxes are wider
 _RESTS: Final = 0.01  # m by which an object may rest higher or lower than on the surface
 _NEAR: Final = 0.15  # m at which a place near a point counts half
+_FAR: Final = 1.0  # m from a point or an object at which a place isn't near it, or beside it, any more
+_AWAY: Final = 0.4  # m from what a place is to be away from
 _APART: Final = 0.04  # m between places that are offered, or were tried
 _YAWS: Final = 12  # orientations about the vertical, as they are tried where something is placed
 _FLOOR: Final = 0.15  # m between places of the robot from which a surface may be reached
@@ -75,6 +77,7 @@ def free_places(
     orientation: Sequence[float] | None = None,
     reachable_for: Object | None = None,
     arms: Sequence[str] | None = None,
+    away: Sequence[float] | None = None,
     seed: int | None = None,
 ) -> Iterator[Place]:
     """Return places where an object can be put down on surfaces, best first, each checked when its turn comes.
@@ -86,11 +89,12 @@ def free_places(
     Args:
         body: the object, upright; wherever it is now.
         on: surfaces, or their names, each with the furniture that it belongs to: (kitchen, "island").
-        near: xyz or xy of a point that it shall be near, m.
+        near: xyz or xy of a point that it shall be near, m: at most 1 m away.
         side: of each surface, or of an object (side, object), as the robot sees it: "front", "back", "left", "right".
         orientation: xyzw of the object there; any about the vertical by default.
         reachable_for: a robot that shall reach there: from where it stands if it is bolted down, else from somewhere.
         arms: names of its arms that may reach; all by default.
+        away: xyz or xy of a point that it shall be at least 0.4 m away from.
         seed: of the places; the run's by default.
 
     Raises:
@@ -112,8 +116,9 @@ def free_places(
         description = reaching.description_of("reachable_for", robot)
         chosen = [description.arm(each) for each in (description.arms if arms is None else arms)]
     point = None if near is None else checks.vector("near", (*near, 0.0) if len(near) == 2 else near)
+    off = None if away is None else checks.vector("away", (*away, 0.0) if len(away) == 2 else away)
     turn = None if orientation is None else checks.quaternion("orientation", orientation)
-    return _Search(body, surfaces, point, (name, reference), turn, robot, chosen, seed).places()
+    return _Search(body, surfaces, point, (name, reference), turn, robot, chosen, off, seed).places()
 
 
 def _surface(furniture: Object, surface: Surface | str) -> tuple[Object, Surface]:
@@ -161,10 +166,11 @@ class _Search:
         orientation: Quaternion | None,
         robot: Object | None,
         arms: Sequence[Arm],
+        away: Vector | None,
         seed: int | None,
     ) -> None:
         self._body, self._near, self._side, self._orientation = body, near, side, orientation
-        self._robot, self._arms, self._seed = robot, arms, seed
+        self._robot, self._arms, self._away, self._seed = robot, arms, away, seed
         self._fields = [_Field(furniture, surface) for furniture, surface in surfaces]
         self._done: list[Vector] = []
         self._wishes = Wishes(f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}")
@@ -172,6 +178,7 @@ class _Search:
             "object": body,
             **({"near": near} if near is not None else {}),
             **({"side": [side[0], *([side[1]] if side[1] else [])]} if side[0] else {}),
+            **({"away": away} if away is not None else {}),
             **({"orientation": orientation} if orientation is not None else {}),
             **({"reachable_for": robot, "arms": [arm.name for arm in arms]} if robot is not None else {}),
         }
@@ -216,7 +223,9 @@ class _Search:
             ("room", maps.clear(centers, self._obstacles(field), inner, outer + _FINGERS)),
         ]
         if self._near is not None:
-            wishes.append(("near", maps.near(centers, self._near, _NEAR)))
+            wishes.append(("near", maps.near(centers, self._near, _NEAR, _FAR)))
+        if self._away is not None:
+            wishes.append(("away from", maps.away(centers, [self._away], _AWAY)))
         if self._side[0] is not None:
             wishes.append((f"side {self._side[0]}", self._beside(centers, field)))
         if self._robot is not None:
@@ -265,7 +274,7 @@ class _Search:
         if reference is None:
             return np.where(along > 0.0, 1.0, 0.0)
         across = np.abs(offsets @ (-y, x))
-        near = maps.near(centers, middle, _NEAR)
+        near = maps.near(centers, middle, _NEAR, _FAR)
         beside: Array = np.where(along > across, near, 0.0)
         return beside
 

@@ -22,11 +22,10 @@ _BEHIND: Final = 1e-4  # of its score that a place keeps with something between:
 _SURE: Final = 0.85  # of the radius of a circle within an outline: boxes are a little wider than what they are around
 
 
-def near(centers: Array, point: Sequence[float], scale: float) -> Array:
-    """Return 1 at a point, falling with the distance: half at ``scale`` m."""
+def near(centers: Array, point: Sequence[float], scale: float, most: float = math.inf) -> Array:
+    """Return 1 at a point, falling with the distance: half at ``scale`` m, 0 farther away than ``most`` m."""
     distance = np.hypot(*(centers - np.asarray(point[:2])).T)
-    score: Array = 1.0 / (1.0 + (distance / scale) ** 2)
-    return score
+    return np.where(distance <= most, 1.0 / (1.0 + (distance / scale) ** 2), 0.0)
 
 
 def away(centers: Array, points: Sequence[Sequence[float]], distance: float) -> Array:

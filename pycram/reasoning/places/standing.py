@@ -53,7 +53,7 @@ _APART: Final = 0.07  # m between places that are offered
 _TRIED: Final = 0.02  # m around places that won't do: another heading may
 _POOR: Final = 1e-3  # of the best score, below which a place isn't drawn
 _SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
-_ROOM: Final = 1.5  # m around a point, where nothing else says how far
+_ROOM: Final = 1.5  # m around a point that a place is to be near
 _NEAR: Final = 0.7  # m at which a place near a point counts half
 _SHORT_WAY: Final = 8.0  # m of driving that count half
 _LEVEL: Final = 0.05  # m above what is reached: what is lower isn't between
@@ -83,7 +83,7 @@ def standing_places(
         arms: names of arms that may reach; all by default.
         both: each of these arms shall reach, not only one of them.
         see: what its camera shall see from there.
-        near: xyz or xy of a point that it shall be near, m.
+        near: xyz or xy of a point that it shall be near, m: at most 1.5 m away.
         avoid: positions xyz or xy of places that are left out, with what is right beside them, m.
         seed: of the places; the run's by default.
 
@@ -179,7 +179,7 @@ class _Search:
         if drives(robot):
             wishes.append(("collision", room(robot, centers)))
         if self._near is not None:
-            wishes.append(("near", maps.near(centers, self._near, _NEAR)))
+            wishes.append(("near", maps.near(centers, self._near, _NEAR, _ROOM)))
         scores, _ = self._wishes.product(wishes)
         scores[scores < _POOR] = 0.0
         left = maps.away(centers, self._avoid, _APART) * maps.away(centers, self._vain, _TRIED)
@@ -246,7 +246,8 @@ class _Search:
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
         grid, scores, yaws = self._maps()
         spots = []
-        if not any(math.dist(here[0][:2], each[:2]) < _APART for each in (*self._avoid, *self._vain)):
+        is_near = self._near is None or math.dist(here[0][:2], self._near[:2]) <= _ROOM
+        if is_near and not any(math.dist(here[0][:2], each[:2]) < _APART for each in (*self._avoid, *self._vain)):
             spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
         if drives(robot):
             random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
