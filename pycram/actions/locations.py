@@ -182,7 +182,7 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
 
     Raises:
         DesignatorError: A slot is missing, unknown or wrong.
-        NoPlace: There is none; it says which wish excluded how many.
+        NoPlace: There is none; it says which constraint excluded how many.
     """
     slots = _checked(designator)
     if "position" in slots:

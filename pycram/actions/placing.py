@@ -34,9 +34,9 @@ def _places(object: Any, target: Any, orientation: Sequence[float] | None = None
     arm = holder(body)
     if arm is None:
         raise PlaceFailed(body.name, body.get_position(), f"{robot.name} doesn't hold it")
-    wishes = [("reachable-for", robot), ("arm", arm.name)]
+    constraints = [("reachable-for", robot), ("arm", arm.name)]
     from_here = isinstance(target, LocationDesignator) and target.for_objects
-    for place in places_for(body, target.copy(wishes) if from_here else target):
+    for place in places_for(body, target.copy(constraints) if from_here else target):
         yield {"target": place["position"], "orientation": orientation or place["orientation"]}
 
 

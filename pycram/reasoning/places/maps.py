@@ -1,4 +1,4 @@
-"""Maps: scores of all cells of a grid for one wish each, 0 to 1. They are rough, and multiplied."""
+"""Maps: scores of all cells of a grid for one constraint each, 0 to 1. They are rough, and multiplied."""
 
 from __future__ import annotations
 

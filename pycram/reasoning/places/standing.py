@@ -16,12 +16,12 @@ from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.batch import Batch, Spot
+from pycram.reasoning.places.constraints import ConstraintCounts
 from pycram.reasoning.places.grid import Grid, generator, spread
 from pycram.reasoning.places.outline import room, surroundings
 from pycram.reasoning.places.place import Place
 from pycram.reasoning.places.reaching import drives
 from pycram.reasoning.places.seeing import seen_share
-from pycram.reasoning.places.wishes import Wishes
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE
 from pycram.reasoning.rejections import OutOfReach, Touching, Unseen
@@ -130,7 +130,7 @@ class _Search:
         self._vain: list[Vector] = []  # places that won't do
         wanted = [f"reach {goal.named()}" for goal in goals] + ([f"see {see.name}"] if see is not None else [])
         self._wanted = " and ".join(wanted) or "stand"
-        self._wishes = Wishes(f"{robot.name} to {self._wanted}")
+        self._counts = ConstraintCounts(f"{robot.name} to {self._wanted}")
         self._arguments: Mapping[str, object] = {
             "robot": robot,
             **({"reach": [goal.named() for goal in goals]} if goals else {}),
@@ -152,7 +152,7 @@ class _Search:
                 vain = 0 if place else vain + 1
                 over = not spots or not drives(self._robot) or vain == len(_SPOTS)
                 if place is None and over and not found:
-                    raise self._wishes.failure()
+                    raise self._counts.failure()
             if place is not None:
                 found = True
                 yield place
@@ -167,17 +167,17 @@ class _Search:
         here, turn = robot.get_position_and_orientation()
         grid = self._grid(here)
         centers = grid.centers()
-        wishes: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
+        factors: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
         yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
         if self._goals or self._see is not None:
             faced, yaws = self._faced(centers, here[2])
-            wishes.append((self._wanted, faced))
-            wishes += [(self._wanted, self._straight(centers, goal)) for goal in self._goals]
+            factors.append((self._wanted, faced))
+            factors += [(self._wanted, self._straight(centers, goal)) for goal in self._goals]
         if drives(robot):
-            wishes.append(("collision", room(robot, centers)))
+            factors.append(("collision", room(robot, centers)))
         if self._near is not None:
-            wishes.append(("near", maps.near(centers, self._near, _NEAR)))
-        scores, _ = self._wishes.product(wishes)
+            factors.append(("near", maps.near(centers, self._near, _NEAR)))
+        scores, _ = self._counts.product(factors)
         scores[scores < _POOR] = 0.0
         left = maps.away(centers, self._avoid, _APART) * maps.away(centers, self._vain, _TRIED)
         return grid, scores * left, yaws
@@ -264,7 +264,7 @@ class _Search:
                 left.append(spot)
             else:
                 self._vain.append(spot.pose[0])
-                self._wishes.exclude(batch, spot, *known)
+                self._counts.exclude(batch, spot, *known)
         for spot in left:
             excluded = self._excluded(spot)
             if isinstance(excluded, Place):
@@ -272,11 +272,11 @@ class _Search:
                 batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms})
                 return excluded
             self._vain.append(spot.pose[0])
-            self._wishes.exclude(batch, spot, *excluded)
+            self._counts.exclude(batch, spot, *excluded)
         return None
 
     def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
-        """Return which wish excludes each place at first sight, of all at once; None for those that may do."""
+        """Return which constraint excludes each place at first sight, of all at once; None for those that may do."""
         found = self._collisions(spots)
         for goal in self._goals:
             left = [number for number, excluded in enumerate(found) if excluded is None]
@@ -303,7 +303,7 @@ class _Search:
         return found
 
     def _excluded(self, spot: Spot) -> Place | tuple[str, Rejection]:
-        """Return a place that will do, or which wish excludes it, and why."""
+        """Return a place that will do, or which constraint excludes it, and why."""
         able = list(self._arms)
         grasps: dict[str, str] = {}
         for goal in self._goals:
