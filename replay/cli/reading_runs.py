@@ -19,7 +19,7 @@ _PATIENCE: Final = 1.0  # s without a line of progress
 
 @contextmanager
 def opened(path: str) -> Iterator[Runs]:
-    """Open a folder; what takes long is told on a terminal."""
+    """Open a folder; a terminal shows how far it is."""
     began, shown = time.monotonic(), False
 
     def progress(done: int, of: int) -> None:

@@ -23,7 +23,8 @@ from pyarrow import compute, parquet
 
 from replay.errors import NotALog, ReplayError
 from replay.file.record_reader import RecordReader
-from replay.runs.rows import FOLDER, NEW, read_rows, tables_of, written_rows
+from replay.runs.record_rows import tables_of
+from replay.runs.rows import FOLDER, NEW, read_rows, written_rows
 from replay.runs.schema import RUN, TABLES, VERSION, arrow_schema
 
 try:
