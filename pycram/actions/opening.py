@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import action
-from pycram.actions.containers import access_of, known_container, move, ways
-from pycram.motions import slot_checks
+from pycram.actions.containers import CHECKS, access_of, choices, move
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +14,7 @@ _WIDE: Final = {True: 0.3, False: 1.2}  # m of what slides, rad of what turns
 _SHARES: Final = (1.0, 0.5)  # of that, that are tried
 
 
-def _ways(
+def _choices(
     container: Any,
     joint: str | None = None,
     handle: str | None = None,
@@ -25,20 +24,10 @@ def _ways(
     access = access_of(container, joint, handle)
     wide = min(access.open - access.closed, _WIDE[access.body.urdf.joint(access.joint).type == "prismatic"])
     widths = [share * wide for share in _SHARES] if distance is None else [distance]
-    yield from ways(access, arm, [access.closed + width for width in widths])
+    yield from choices(access, arm, [access.closed + width for width in widths])
 
 
-@action(
-    "opening",
-    choices=_ways,
-    checked={
-        "container": known_container,
-        "joint": slot_checks.name,
-        "handle": slot_checks.name,
-        "distance": slot_checks.distance,
-        "place": slot_checks.position,
-    },
-)
+@action("opening", choices=_choices, checked=CHECKS)
 def opening(
     container: Any,
     joint: str | None = None,

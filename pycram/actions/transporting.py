@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pycram.actions.action import ActionDesignator, action
-from pycram.actions.fetching import prepare, ways
+from pycram.actions.fetching import choices, prepare
 from pycram.actions.hands import arms, held_by, holder
 from pycram.actions.objects import object_of
 from pycram.actions.performing import ActionFailed, perform
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 
-@action("transporting", choices=ways, prepare=prepare)
+@action("transporting", choices=choices, prepare=prepare)
 def transporting(
     object: Any,  # noqa: A002  the slot's name
     target: Any,
