@@ -13,6 +13,7 @@ from pycram.foundation.failures import MissingPart
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.batch import Batch, Spot
@@ -24,7 +25,7 @@ from pycram.reasoning.places.seeing import seen_share
 from pycram.reasoning.places.wishes import Wishes
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE
-from pycram.reasoning.rejections import OutOfReach, Touching, Unseen
+from pycram.reasoning.rejections import OutOfReach, Touching, Unseen, Untried
 from pycram.scheduling.future import unwrap
 from recorder import geometry
 
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
 _SPOTS: Final = (30, 120, 120)  # that are drawn at once, and again where none of them will do
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
 _FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
+_TRIES: Final = 40  # of each draw that are checked one by one: of what is shut in, all others fail as well
+_FEWER: Final = 16  # where an arm isn't solved in closed form, which takes longer
 _JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # of the heading, in each of these draws
 _APART: Final = 0.07  # m between places that are offered
 _TRIED: Final = 0.02  # m around places that won't do: another heading may
@@ -265,7 +268,11 @@ class _Search:
             else:
                 self._vain.append(spot.pose[0])
                 self._wishes.exclude(batch, spot, *known)
-        for spot in left:
+        quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
+        tries = _TRIES if quick else _FEWER
+        for spot in left[tries:]:
+            batch.reject(spot.name, Untried())
+        for spot in left[:tries]:
             excluded = self._excluded(spot)
             if isinstance(excluded, Place):
                 self._avoid.append(spot.pose[0])
