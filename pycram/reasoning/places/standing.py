@@ -173,16 +173,16 @@ class _Search:
         centers = grid.centers()
         wishes: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
         yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
-        left: NDArray[np.intp] = np.arange(len(centers))  # what isn't excluded yet: the others need no further look
+        cells = np.arange(len(centers))  # what isn't excluded yet: the others need no further look
         if self._goals or self._see is not None:
             faced, yaws = self._faced(centers, here[2])
-            left = np.flatnonzero(faced)
+            cells = np.flatnonzero(faced)
             wishes.append((self._wanted, faced))
             for goal in self._goals:
-                straight = self._straight(centers[left], goal)
-                wishes.append((self._wanted, maps.scattered(straight, left, len(centers))))
+                straight = self._straight(centers[cells], goal)
+                wishes.append((self._wanted, maps.scattered(straight, cells, len(centers))))
         if drives(robot):
-            wishes.append(("collision", maps.scattered(room(robot, centers[left]), left, len(centers))))
+            wishes.append(("collision", maps.scattered(room(robot, centers[cells]), cells, len(centers))))
         if self._near is not None:
             wishes.append(("near", maps.near(centers, self._near, _NEAR)))
         scores, _ = self._wishes.product(wishes)
