@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias
 
 from pycram.actions.objects import ObjectDesignator, object_of, thing
 from pycram.foundation import checks
-from pycram.foundation.failures import BadArgument, UnknownName
+from pycram.foundation.failures import BadArgument, NoPlace, UnknownName
 from pycram.motions import slot_checks
 from pycram.motions.designator import ResolvedDesignator
 from pycram.motions.motion_types import Slot, checked_slots, described
@@ -188,10 +188,17 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
     if "position" in slots:
         yield {"position": slots["position"], "orientation": slots.get("orientation"), "arms": ()}
         return
-    away = _point(slots.get("away-from"))
+    away, near, found = _point(slots.get("away-from")), 0, False
     for place in _objects_places(slots) if designator.for_objects else _robots_places(slots):
         if away is None or math.dist(place.position[:2], away[:2]) >= _AWAY:
+            found = True
             yield solution_of(place)
+        else:
+            near += 1
+    if near and not found:
+        body = object_of(slots["for"]) if designator.for_objects else BulletWorld.current_robot()
+        wanted = f"{body.name} {_AWAY} m away from [{away[0]:.2f}, {away[1]:.2f}]"
+        raise NoPlace(wanted, {"away-from": near}, "away-from")
 
 
 def solution_of(place: Place) -> Solution:

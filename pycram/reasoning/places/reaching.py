@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Quaternion, Vector
 
 _TURNS: Final = 6  # about the vertical, in which what is put down may roughly stand
+_FEW: Final = 30  # places
 _STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle has to be reached
 
 
@@ -91,16 +92,20 @@ def goal_of(robot: Object, target: Target) -> Goal:
 def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
     """Return for poses of a robot's base whether a goal is roughly in reach of one of some arms, all at once.
 
-    Of arms that aren't solved in closed form, and of goals that don't say from where, it says that all are.
+    Of goals that don't say from where, it says that all are; so it does of a few where arms aren't solved in closed
+    form: a search for all takes longer than looking at the first of them.
     """
     within = np.zeros(len(bases), dtype=bool)
     for arm in arms:
         solver = Solver(robot, arm.tool_frame)
         tools = [goal.tools(arm, base) for base in bases]
-        if not solver.in_closed_form or any(each is None for each in tools):
+        if any(each is None for each in tools) or not (solver.in_closed_form or len(bases) > _FEW):
             return [True] * len(bases)
         targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each or ()]
-        found = [bool(postures) for postures in solver.closed_form(targets)]
+        if solver.in_closed_form:
+            found = [bool(postures) for postures in solver.closed_form(targets)]
+        else:
+            found = [postures[0].reaches() for postures in solver.search(targets, quick=True)]
         owners = np.repeat(np.arange(len(bases)), [len(each or ()) for each in tools])
         within |= np.bincount(owners, weights=found, minlength=len(bases)) > 0
     promises: list[bool] = within.tolist()

@@ -13,6 +13,7 @@ from pycram.foundation.failures import MissingPart
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.batch import Batch, Spot
@@ -24,7 +25,7 @@ from pycram.reasoning.places.reaching import drives
 from pycram.reasoning.places.seeing import seen_share
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE
-from pycram.reasoning.rejections import OutOfReach, Touching, Unseen
+from pycram.reasoning.rejections import OutOfReach, Touching, Unseen, Untried
 from pycram.scheduling.future import unwrap
 from recorder import geometry
 
@@ -43,8 +44,11 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _SPOTS: Final = (30, 120, 120)  # that are drawn at once, and again where none of them will do
+_AT_FIRST: Final = 4  # of them that are looked at together, then twice as many: mostly one of the first will do
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
 _FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
+_TRIES: Final = 40  # of each draw that are checked one by one: of what is shut in, all others fail as well
+_FEWER: Final = 16  # where an arm isn't solved in closed form, which takes longer
 _JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # of the heading, in each of these draws
 _APART: Final = 0.07  # m between places that are offered
 _TRIED: Final = 0.02  # m around places that won't do: another heading may
@@ -169,12 +173,16 @@ class _Search:
         centers = grid.centers()
         factors: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
         yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
+        cells = np.arange(len(centers))  # what isn't excluded yet: the others need no further look
         if self._goals or self._see is not None:
             faced, yaws = self._faced(centers, here[2])
+            cells = np.flatnonzero(faced)
             factors.append((self._wanted, faced))
-            factors += [(self._wanted, self._straight(centers, goal)) for goal in self._goals]
+            for goal in self._goals:
+                straight = self._straight(centers[cells], goal)
+                factors.append((self._wanted, maps.scattered(straight, cells, len(centers))))
         if drives(robot):
-            factors.append(("collision", room(robot, centers)))
+            factors.append(("collision", maps.scattered(room(robot, centers[cells]), cells, len(centers))))
         if self._near is not None:
             factors.append(("near", maps.near(centers, self._near, _NEAR)))
         scores, _ = self._counts.product(factors)
@@ -258,21 +266,28 @@ class _Search:
 
     def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
         """Return the first place that will do."""
-        left = []
-        for spot, known in zip(spots, self._at_first_sight(spots), strict=True):
-            if known is None:
-                left.append(spot)
-            else:
+        quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
+        tries = _TRIES if quick else _FEWER
+        for some in _growing(spots) if quick else (spots,):
+            left = []
+            for spot, known in zip(some, self._at_first_sight(some), strict=True):
+                if known is None:
+                    left.append(spot)
+                else:
+                    self._vain.append(spot.pose[0])
+                    self._counts.exclude(batch, spot, *known)
+            for spot in left[tries:]:
+                batch.reject(spot.name, Untried())
+            for spot in left[:tries]:
+                excluded = self._excluded(spot)
+                if isinstance(excluded, Place):
+                    self._avoid.append(spot.pose[0])
+                    position, orientation = spot.pose
+                    batch.take(spot.name, {"position": position, "orientation": orientation, "arms": excluded.arms})
+                    return excluded
                 self._vain.append(spot.pose[0])
-                self._counts.exclude(batch, spot, *known)
-        for spot in left:
-            excluded = self._excluded(spot)
-            if isinstance(excluded, Place):
-                self._avoid.append(spot.pose[0])
-                batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms})
-                return excluded
-            self._vain.append(spot.pose[0])
-            self._counts.exclude(batch, spot, *excluded)
+                self._counts.exclude(batch, spot, *excluded)
+            tries = max(0, tries - len(left))
         return None
 
     def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
@@ -325,3 +340,11 @@ class _Search:
                 return f"see {self._see.name}", Unseen(seen.share, list(seen.hiding))
         names = tuple(arm.name for arm in able) if self._goals else ()
         return Place(*spot.pose, names, spot.score, "", {name: grasps[name] for name in names if name in grasps})
+
+
+def _growing(spots: Sequence[Spot]) -> Iterator[Sequence[Spot]]:
+    """Yield places in their order, a few at first, then twice as many each time."""
+    start, size = 0, _AT_FIRST
+    while start < len(spots):
+        yield spots[start : start + size]
+        start, size = start + size, 2 * size

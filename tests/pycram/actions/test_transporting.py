@@ -11,7 +11,7 @@ from pycram import bullet_world_reasoning as btr, tasks
 from pycram.actions import ActionFailed, perform, projecting
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, LocationDesignator, MotionDesignator
-from pycram.failures import MissingPart, NotDrivable, PlanFailure, ReasoningError, UnknownName
+from pycram.failures import MissingPart, NoPlace, NotDrivable, PlanFailure, ReasoningError, UnknownName
 from pycram.knowledge import learn
 from pycram.process_module import execution_environment
 
@@ -97,6 +97,13 @@ def test_a_motion_drives_to_places_that_a_designator_stands_for(shared_scene: Bu
     assert list(robot.get_position()) == pytest.approx(second.reference()["target"])
     perform(ActionDesignator(type="picking-up", object=milk, arm="right"))
     assert milk.carrier is robot
+
+
+def test_a_surface_with_places_only_right_beside_a_point_has_none_away_from_it(shared_scene: BulletWorld) -> None:
+    (x, y, _), _ = shared_scene.get_object("kitchen").surface_pose("top of the fridge")
+    milk = shared_scene.get_object("milk")
+    with pytest.raises(NoPlace, match=r"no place for milk 0\.4 m away from .* by away-from"):
+        LocationDesignator(on="top of the fridge", away_from=[x, y], for_=milk).reference()
 
 
 def test_what_can_t_be_reached_is_told_with_all_that_was_tried(shared_scene: BulletWorld) -> None:
