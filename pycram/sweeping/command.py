@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 import time
-from collections import Counter
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Final
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 5  # failures
 _WIDTH: Final = 160  # characters of a failure
+_NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # another one makes no other cause
 
 
 def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
@@ -105,16 +106,18 @@ def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
     if left and not result.stopped:
         yield f"{left} are missing; the same command makes them"
     failures = sorted(result.failures, key=lambda each: each.number)  # they came as they ended
-    causes = Counter(_short(each.failure) for each in failures)
-    for cause, count in causes.most_common(_SHOWN):
-        first = next(each.name for each in failures if _short(each.failure) == cause)
-        yield f"  {count:4}  {cause}  pycram-replay why {shlex.quote(f'{folder}/{first}')}"
+    causes: dict[str, list[Outcome]] = {}
+    for each in failures:
+        causes.setdefault(_NUMBER.sub("#", each.failure), []).append(each)
+    for alike in sorted(causes.values(), key=len, reverse=True)[:_SHOWN]:
+        why = f"pycram-replay why {shlex.quote(f'{folder}/{alike[0].name}')}"
+        yield f"  {len(alike):4}  {_short(alike[0].failure)}  {why}"
     if len(causes) > _SHOWN:
-        yield f"        and {len(causes) - _SHOWN} others"
+        yield f"        and {len(causes) - _SHOWN} more"
     for remark in result.remarks[:_SHOWN]:
         yield f"note: {remark}"
 
 
 def _short(failure: str) -> str:
-    line = " ".join(failure.split())
+    line = " ".join("".join(each if each.isprintable() else " " for each in failure).split())  # terminals obey others
     return line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..."

@@ -1,4 +1,4 @@
-"""``diff``: what is different between two steps of a recording, or between two recordings."""
+"""``diff``: what is different between two steps of a recording, two recordings, or two folders of these."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from replay.explain.compare_runs import Comparison, Divergence
     from replay.explain.run_summary import Summary
+    from replay.runs.runs import Runs
     from replay.state.difference import BodyChange, Difference
     from replay.state.state import Attachment
 
@@ -31,9 +32,9 @@ _MIN_TURN: Final = math.radians(0.05)  # smaller ones are not mentioned
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add two steps, or another recording."""
-    parser.epilog = "Exit code 0: fine. 1: the two recordings differ. 3: one of them is incomplete."
-    parser.add_argument("first", metavar="STEP|LOG", help=f"{HINT}; or the other recording")
+    """Add two steps, or another recording or folder."""
+    parser.epilog = "Exit code 0: fine. 1: the two recordings, or folders, differ. 3: one of them is incomplete."
+    parser.add_argument("first", metavar="STEP|LOG", help=f"{HINT}; or the other recording, or folder")
     parser.add_argument("second", metavar="STEP", nargs="?", help="the step to compare it with")
     parser.add_argument("--all", action="store_true", help="also settling of physics, and every joint")
     parser.add_argument(
@@ -69,6 +70,15 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     if problems or log.problems:  # lost records may be the difference
         return INCOMPLETE
     return FAILED if compared.divergence is not None or compared.difference else FINE
+
+
+def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+    """Print the difference between two folders of recordings."""
+    from replay.cli import diff_folders  # noqa: PLC0415  what it needs is an extra
+
+    if options.second is not None or not Path(options.first).is_dir():
+        raise ReplayError("two folders are compared, or steps of one recording, or two recordings")
+    return diff_folders.run(runs, options)
 
 
 # --- two steps -------------------------------------------------------------------------------------------------------

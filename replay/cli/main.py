@@ -35,7 +35,7 @@ VERBS: Final = {
     "show": "one whole record",
     "tree": "the task tree, with the path to the failure",
     "state": "poses, joints and attachments after a step",
-    "diff": "the differences between two steps, or two recordings",
+    "diff": "the differences between two steps, two recordings, or two folders of these",
     "blame": "what last changed an object or a joint, and why",
     "why": "why the plan failed, and what led to it",
     "ask": "any reasoning query at a step, also with objects moved",
@@ -56,7 +56,7 @@ VERBS: Final = {
 }
 _FOLDER: Final = "the folder of recordings"
 _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.fromkeys(
-    ("info", "why", "export"), "the recording, or a folder of recordings"
+    ("info", "diff", "why", "view", "export"), "the recording, or a folder of recordings"
 )
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from decimal import Decimal
 from typing import TYPE_CHECKING, Any, Final
 
 from replay.cli.console import print_json_list, print_text, visible
@@ -88,7 +89,7 @@ def _cell(value: Any) -> str:
 def _text(value: Any) -> str:
     if value is None:
         return ""
-    if isinstance(value, float):
+    if isinstance(value, float | Decimal):
         return f"{value:.6g}"
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -104,8 +105,10 @@ def _plain(value: Any) -> Any:
         return dict(value) if pairs else [_plain(each) for each in value]
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, Decimal):
+        return float(value)
     return value if isinstance(value, bool | int | float | str | None) else str(value)
 
 
 def _is_number(value: Any) -> bool:
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+    return value is None or (isinstance(value, int | float | Decimal) and not isinstance(value, bool))

@@ -43,7 +43,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         from replay.cli.stats_report import report  # noqa: PLC0415  rendering is an extra
         from replay.runs.separation import separate  # noqa: PLC0415
 
-        _write(options.html, report(runs.path, stats, separate(runs, stats.runs)).encode())
+        _write(options.html, report(runs.path, stats, separate(runs, stats.runs), Path(options.html)).encode())
         data["html"] = options.html
         lines += ["", options.html]
     for plan, count in others:

@@ -6,6 +6,7 @@ It needs nothing from elsewhere: pictures are part of it, plots are SVG, and a f
 from __future__ import annotations
 
 import base64
+import os
 import shlex
 from html import escape
 from typing import TYPE_CHECKING, Final
@@ -56,14 +57,16 @@ document.querySelectorAll("th").forEach(head => head.addEventListener("click", (
 """
 
 
-def report(folder: Path, stats: Statistics, found: Separation) -> str:
+def report(folder: Path, stats: Statistics, found: Separation, file: Path) -> str:
     """Return the page.
 
     Args:
         folder: of the recordings.
         stats: their statistics.
         found: what separates failures from successes.
+        file: where the page will be, from which its links go.
     """
+    links = quote(os.path.relpath(folder.resolve(), file.resolve().parent))
     parts = [
         f"<h1>{escape(stats.plan)}: {len(stats.runs)} runs</h1>",
         _summary(stats),
@@ -71,9 +74,9 @@ def report(folder: Path, stats: Statistics, found: Separation) -> str:
         "<h2>What separates failures from successes</h2>",
         _claims(folder, found),
         "<h2>Failures by cause</h2>",
-        _causes(folder, stats.causes),
+        _causes(folder, stats.causes, links),
         "<h2>Last moments</h2>",
-        "".join(_figure(folder, cause) for cause in stats.causes[:_PICTURES]) or "<p>No run failed.</p>",
+        "".join(_figure(folder, cause, links) for cause in stats.causes[:_PICTURES]) or "<p>No run failed.</p>",
         *(
             f"<h2>{title} that took longest</h2>{_slow(folder, slow)}"
             for title, slow in (("Queries", stats.queries), ("Motions", stats.motions), ("Other tasks", stats.tasks))
@@ -155,14 +158,14 @@ def _claims(folder: Path, found: Separation) -> str:
     return _table(heads, rows)
 
 
-def _causes(folder: Path, causes: Sequence[FailureCause]) -> str:
+def _causes(folder: Path, causes: Sequence[FailureCause], links: str) -> str:
     if not causes:
         return "<p>No run failed.</p>"
     most = causes[0].count
     rows: list[Sequence[str | tuple[float, str]]] = []
     for cause in causes:
         commands = (_command(verb, folder / cause.first) for verb in ("why", "view"))
-        first = "<br>".join((_link(cause.first), escape(cause.message[:300]), *commands))
+        first = "<br>".join((_link(links, cause.first), escape(cause.message[:300]), *commands))
         what = f"{escape(cause.cause)}<br>{_bar(cause.count / most)}"
         rows.append((what, (cause.count, str(cause.count)), (cause.share, f"{cause.share:.0%}"), first))
     return _table(("cause", "#runs", "#share", "first"), rows)
@@ -172,7 +175,7 @@ def _bar(share: float) -> str:
     return f'<svg width="{_WIDE}" height="8"><rect width="{share * _WIDE:.1f}" height="8" fill="#b5534a"/></svg>'
 
 
-def _figure(folder: Path, cause: FailureCause) -> str:
+def _figure(folder: Path, cause: FailureCause, links: str) -> str:
     drawn = picture(folder, cause.first, cause.step)
     if drawn is None:
         return ""
@@ -180,7 +183,7 @@ def _figure(folder: Path, cause: FailureCause) -> str:
     step = f" --at {cause.step}" if cause.step is not None else ""
     return (
         f'<figure><img src="data:image/png;base64,{data}" alt="{escape(cause.cause)}">'
-        f"<figcaption>{_link(cause.first)}: "
+        f"<figcaption>{_link(links, cause.first)}: "
         f"{escape(cause.cause)}<br>{_command('view', folder / cause.first, step)}</figcaption></figure>"
     )
 
@@ -211,9 +214,9 @@ def _cell(cell: str | tuple[float, str]) -> str:
     return f"<td>{cell}</td>" if isinstance(cell, str) else f'<td class="n" data-value="{cell[0]!r}">{cell[1]}</td>'
 
 
-def _link(run: str) -> str:
-    """Return a link to a recording, which lies beside the report or not: its name is what counts."""
-    return f'<a href="{quote(run)}">{escape(run)}</a>'
+def _link(links: str, run: str) -> str:
+    """Return a link to a recording in the folder to which links go."""
+    return f'<a href="{links}/{quote(run)}">{escape(run)}</a>'
 
 
 def _command(verb: str, *rest: Path | str) -> str:

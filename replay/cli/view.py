@@ -1,4 +1,4 @@
-"""``view``: a recording, or two side by side, in the Rerun viewer."""
+"""``view``: recordings, up to four side by side, in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -19,12 +19,17 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-_MAX_BESIDE: Final = 3  # recordings that are imagined; more than four views are too small to see
+    from replay.runs.runs import Runs
+
+_MAX_BESIDE: Final = 3  # recordings beside the first; more than four views are too small to see
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add another recording, the first step, and where to show or save it."""
-    parser.add_argument("other", metavar="LOG2", nargs="?", help="another recording, shown beside it")
+    parser.epilog = "Of a folder, the first failures of its commonest causes are shown side by side."
+    parser.add_argument(
+        "others", metavar="LOG2", nargs="*", help=f"other recordings, shown beside it, at most {_MAX_BESIDE}"
+    )
     parser.add_argument(
         "--imagined", action="store_true", help=f"what its projections did beside it, the last {_MAX_BESIDE} of them"
     )
@@ -55,9 +60,11 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Show or save it, and print where."""
     if options.web and (options.save or options.at or options.connect):
         raise ReplayError("--web shows the recording in the browser, as it is at its end; give it alone")
+    if len(options.others) > _MAX_BESIDE:
+        raise ReplayError(f"{len(options.others) + 1} recordings are too small to see side by side; give up to four")
     step = log.step(options.at) if options.at is not None else None
     with ExitStack() as opened, native_output_to_stderr():
-        beside = [Path(options.other)] if options.other else []
+        beside = [Path(other) for other in options.others]
         beside += imagined(log)[-_MAX_BESIDE:] if options.imagined else []
         logs = [log, *(opened.enter_context(Recording(path)) for path in beside)]
         if options.web:
@@ -65,6 +72,21 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         shown = _open(logs, step, options)
     print_result(lambda: shown, [str(shown["file"])], as_json=options.json)
     return 0
+
+
+def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+    """Show the first failures of a folder's commonest causes side by side; where none failed, the first run."""
+    from replay.runs.statistics import statistics  # noqa: PLC0415  what it needs is an extra
+
+    if options.others:
+        raise ReplayError("a folder is shown alone; name recordings of it to see these side by side")
+    told = statistics(runs)
+    chosen = [cause.first for cause in told.causes[: _MAX_BESIDE + 1]] or told.runs[:1]
+    if not chosen:
+        raise ReplayError(f"{runs.path}: there is no run to be shown")
+    options.others = [str(runs.path / name) for name in chosen[1:]]
+    with Recording(runs.path / chosen[0]) as log:
+        return run(log, options)
 
 
 def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespace) -> dict[str, object]:

@@ -74,11 +74,10 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def _start(text: Iterable[str]) -> Iterator[str]:
-    """Yield the headline and the section of the causes."""
-    for part, line in enumerate(text):
-        if part and line and not line.startswith((" ", "Why", "Before")):
-            return
-        yield line
+    """Yield the headline and the sections of the causes."""
+    first, *rest = "\n".join(text).split("\n\n")
+    sections = [first, *(each for each in rest if each.startswith(("Why", "Before")))]
+    yield from "\n\n".join(sections).splitlines()
 
 
 def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[str]]:

@@ -3,7 +3,8 @@
 Beside the recordings lies ``tables/``: ``contents.json``, which says what is in the tables, and in folders of their own
 the Parquet files of the tables, called parts: each has the rows of some recordings. What is added is a part of its own;
 small parts are merged. The new contents replace the old ones by one rename, so a kill leaves the old tables or the new
-ones. Recordings that can't be read, or are of a newer release, are named and left out.
+ones. Readers hold a lock on the parts that they have, shared: what is obsolete stays until nobody reads it any more.
+Recordings that can't be read, or are of a newer release, are named and left out.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections import defaultdict
@@ -41,6 +43,7 @@ _MODELS: Final = "models-"  # files of models that a sweep's recordings share
 _BATCH: Final = 200  # recordings whose rows are in memory at once
 _PARTS: Final = 8  # small parts that are merged into one
 _SMALL: Final = 2000  # recordings in a part that is still merged with others
+_PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # its name; with a dot before it while it is written
 
 
 class NotRead(ReplayError):
@@ -109,6 +112,11 @@ class Folder:
         if not self.recordings():
             raise NotALog(self.path, "is a directory in which no recording lies")
         self._contents = _Contents()
+        self._held = contextlib.ExitStack()
+
+    def close(self) -> None:
+        """Let go of the tables, which other processes may then remove when they bring them up to date."""
+        self._held.close()
 
     @property
     def tables(self) -> Path:
@@ -128,7 +136,8 @@ class Folder:
 
     def files(self, table: str) -> list[str]:
         """Return the Parquet files of a table."""
-        return [str(self.tables / part / f"{table}.parquet") for part in sorted(self._contents.parts)]
+        tables = self.tables.absolute()  # wherever the process goes meanwhile
+        return [str(tables / part / f"{table}.parquet") for part in sorted(self._contents.parts)]
 
     def recordings(self) -> dict[str, os.stat_result]:
         """Return the recordings that are in the folder now, by name; what begins with a dot is being written."""
@@ -147,32 +156,45 @@ class Folder:
             progress: is called with how many of how many recordings are read.
 
         Raises:
-            NotRead: the tables can't be written.
+            NotRead: the tables aren't up to date, and can't be written.
         """
+        if self.tables.is_symlink():  # what lies elsewhere isn't ours to replace
+            raise NotRead(self.path, f"{self.tables} is a link; remove it, and tables are made in its place")
+        self.close()
         try:
             with self._locked():
                 self._contents = self._read_contents()
                 self._update(progress)
+                self._hold()
         except OSError as error:
-            told = error.strerror or str(error)
-            raise NotRead(self.path, f"its tables can't be written ({told}); copy it to where they can be") from error
+            self._contents = self._read_contents()  # such as on a read-only disk: they may be there
+            if any(self._changed(self.recordings())):
+                told = error.strerror or str(error)
+                cause = f"its tables can't be written ({told}); copy it to where they can be"
+                raise NotRead(self.path, cause) from error
+            self._hold()
+
+    def _changed(self, present: Mapping[str, os.stat_result]) -> tuple[list[str], list[str]]:
+        """Return which recordings in the tables have changed or are gone, and which ones are to be read."""
+        known = self._contents.files
+        stale = [name for name, facts in known.items() if _facts(present.get(name)) != _told(facts)]
+        return stale, [name for name in present if name not in known or name in stale]
 
     def _update(self, progress: Callable[[int, int], object]) -> None:
         present = self.recordings()
-        known = self._contents.files
-        stale = [name for name, facts in known.items() if _facts(present.get(name)) != _told(facts)]
-        wanted = [name for name in present if name not in known or name in stale]
+        stale, wanted = self._changed(present)
         if not stale and not wanted:
             return
-        obsolete = self._drop(stale)
+        self._drop(stale)
         for start in range(0, len(wanted), _BATCH):
             batch = wanted[start : start + _BATCH]
             progress(start, len(wanted))
             self._add({name: present[name] for name in batch}, progress, start, len(wanted))
-        obsolete += self._merge()
+        self._merge()
         self._write_contents()
-        for part in obsolete:
-            shutil.rmtree(self.tables / part, ignore_errors=True)
+        for part in self._parts_there() - set(self._contents.parts):
+            with contextlib.suppress(BlockingIOError), _flocked(self.tables / part, exclusive=True):
+                shutil.rmtree(self.tables / part, ignore_errors=True)
         for name in wanted:
             written_rows(self.path / name).unlink(missing_ok=True)
 
@@ -216,8 +238,8 @@ class Folder:
 
     # --- parts -------------------------------------------------------------------------------------------------------
 
-    def _drop(self, names: Iterable[str]) -> list[str]:
-        """Leave recordings out that changed or are gone; return the parts that are obsolete."""
+    def _drop(self, names: Iterable[str]) -> None:
+        """Leave recordings out that changed or are gone."""
         gone: dict[str, set[str]] = defaultdict(set)
         for name in names:
             facts = self._contents.files.pop(name)
@@ -227,15 +249,12 @@ class Folder:
             rest = [name for name, facts in self._contents.files.items() if facts.get("part") == part]
             if rest:
                 self._rewrite([part], rest)
-        return list(gone)
 
-    def _merge(self) -> list[str]:
-        """Merge small parts where there are many; return those that are obsolete."""
+    def _merge(self) -> None:
+        """Merge small parts where there are many."""
         small = {part: names for part, names in self._contents.parts.items() if len(names) < _SMALL}
-        if len(small) < _PARTS:
-            return []
-        self._rewrite(list(small), [name for names in small.values() for name in names])
-        return list(small)
+        if len(small) >= _PARTS:
+            self._rewrite(list(small), [name for names in small.values() for name in names])
 
     def _rewrite(self, parts: Sequence[str], names: Sequence[str]) -> None:
         """Write the rows of some recordings of some parts as one new part."""
@@ -277,26 +296,31 @@ class Folder:
                 fcntl.flock(lock, fcntl.LOCK_EX)
             yield
 
+    def _hold(self) -> None:
+        """Keep other processes from removing these tables until they are closed."""
+        for part in self._contents.parts:
+            with contextlib.suppress(BlockingIOError):  # it isn't waited for
+                self._held.enter_context(_flocked(self.tables / part, exclusive=False))
+
     def _read_contents(self) -> _Contents:
         """Return what is in the tables: nothing, where that can't be known or another release made them."""
+        numbers = [int(found[1]) for name in self._parts_there() if (found := _PART.fullmatch(name))]
+        nothing = _Contents(next=max(numbers, default=0) + 1)  # who reads the old ones may go on
         try:
             told = json.loads((self.tables / _CONTENTS).read_text(encoding="utf-8"))
-            if told["version"] != VERSION:
-                return self._cleared()
             contents = _Contents(dict(told["files"]), int(told["next"]))
-            intact = all(
+            ours = told["version"] == VERSION and all(part.isdecimal() for part in contents.parts)  # no other folders
+            intact = ours and all(
                 (self.tables / part / f"{table.name}.parquet").is_file() for part in contents.parts for table in TABLES
             )
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            return self._cleared()
-        return contents if intact else self._cleared()
+            return nothing
+        return contents if intact else nothing
 
-    def _cleared(self) -> _Contents:
-        """Remove what is left of tables that can't be used."""
-        for each in self.tables.iterdir():
-            if each.is_dir() and not each.is_symlink() and each.name.lstrip(".")[:6].isdecimal():
-                shutil.rmtree(each, ignore_errors=True)
-        return _Contents()
+    def _parts_there(self) -> set[str]:
+        """Return the names of folders of parts, also of those that are no longer in the contents."""
+        found = self.tables.iterdir() if self.tables.is_dir() else ()
+        return {each.name for each in found if _PART.fullmatch(each.name) and each.is_dir() and not each.is_symlink()}
 
     def _write_contents(self) -> None:
         partial = self.tables / f".{_CONTENTS}.{os.getpid()}"
@@ -306,6 +330,29 @@ class Folder:
             partial.replace(self.tables / _CONTENTS)
         finally:
             partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
+    """Hold a lock on a folder where the system can; it isn't waited for.
+
+    Raises:
+        BlockingIOError: another one holds it.
+    """
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise
+        except OSError:  # some network file systems have none
+            pass
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _facts(state: os.stat_result | None) -> dict[str, Any]:

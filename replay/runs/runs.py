@@ -6,6 +6,8 @@ single statements that select, opens no files but these, and its settings are lo
 
 from __future__ import annotations
 
+from glob import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import duckdb
@@ -16,7 +18,6 @@ from replay.runs.schema import TABLES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
     from types import TracebackType
     from typing import Self
 
@@ -47,7 +48,11 @@ class Answer:
     """The rows that a statement selects."""
 
     def __init__(self, table: pa.Table) -> None:
-        self._table = table
+        names: list[str] = []
+        for name in table.column_names:  # twice the same, as of joined tables, is no key of JSON and no frame's column
+            others = (f"{name}_{number}" for number in range(1, len(table.column_names)))
+            names.append(name if name not in names else next(each for each in others if each not in names))
+        self._table = table.rename_columns(names)
 
     def __len__(self) -> int:
         rows: int = self._table.num_rows
@@ -126,6 +131,7 @@ class Runs:
     def close(self) -> None:
         """Close the tables."""
         self._database.close()
+        self.folder.close()
 
     def sql(self, statement: str, values: Sequence[object] = ()) -> Answer:
         """Return what a statement selects from the tables; docs/runs.md has their columns.
@@ -136,6 +142,7 @@ class Runs:
 
         Raises:
             Refused: it isn't one statement that only selects, opens other files, or makes no sense.
+            NotRead: the tables were removed since they were opened.
         """
         try:
             found = self._database.extract_statements(statement)
@@ -145,24 +152,31 @@ class Runs:
             raise Refused(statement, _SINGLE)
         try:
             return Answer(self._database.sql(statement, params=list(values)).to_arrow_table())
-        except duckdb.PermissionException as error:
-            raise Refused(statement, f"only the folder's own tables are read: {_first_line(error)}") from error
         except duckdb.Error as error:
-            raise Refused(statement, str(error)) from error
+            raise self._error(statement, error) from error
+
+    def _error(self, statement: str, error: duckdb.Error) -> ReplayError:
+        """Return what is raised for an error of the database."""
+        if not all(Path(file).exists() for file in self._files):
+            return NotRead(self.path, "its tables were removed since they were opened; open it again")
+        if isinstance(error, duckdb.PermissionException):
+            return Refused(statement, f"only the folder's own tables are read: {_first_line(error)}")
+        return Refused(statement, str(error))
 
     def _open(self) -> None:
         """Make the views, and lock everything else out."""
         database = self._database
         files = {table.name: self.folder.files(table.name) for table in TABLES}
+        self._files = [file for each in files.values() for file in each]
         try:
             for name, empty in empty_tables().items():
                 if files[name]:
-                    listed = ", ".join(_quoted(file) for file in files[name])
+                    listed = ", ".join(_quoted(escape(file)) for file in files[name])
                     database.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}])")  # noqa: S608
                 else:
                     database.register(f"{name}_rows", empty)
                     database.execute(f"CREATE TABLE {name} AS SELECT * FROM {name}_rows")  # noqa: S608
-            allowed = ", ".join(_quoted(file) for each in files.values() for file in each)
+            allowed = ", ".join(_quoted(name) for file in self._files for name in {file, escape(file)})
             database.execute(f"SET allowed_paths=[{allowed}]")
             database.execute("SET enable_external_access=false")
             database.execute("SET python_enable_replacements=false")

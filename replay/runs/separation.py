@@ -93,7 +93,10 @@ def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None =
 def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[Case, ...]:
     wanted = None if names is None else set(names)
     rows = runs.sql(
-        "SELECT run, succeeded, cause, cause_step, records FROM runs WHERE succeeded IS NOT NULL ORDER BY run"
+        "SELECT run, succeeded, cause, coalesce(q.step - 1, cause_step), records FROM runs r LEFT JOIN "
+        "(SELECT f.run, max(f.step) AS step FROM failures f JOIN failures t USING (run, task, type, message) "
+        "WHERE f.of = 'query' AND t.root AND f.step <= t.step GROUP BY 1) q USING (run) "
+        "WHERE succeeded IS NOT NULL ORDER BY run"  # a query that raised the failure is the failure, not its cause
     )
     return tuple(
         Case(run, not succeeded, records if succeeded or step is None else step)

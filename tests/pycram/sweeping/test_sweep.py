@@ -376,3 +376,18 @@ def test_one_run_is_given_parameters_too(plan: Path, tmp_path: Path, capsys: pyt
     with pytest.raises(SystemExit):
         pycram_command(["run", str(plan), "--set", "y=2", "--log", str(log)])
     assert "plan.py has no parameter 'y'" in capsys.readouterr().err
+
+
+def test_its_last_lines_count_failures_but_for_their_numbers(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = plan.read_text().replace("the cup is at {given.x}", "\\x1b[2Jthe cup is at {given.x}")
+    plan.write_text(text)
+    runs = tmp_path / "runs"
+    command = ["sweep", str(plan), "--runs", "3", "--set", "x=1,1.5,2", "--set", "what=fails", "-o", str(runs)]
+    assert pycram_command(command) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2
+    assert lines[1].startswith(
+        "     3  BranchesFailed: seq failed: PlanFailure: [2Jthe cup is at 1.0  pycram-replay why "
+    )

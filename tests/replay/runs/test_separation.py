@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
 
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import PlanFailure
+from pycram.reasoning.choosing import choosing
+from recorder import record
 from replay.cli.main import main
 from replay.runs.intervals import difference, fisher, holm, wilson
 from replay.runs.runs import Runs
@@ -78,6 +83,27 @@ def test_a_claim_in_words_with_two_runs_to_compare(runs: Path, capsys: pytest.Ca
     assert main(["diff", str(runs / claim["failure_run"]), str(runs / claim["success_run"])]) == 1
     assert main(["separate", str(runs)]) == 0
     assert f"1. arm=right at pick-up(spoon): {words}" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_query_that_raised_the_failure_is_no_claim(tmp_path: Path) -> None:
+    for number in range(24):
+        fails = number % 2 == 0
+        with (
+            suppress(PlanFailure),
+            record(tmp_path / f"{number:02}.mcap", name="asks", parameters={"wide": fails}),
+            BulletWorld() as world,
+        ):
+            thing = Object("milk", "milk", "milk.stl")
+            with choosing("grasp", world, object=thing) as choice:
+                if fails:
+                    raise PlanFailure("no grasp fits")
+                choice.take("front")
+    with Runs(tmp_path) as runs:
+        found = separate(runs)
+    assert found.failures == 12
+    assert [claim.fact.text for claim in found.claims] == ["wide=true"]
+    assert not any("raises" in other for claim in found.claims for other in claim.also)
 
 
 def test_intervals_and_chances() -> None:

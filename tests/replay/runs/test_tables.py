@@ -13,7 +13,7 @@ import pytest
 import replay
 from recorder.records import Mutation, Query, Task
 from replay.cli.main import main
-from replay.runs.folder import Folder
+from replay.runs.folder import Folder, NotRead
 from replay.runs.rows import write_rows
 from replay.runs.runs import Refused, Runs
 from tests.replay.runs.conftest import COUNT
@@ -113,6 +113,61 @@ def test_a_killed_update_and_lost_tables_are_made_good(runs: Path) -> None:
         assert tables.sql("SELECT count(*) FROM tasks WHERE run <> 'more.mcap'").rows() == rows
 
 
+def test_tables_that_are_read_stay_while_others_bring_them_up_to_date(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(runs.parent)
+    with Runs(runs.name) as reader:
+        reader.sql("SELECT count(*) FROM runs")
+        min(runs.glob("0*.mcap")).unlink()
+        with Runs(runs) as newer:
+            assert newer.sql("SELECT count(*) FROM runs").rows() == [(COUNT - 1,)]
+        monkeypatch.chdir("/")
+        assert reader.sql("SELECT count(DISTINCT run) FROM tasks").rows() == [(COUNT,)]
+    min(runs.glob("0*.mcap")).unlink()
+    with Runs(runs) as reader:
+        assert len(list((runs / "tables").glob("0*"))) == 1, "what nobody reads any more is removed"
+        shutil.rmtree(runs / "tables")
+        with pytest.raises(NotRead, match="were removed since they were opened"):
+            reader.sql("SELECT count(*) FROM joints")
+
+
+def test_tables_that_are_up_to_date_need_not_be_writable(runs: Path) -> None:
+    assert read(runs)[-1] == COUNT
+    lock = runs / "tables" / ".lock"
+    lock.unlink()
+    lock.mkdir()  # as on a read-only disk, also for those who may write everything
+    with Runs(runs) as tables:
+        assert len(tables) == COUNT
+    min(runs.glob("0*.mcap")).unlink()
+    with pytest.raises(NotRead, match="can't be written"):
+        Runs(runs)
+
+
+def test_what_is_in_a_folder_of_somebody_elses_removes_nothing_outside_of_it(runs: Path, tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    with Runs(runs):
+        pass
+    shutil.copytree(runs / "tables" / "000001", precious)
+    contents = runs / "tables" / "contents.json"
+    contents.write_text(contents.read_text().replace('"000001"', '"../../precious"'))
+    min(runs.glob("0*.mcap")).unlink()
+    with Runs(runs) as tables:
+        assert len(tables) == COUNT - 1
+    assert (precious / "runs.parquet").is_file()
+    shutil.rmtree(runs / "tables")
+    (runs / "tables").symlink_to(precious)
+    with pytest.raises(NotRead, match="is a link"):
+        Runs(runs)
+    assert (precious / "runs.parquet").is_file()
+
+
+def test_folders_may_have_any_name_and_answers_any_columns(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = runs.rename(runs.parent / "what[1]*? it's")
+    assert main(["sql", str(folder), "SELECT count(*) AS n, 1.5 AS x, 2 AS n FROM runs", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == [{"n": COUNT, "x": 1.5, "n_1": 2}]
+
+
 def test_what_is_no_run_is_named_and_left_out(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (runs / "notes.mcap").write_text("not a recording")
     whole = min(runs.glob("0*.mcap")).read_bytes()
@@ -183,7 +238,8 @@ def test_answers_as_frames_of_polars(runs: Path) -> None:
 def test_verbs_of_one_recording_say_what_folders_have(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["tree", str(runs)]) == 2
     assert (
-        "takes one recording; of a folder there are info, why, export, sql, stats, separate" in capsys.readouterr().err
+        "takes one recording; of a folder there are info, diff, why, view, export, sql, stats, separate"
+        in capsys.readouterr().err
     )
     assert main(["stats", str(runs / "nowhere")]) == 2
     assert "there is no such folder" in capsys.readouterr().err
