@@ -10,8 +10,8 @@ from pycram.actions.containers import CHECKS, access_of, choices, move
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-_WIDE: Final = {True: 0.3, False: 1.2}  # m of what slides, rad of what turns
-_SHARES: Final = (1.0, 0.5)  # of that, that are tried
+_WIDE: Final = {True: 0.4, False: 1.2}  # m of what slides, as what is at its back is to be reached; rad of what turns
+_SHARES: Final = (1.0, 0.75, 0.5)  # of that, that are tried
 
 
 def _choices(
@@ -44,7 +44,7 @@ def opening(
         joint: Name of its joint, where the furniture itself is given.
         handle: Link of its handle, where the furniture itself is given.
         arm: Name of the arm; by default any that reaches.
-        distance: How wide, in m, or rad of what turns; by default up to 0.3 m or 1.2 rad, or half as wide.
+        distance: How wide, in m, or rad of what turns; by default up to 0.4 m or 1.2 rad, or down to half as wide.
         place: Where the robot stands, [x, y, z] of its base in m; by default where the handle can be held all the way.
         orientation: A quaternion [x, y, z, w] of the robot's base there.
     """
