@@ -23,6 +23,12 @@ _numbers = itertools.count(1)
 _names: set[str] = set()
 
 
+def number_anew() -> None:
+    """Name worlds from "world_1" on again: from here on this process runs a program from its start."""
+    global _numbers  # noqa: PLW0603  the process's
+    _numbers = itertools.count(1)
+
+
 def reserve_name(name: str | None) -> str:
     """Reserve the name of a world that is going to open, until :func:`remove`; "world_1", "world_2", ... for None.
 

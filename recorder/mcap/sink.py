@@ -23,7 +23,6 @@ from recorder.mcap.shared_models import METADATA, SharedModels
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, Keyframe, Mutation, Query, Run, Task, escaped
-from recorder.records.beliefs import is_look
 from recorder.records.definition import format_number
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
@@ -158,8 +157,8 @@ class McapSink:
                 self._wake.set()
 
     def _shared_key(self, topic: str, record: Record) -> _Key:
-        """The channel of what isn't of one world; looks are, as what robots believe is a part of its state."""
-        if isinstance(record, Query) and is_look(record):
+        """The channel of what isn't of one world; queries are: looks among them teach robots what they believe."""
+        if isinstance(record, Query) and record.world in self._lifetimes:
             return topic, record.world, self._lifetime(record)
         return topic, "", 0
 

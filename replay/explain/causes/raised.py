@@ -27,7 +27,7 @@ USAGE_ERRORS: Final = frozenset(
         "DeadlockedBranches", "DesignatorError", "DisplayError", "FollowsTrajectory", "JointLimitError", "LockHeld",
         "Misnested", "NoDescription", "NoProcessModule", "NoResult", "NoWorld", "NotExplorable", "NotProjectable",
         "NotSettable", "NotTrueOrFalse", "ObjectsChanged", "OutlivesTimeout", "ReadOnly", "ResourceError", "RunsEarly",
-        "UnknownName", "UsageError", "WorldClosed",
+        "SweepRefused", "UnknownName", "UsageError", "WorldClosed",
     )
 )  # fmt: skip
 _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")

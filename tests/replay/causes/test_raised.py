@@ -13,6 +13,7 @@ from pycram.fluent import NotSettable
 from pycram.language import timeout
 from pycram.motions.modules.simulated import NoDescription
 from pycram.projection import NotProjectable
+from pycram.sweeping import SweepRefused
 from replay.explain.causes import cause as kinds
 from replay.explain.causes.raised import USAGE_ERRORS
 from tests.replay.causes.explaining import WITH_PR2, line_of, words
@@ -92,7 +93,7 @@ def test_all_of_pycram_s_usage_errors_are_known_as_mistakes() -> None:
                 yield each.__name__
                 yield from below(each)
 
-    assert {DesignatorError, NoDescription, NotExplorable, NotProjectable, NotSettable} <= set(
+    assert {DesignatorError, NoDescription, NotExplorable, NotProjectable, NotSettable, SweepRefused} <= set(
         UsageError.__subclasses__()
     )
     assert timeout  # the words of the plan language are loaded, with what they refuse
