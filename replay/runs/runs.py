@@ -6,6 +6,7 @@ single statements that select, opens no files but these, and its settings are lo
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -150,10 +151,15 @@ class Runs:
             raise Refused(statement, str(error)) from error
         if len(found) != 1 or found[0].type != duckdb.StatementType.SELECT:
             raise Refused(statement, _SINGLE)
-        try:
-            return Answer(self._database.sql(statement, params=list(values)).to_arrow_table())
-        except duckdb.Error as error:
-            raise self._error(statement, error) from error
+        with ThreadPoolExecutor(1) as executor:  # the database itself doesn't look for Ctrl-C
+            selected = executor.submit(lambda: self._database.sql(statement, params=list(values)).to_arrow_table())
+            try:
+                return Answer(selected.result())
+            except KeyboardInterrupt:
+                self._database.interrupt()
+                raise
+            except duckdb.Error as error:
+                raise self._error(statement, error) from error
 
     def _error(self, statement: str, error: duckdb.Error) -> ReplayError:
         """Return what is raised for an error of the database."""

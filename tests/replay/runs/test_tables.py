@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -243,3 +245,22 @@ def test_verbs_of_one_recording_say_what_folders_have(runs: Path, capsys: pytest
     )
     assert main(["stats", str(runs / "nowhere")]) == 2
     assert "there is no such folder" in capsys.readouterr().err
+
+
+ENDLESS = "SELECT sum(a.range * b.range % 7) FROM range(100000000) a, range(100000000) b"
+
+
+def test_ctrl_c_ends_a_statement_that_takes_long(runs: Path) -> None:
+    with Runs(runs):
+        pass
+    program = (
+        "import os, replay, signal, threading\n"
+        f"with replay.open_runs({str(runs)!r}) as runs:\n"
+        "    try:\n"
+        "        threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
+        f"        runs.sql({ENDLESS!r})\n"
+        "    except KeyboardInterrupt:\n"
+        "        print(runs.sql('SELECT count(*) FROM runs').rows())\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.stdout == f"[({COUNT},)]\n", ended.stderr
