@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.locations import LocationDesignator
-from pycram.actions.objects import thing
+from pycram.actions.objects import candidates_of, thing
 from pycram.foundation.failures import BadArgument
 from pycram.motions import slot_checks
 from pycram.motions.designator import Designator
@@ -33,6 +33,31 @@ def place(name: str, value: Any) -> Any:
         described.check()
         return described
     return slot_checks.position(name, value)
+
+
+def place_for_an_object(name: str, value: Any) -> Any:
+    """A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame."""
+    wanted = place(name, value)
+    if isinstance(wanted, LocationDesignator) and not (wanted.for_objects or wanted.prop_value("position")):
+        raise BadArgument(name, value, "a place where an object can be put: with on or in, or a position")
+    return wanted
+
+
+def place_for_the_robot(name: str, value: Any) -> Any:
+    """A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame."""
+    wanted = place(name, value)
+    if isinstance(wanted, LocationDesignator) and wanted.for_objects:
+        known = "a place where the robot can stand, as LocationDesignator(near=...) or (reachable_for=...)"
+        raise BadArgument(name, value, f"{known}; this is one for an object")
+    return wanted
+
+
+def portable(name: str, value: Any) -> Any:
+    """An Object, an ObjectDesignator, or a type of objects, which isn't a robot or furniture."""
+    wanted = thing(name, value)
+    if all(body.fixed for body in candidates_of(wanted)):
+        raise BadArgument(name, value, "an object that can be taken; robots and the environment can't")
+    return wanted
 
 
 def location(name: str, value: Any) -> Any:

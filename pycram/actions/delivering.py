@@ -6,6 +6,7 @@ import itertools
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import ActionDesignator, action
+from pycram.actions.checks import place_for_an_object
 from pycram.actions.fetching import go, location, park
 from pycram.actions.hands import holder, holding_arm
 from pycram.actions.locations import LocationDesignator
@@ -31,7 +32,7 @@ def _choices(object: Any, target: Any, place: LocationDesignator | None = None) 
     arm = holding_arm(body)
     unreachable: list[NoPlace] = []
     reached = False
-    for put in places_for(body, arm, target):
+    for put in places_for(body, target, arm):
         there = LocationDesignator(position=put["position"], orientation=put["orientation"])
         if place is not None:
             yield {"put": there, "place": place}
@@ -49,7 +50,7 @@ def _choices(object: Any, target: Any, place: LocationDesignator | None = None) 
         raise unreachable[-1]
 
 
-@action("delivering", choices=_choices, prepare=park)
+@action("delivering", choices=_choices, prepare=park, checked={"target": place_for_an_object})
 def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> Any:  # noqa: A002  the slot's name
     """Goes where it reaches a place, puts down there what a hand holds, and folds the arms.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions import making_room
 from pycram.actions.action import ActionDesignator, action
+from pycram.actions.checks import portable
 from pycram.actions.containers import enclosing
 from pycram.actions.hands import arms, free_arms, holder
 from pycram.actions.locations import LocationDesignator
@@ -105,7 +106,7 @@ def location(place: Place) -> LocationDesignator:
     return LocationDesignator(position=place.position, orientation=place.orientation)
 
 
-@action("fetching", choices=choices, prepare=prepare)
+@action("fetching", choices=choices, prepare=prepare, checked={"object": portable})
 def fetching(
     object: Any,  # noqa: A002  the slot's name
     arm: str | None = None,

@@ -6,9 +6,10 @@ import math
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import action
+from pycram.actions.hands import held_by
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
-from pycram.foundation.failures import GraspFailed, MissingPart
+from pycram.foundation.failures import MissingPart, ReasoningError
 from pycram.motions import slot_checks
 from pycram.motions.designator import MotionDesignator
 from pycram.reasoning.kinematics.solver import postures
@@ -35,8 +36,14 @@ def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]
     assert robot.description is not None  # noqa: S101  as it has arms
     others = [each for each in robot.description.arms.values() if each is not giver and each.hand is not None]
     takers = [each for each in others if arm in (None, each.name)]
+    if arm == giver.name:
+        raise ReasoningError(f"{body.name} can't be handed over to the {arm} arm, which holds it")
     if not takers:
         raise MissingPart(robot.name, "other arm with a gripper" if arm is None else f"gripper of the {arm} arm")
+    if all(held_by(each) is not None for each in takers):
+        holding = ", ".join(f"the {each.name} arm holds {held.name}" for each in takers if (held := held_by(each)))
+        raise ReasoningError(f"{body.name} can't be handed over: no other arm is free: {holding}")
+    takers = [each for each in takers if held_by(each) is None]
     for taker in takers:
         middle, inward = _between(robot, giver, taker)
         for down in _DOWN:
@@ -79,12 +86,12 @@ def _giver(robot: Object, body: Object) -> Arm:
     """Return the arm that holds an object.
 
     Raises:
-        GraspFailed: None does.
+        ReasoningError: None does.
     """
     for arm in robot.description.arms.values() if robot.description else ():
         if any(held.body is body and held.carrier_link == arm.tool_frame for held in robot.carried):
             return arm
-    raise GraspFailed("no", body.name, "none of the robot's hands holds it, so it can't be handed over")
+    raise ReasoningError(f"{body.name} can't be handed over: none of the hands of {robot.name} holds it")
 
 
 def _between(robot: Object, giver: Arm, taker: Arm) -> tuple[Vector, int]:

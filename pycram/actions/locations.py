@@ -20,7 +20,7 @@ from pycram.world.world import BulletWorld
 from recorder.suggestions import suggestion
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pycram.models.surfaces import Surface
     from pycram.motions.designator import Resolver
@@ -125,6 +125,7 @@ class _Slots:
 
 
 _AWAY: Final = 0.4  # m
+_VAIN: Final = 20  # places in a row that are too near to what they are to be away from, after which that is all
 _EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on", "visible-for"), ("in", "visible-for"))
 
 
@@ -151,6 +152,17 @@ class LocationDesignator(ResolvedDesignator):
     def for_objects(self) -> bool:
         """Whether it is a place where an object can be put down."""
         return any(name in ("on", "in") for name, _ in self._slots)
+
+    def middle(self) -> list[float]:
+        """Return the middle, xyz in m in the world, of the largest surface of a place for objects."""
+        body, surface = max(self.surfaces(), key=lambda each: math.prod(each[1].size))
+        return list(body.surface_pose(surface)[0])
+
+    def surfaces(self) -> Surfaces:
+        """Return the surfaces of a place for objects, each with its furniture."""
+        slots = _checked(self)
+        found: Surfaces = slots.get("on") or slots["in"]
+        return found
 
     def values_for(self, slot: str, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
         """Yield the places that it may stand for, with the orientations there."""
@@ -188,17 +200,8 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
     if "position" in slots:
         yield {"position": slots["position"], "orientation": slots.get("orientation"), "arms": ()}
         return
-    away, near, found = _point(slots.get("away-from")), 0, False
     for place in _objects_places(slots) if designator.for_objects else _robots_places(slots):
-        if away is None or math.dist(place.position[:2], away[:2]) >= _AWAY:
-            found = True
-            yield solution_of(place)
-        else:
-            near += 1
-    if near and not found:
-        body = object_of(slots["for"]) if designator.for_objects else BulletWorld.current_robot()
-        wanted = f"{body.name} {_AWAY} m away from [{away[0]:.2f}, {away[1]:.2f}]"
-        raise NoPlace(wanted, {"away-from": near}, "away-from")
+        yield solution_of(place)
 
 
 def solution_of(place: Place) -> Solution:
@@ -226,19 +229,36 @@ def _objects_places(slots: Mapping[str, Any]) -> Iterator[Place]:
         orientation=slots.get("orientation"),
         reachable_for=None if robot is None else object_of(robot),
         arms=None if "arm" not in slots else (slots["arm"],),
+        away=_point(slots.get("away-from")),
     )
 
 
 def _robots_places(slots: Mapping[str, Any]) -> Iterator[Place]:
     target = slots.get("reachable-for")
     seen = slots.get("visible-for")
-    return standing_places(
-        BulletWorld.current_robot(),
+    robot, away = BulletWorld.current_robot(), _point(slots.get("away-from"))
+    places = standing_places(
+        robot,
         reach=() if target is None else (object_of(target),),
         arms=None if "arm" not in slots else (slots["arm"],),
         see=None if seen is None else object_of(seen),
         near=_point(slots.get("near")),
     )
+    if away is None:
+        return places
+    return _far_from(away, places, robot)
+
+
+def _far_from(point: Sequence[float], places: Iterator[Place], robot: Object) -> Iterator[Place]:
+    near = 0
+    for place in places:
+        if math.dist(place.position[:2], point[:2]) >= _AWAY:
+            near = 0
+            yield place
+        elif (near := near + 1) == _VAIN:
+            break
+    if near:
+        raise NoPlace(f"{robot.name} to stand", {"away-from": near}, "away-from")
 
 
 def _point(near: Any) -> Any:

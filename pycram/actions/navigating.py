@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import action
+from pycram.actions.checks import place_for_the_robot
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.performing import perform
 from pycram.foundation import checks
@@ -23,7 +24,8 @@ _THERE: Final = (1e-3, 1e-3)  # m and rad within which the robot is where it is 
 def _places(target: Any, orientation: Sequence[float] | None = None) -> Iterator[Mapping[str, Any]]:
     robot = BulletWorld.current_robot()
     here = robot.get_orientation()
-    check_drives(robot, robot.get_position(), checks.quaternion("orientation", here))
+    there = robot.get_position() if isinstance(target, LocationDesignator) else target
+    check_drives(robot, there, checks.quaternion("orientation", orientation or here))
     if not isinstance(target, LocationDesignator):
         yield {"target": target, "orientation": orientation or here}
         return
@@ -31,7 +33,7 @@ def _places(target: Any, orientation: Sequence[float] | None = None) -> Iterator
         yield {"target": place["position"], "orientation": orientation or place["orientation"] or here}
 
 
-@action("navigating", choices=_places)
+@action("navigating", choices=_places, checked={"target": place_for_the_robot})
 def navigating(target: Any, orientation: Sequence[float] | None = None) -> None:
     """Drives to a place, unless the robot is there.
 

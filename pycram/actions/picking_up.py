@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pycram.actions.action import action
+from pycram.actions.checks import portable
 from pycram.actions.hands import free_arms
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
@@ -18,7 +19,7 @@ def _arms(arm: str | None = None) -> Iterator[Mapping[str, Any]]:
     yield from ({"arm": each} for each in free_arms(arm))
 
 
-@action("picking-up", choices=_arms)
+@action("picking-up", choices=_arms, checked={"object": portable})
 def picking_up(object: Any, arm: str | None = None, grasp: str | None = None) -> Any:  # noqa: A002  the slot's name
     """Takes an object with a gripper, from where the robot stands.
 

@@ -5,17 +5,31 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pycram.actions.action import ActionDesignator, action
+from pycram.actions.checks import place_for_an_object, portable
 from pycram.actions.fetching import choices, prepare
 from pycram.actions.hands import arms, held_by, holder
-from pycram.actions.objects import object_of
+from pycram.actions.objects import candidates_of, object_of
 from pycram.actions.performing import ActionFailed, perform
+from pycram.actions.placing import check_target
 from pycram.foundation.failures import NoPlace, PlanFailure
 
 if TYPE_CHECKING:
     from pycram.world.object import Object
 
 
-@action("transporting", choices=choices, prepare=prepare)
+def _prepare(object: Any, target: Any) -> None:  # noqa: A002  the slot's name
+    """See whether there is a place for the object, before it is looked for and taken."""
+    arms()
+    check_target(candidates_of(object)[0], target)
+    prepare(object)
+
+
+@action(
+    "transporting",
+    choices=choices,
+    prepare=_prepare,
+    checked={"object": portable, "target": place_for_an_object},
+)
 def transporting(
     object: Any,  # noqa: A002  the slot's name
     target: Any,

@@ -62,6 +62,7 @@ def free_places(
     orientation: Sequence[float] | None = None,
     reachable_for: Object | None = None,
     arms: Sequence[str] | None = None,
+    away: Sequence[float] | None = None,
     seed: int | None = None,
 ) -> Iterator[Place]:
     """Return places where an object can be put down on surfaces, best first, each checked when its turn comes.
@@ -73,11 +74,12 @@ def free_places(
     Args:
         body: the object, upright; wherever it is now.
         on: surfaces, or their names, each with the furniture that it belongs to: (kitchen, "island").
-        near: xyz or xy of a point that it shall be near, m.
+        near: xyz or xy of a point that it shall be near, m: at most 1 m away.
         side: of each surface, or of an object (side, object), as the robot sees it: "front", "back", "left", "right".
         orientation: xyzw of the object there; any about the vertical by default.
         reachable_for: a robot that shall reach there: from where it stands if it is bolted down, else from somewhere.
         arms: names of its arms that may reach; all by default.
+        away: xyz or xy of a point that it shall be at least 0.4 m away from.
         seed: of the places; the run's by default.
 
     Raises:
@@ -99,8 +101,9 @@ def free_places(
         description = reaching.description_of("reachable_for", robot)
         chosen = [description.arm(each) for each in (description.arms if arms is None else arms)]
     point = None if near is None else checks.vector("near", (*near, 0.0) if len(near) == 2 else near)
+    off = None if away is None else checks.vector("away", (*away, 0.0) if len(away) == 2 else away)
     turn = None if orientation is None else checks.quaternion("orientation", orientation)
-    return _Search(body, surfaces, point, (name, reference), turn, robot, chosen, seed).places()
+    return _Search(body, surfaces, point, (name, reference), turn, robot, chosen, off, seed).places()
 
 
 def _surface(furniture: Object, surface: Surface | str) -> tuple[Object, Surface]:
@@ -121,6 +124,7 @@ class _Search:
         orientation: Quaternion | None,
         robot: Object | None,
         arms: Sequence[Arm],
+        away: Vector | None,
         seed: int | None,
     ) -> None:
         self._body, self._orientation = body, orientation
@@ -132,10 +136,11 @@ class _Search:
             "object": body,
             **({"near": near} if near is not None else {}),
             **({"side": [side[0], *([side[1]] if side[1] else [])]} if side[0] else {}),
+            **({"away": away} if away is not None else {}),
             **({"orientation": orientation} if orientation is not None else {}),
             **({"reachable_for": robot, "arms": [arm.name for arm in arms]} if robot is not None else {}),
         }
-        self._maps = SurfaceMaps(body, near, *side, orientation, robot, arms)
+        self._maps = SurfaceMaps(body, near, away, *side, orientation, robot, arms)
 
     def places(self) -> Iterator[Place]:
         """Yield places, each from a query of its own."""

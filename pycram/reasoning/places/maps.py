@@ -31,11 +31,10 @@ def scattered(scores: Array, cells: NDArray[np.intp], count: int) -> Array:
     return whole
 
 
-def near(centers: Array, point: Sequence[float], scale: float) -> Array:
-    """Return 1 at a point, falling with the distance: half at ``scale`` m."""
+def near(centers: Array, point: Sequence[float], scale: float, most: float = math.inf) -> Array:
+    """Return 1 at a point, falling with the distance: half at ``scale`` m, 0 farther away than ``most`` m."""
     distance = np.hypot(*(centers - np.asarray(point[:2])).T)
-    score: Array = 1.0 / (1.0 + (distance / scale) ** 2)
-    return score
+    return np.where(distance <= most, 1.0 / (1.0 + (distance / scale) ** 2), 0.0)
 
 
 def away(centers: Array, points: Sequence[Sequence[float]], distance: float) -> Array:

@@ -74,7 +74,7 @@ def standing_places(
         arms: names of arms that may reach; all by default.
         both: each of these arms shall reach, not only one of them.
         see: what its camera shall see from there.
-        near: xyz or xy of a point that it shall be near, m.
+        near: xyz or xy of a point that it shall be near, m: at most 1.5 m away.
         avoid: positions xyz or xy of places that are left out, with what is right beside them, m.
         seed: of the places; the run's by default.
 
@@ -172,7 +172,8 @@ class _Search:
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
         grid, scores, yaws = self._scored()
         spots = []
-        if not any(math.dist(here[0][:2], each[:2]) < _APART for each in (*self._avoid, *self._vain)):
+        known = (*self._avoid, *self._vain)
+        if self._maps.is_near(here[0]) and not any(math.dist(here[0][:2], each[:2]) < _APART for each in known):
             spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
         if drives(robot):
             random = generator(self._seed, "standing_places", number, repr(self._arguments), here)

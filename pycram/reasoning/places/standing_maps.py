@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
 _FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
 _SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
-_ROOM: Final = 1.5  # m around a point, where nothing else says how far
+_ROOM: Final = 1.5  # m around a point that a place is to be near
 _NEAR: Final = 0.7  # m at which a place near a point counts half
 _SHORT_WAY: Final = 8.0  # m of driving that count half
 _LEVEL: Final = 0.05  # m above what is reached: what is lower isn't between
@@ -62,6 +62,10 @@ class StandingMaps:
         self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
         self._see, self._near, self._purpose = see, near, purpose
 
+    def is_near(self, place: Sequence[float]) -> bool:
+        """Whether a place is as near as it shall be."""
+        return self._near is None or math.dist(place[:2], self._near[:2]) <= _ROOM
+
     def of(self) -> tuple[Grid, list[tuple[str, Array]], Array]:
         """Return the cells, a map (cells,) for each constraint by its name, and the heading (cells,) for each, rad."""
         robot = self._robot
@@ -81,7 +85,7 @@ class StandingMaps:
         if drives(robot):
             factors.append(("collision", maps.scattered(room(robot, centers[cells]), cells, len(centers))))
         if self._near is not None:
-            factors.append(("near", maps.near(centers, self._near, _NEAR)))
+            factors.append(("near", maps.near(centers, self._near, _NEAR, _ROOM)))
         return grid, factors, yaws
 
     def _straight(self, centers: Array, goal: Goal) -> Array:

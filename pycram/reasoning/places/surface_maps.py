@@ -39,6 +39,8 @@ FINGERS: Final = 0.025  # m from an object to others: a finger fits between
 _RESOLUTION: Final = 0.025  # m
 _ABOVE: Final = 0.003  # m above a surface from which on something stands in the way; the surface's own boxes are wider
 _NEAR: Final = 0.15  # m at which a place near a point counts half
+_FAR: Final = 1.0  # m from a point or an object at which a place isn't near it, or beside it, any more
+_AWAY: Final = 0.4  # m from what a place is to be away from
 _APART: Final = 0.04  # m between places that are offered, or were tried
 _FLOOR: Final = 0.15  # m between places of the robot from which a surface may be reached
 _COARSE: Final = 0.1  # m between places of a surface for which that is asked
@@ -77,6 +79,7 @@ class SurfaceMaps:
     Args:
         body: the object.
         near: that it shall be near, m; None for anywhere.
+        away: that it shall be away from, m; None for nothing.
         side: of each surface or of the reference, as in :func:`pycram.reasoning.places.free_places`; None for any.
         reference: the object beside which it shall be; None for none.
         orientation: xyzw of the object there; None for any about the vertical.
@@ -88,13 +91,14 @@ class SurfaceMaps:
         self,
         body: Object,
         near: Vector | None,
+        away: Vector | None,
         side: str | None,
         reference: Object | None,
         orientation: Quaternion | None,
         robot: Object | None,
         arms: Sequence[Arm],
     ) -> None:
-        self._body, self._near = body, near
+        self._body, self._near, self._away = body, near, away
         self._turn = orientation or geometry.IDENTITY[1]
         self._side, self._reference = side, reference
         self._robot, self._arms = robot, arms
@@ -122,7 +126,9 @@ class SurfaceMaps:
             ("room", maps.clear(centers, self.obstacles(searched), inner, outer + FINGERS)),
         ]
         if self._near is not None:
-            factors.append(("near", maps.near(centers, self._near, _NEAR)))
+            factors.append(("near", maps.near(centers, self._near, _NEAR, _FAR)))
+        if self._away is not None:
+            factors.append(("away-from", maps.away(centers, [self._away], _AWAY)))
         if self._side is not None:
             factors.append((f"side {self._side}", self._beside(centers, searched)))
         if self._robot is not None:
@@ -170,7 +176,7 @@ class SurfaceMaps:
         if reference is None:
             return np.where(along > 0.0, 1.0, 0.0)
         across = np.abs(offsets @ (-y, x))
-        near = maps.near(centers, middle, _NEAR)
+        near = maps.near(centers, middle, _NEAR, _FAR)
         beside: Array = np.where(along > across, near, 0.0)
         return beside
 

@@ -11,7 +11,7 @@ from pycram import bullet_world_reasoning as btr, tasks
 from pycram.actions import ActionFailed, perform, projecting
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, LocationDesignator, MotionDesignator
-from pycram.failures import MissingPart, NoPlace, NotDrivable, PlanFailure, ReasoningError, UnknownName
+from pycram.failures import MissingPart, NoPlace, NotDrivable, PlaceFailed, PlanFailure, ReasoningError, UnknownName
 from pycram.knowledge import learn
 from pycram.process_module import execution_environment
 
@@ -83,7 +83,51 @@ def test_what_is_told_wrong_moves_nothing(shared_scene: BulletWorld) -> None:
         transport("milk", LocationDesignator(side="left"))
     with pytest.raises(DesignatorError, match="one of front, back, left, right"):
         transport("milk", LocationDesignator(on="island", side="above"))
+    with pytest.raises(DesignatorError, match="a place where an object can be put"):
+        transport("milk", LocationDesignator(near="cereal"))
+    with pytest.raises(DesignatorError, match="an object that can be taken"):
+        transport("environment", "island")
+    with pytest.raises(DesignatorError, match="a place where the robot can stand"):
+        perform(ActionDesignator(type="navigating", target="island"))
     assert shared_scene.save().command == before
+
+
+def test_what_has_no_place_at_the_target_is_not_taken(shared_scene: BulletWorld) -> None:
+    know(shared_scene)
+    before = shared_scene.save().command
+    with pytest.raises(NoPlace) as raised:
+        transport("milk", LocationDesignator(in_="sink left upper drawer"))  # closed, and lower than the milk
+    assert raised.value.last == "clearance"
+    with pytest.raises(NoPlace) as raised:
+        transport("milk", LocationDesignator(on="island", near=[5, 5]))
+    assert raised.value.last == "near"
+    with pytest.raises(NoPlace, match="fridge, which is closed: open it first"):
+        transport("milk", LocationDesignator(in_="fridge"))
+    with pytest.raises(PlaceFailed, match="nothing is within"):
+        transport("milk", [-0.7, 1.0, 1.4])
+    assert shared_scene.save().command == before
+
+
+def test_the_robot_drives_near_what_it_is_to_be_near(shared_scene: BulletWorld) -> None:
+    robot = shared_scene.robot
+    assert robot is not None
+    robot.set_position([0, 0, 0])
+    perform(ActionDesignator(type="navigating", target=LocationDesignator(near=[0.3, -2.5])))
+    assert math.dist(robot.get_position()[:2], (0.3, -2.5)) < 2.2
+    there = robot.get_position()
+    perform(ActionDesignator(type="navigating", target=LocationDesignator(near=[0.3, -2.5], away_from=there)))
+    assert math.dist(robot.get_position()[:2], there[:2]) >= 0.4
+
+
+def test_the_camera_is_turned_to_a_surface_by_its_name(shared_scene: BulletWorld) -> None:
+    robot, kitchen = shared_scene.robot, shared_scene.get_object("kitchen")
+    assert robot is not None
+    perform(ActionDesignator(type="looking", target="counter"))
+    named = robot.get_joint_positions()
+    perform(ActionDesignator(type="looking", target="hob"))
+    assert robot.get_joint_positions() != named
+    perform(ActionDesignator(type="looking", target=list(kitchen.surface_pose("counter")[0])))
+    assert robot.get_joint_positions() == pytest.approx(named, abs=0.01)
 
 
 def test_a_motion_drives_to_places_that_a_designator_stands_for(shared_scene: BulletWorld) -> None:
@@ -102,7 +146,7 @@ def test_a_motion_drives_to_places_that_a_designator_stands_for(shared_scene: Bu
 def test_a_surface_with_places_only_right_beside_a_point_has_none_away_from_it(shared_scene: BulletWorld) -> None:
     (x, y, _), _ = shared_scene.get_object("kitchen").surface_pose("top of the fridge")
     milk = shared_scene.get_object("milk")
-    with pytest.raises(NoPlace, match=r"no place for milk 0\.4 m away from .* by away-from"):
+    with pytest.raises(NoPlace, match=r"no place for milk on top of the fridge: .* by away-from"):
         LocationDesignator(on="top of the fridge", away_from=[x, y], for_=milk).reference()
 
 
@@ -143,7 +187,7 @@ def test_a_bolted_arm_brings_things_to_the_other_side_of_its_table(table: Bullet
 
 
 def test_a_bolted_arm_doesn_t_drive_and_has_no_second_hand(table: BulletWorld) -> None:
-    with pytest.raises(NotDrivable, match="its base is fixed"):
+    with pytest.raises(NotDrivable, match=r"\[1.000, 0.000, 0.000\]: its base is fixed"):
         perform(ActionDesignator(type="navigating", target=[1, 0, 0]))
     know(table)
     perform(ActionDesignator(type="picking-up", object="milk"))
