@@ -8,12 +8,16 @@
 # world/       worlds and objects. Every change is a world transaction: validate, act, read back, record, fire events.
 # vision/      what a camera sees.     language/  par, seq, pursue, try_all, retries, timeouts, cleanup.
 # reasoning/   queries that leave no trace: collision, kinematics, grasping, visibility, stability.
+# planning/    paths without collision, and their times.
 # motions/     motion designators, their resolvers, the resources they move, and the process modules that execute them.
 # fluents/     values that branches wait for and react to, also those that follow a world.
-# projection/  actions tried in a copy of the process.     actions/  what a robot is to do, not how, on top of these.
+# describing/  first descriptions of robots and furniture.
+# projection/  plans tried in a copy of the process.     actions/  what a robot is to do, not how, on top of these.
+# exploration/ plans run in many orders of their branches.     sweeping/  with many seeds and parameters.
 #
 # bullet_world, bullet_world_reasoning, designator, motion_designators, process_module, fluent, event, failures, tasks:
-# the names of the thesis, from which plans import. cli: the commands "pycram demo" and "pycram run".
+# the names of the thesis, from which plans import. knowledge: what a robot believes. plan_parameters: what runs
+# are given. running, options, cli: the command "pycram".
 
 from typing import TYPE_CHECKING, Any
 

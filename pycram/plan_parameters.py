@@ -138,10 +138,25 @@ def value_of(text: str) -> tuple[str, Any]:
     Raises:
         BadArgument: It isn't that.
     """
-    name, equals, value = text.partition("=")
-    if not (equals and name.isidentifier()):
-        raise BadArgument("set", text, "name=value")
+    name, value = split("set", text, "name=value")
     return name, parsed(value)
+
+
+def split(option: str, text: str, expected: str) -> tuple[str, str]:
+    """Return the name before ``=``, and what is after it.
+
+    Args:
+        option: What the text was given as.
+        text: The text.
+        expected: What it has to be, for messages.
+
+    Raises:
+        BadArgument: It isn't that.
+    """
+    name, equals, rest = text.partition("=")
+    if not (equals and name.isidentifier()):
+        raise BadArgument(option, text, expected)
+    return name, rest
 
 
 def parsed(text: str) -> Any:

@@ -97,8 +97,8 @@ def _table(slots: Iterable[Slot]) -> str:
     rows = ["| Slot | Value | If it is left out |", "|---|---|---|"]
     for slot in slots:
         names = " or ".join(f"`{name}`" for name in (slot.name, *slot.aliases))
-        values, told = _default(slot.values)
-        missing = "required" if slot.required else slot.missing or told
+        values, default = _default(slot.values)
+        missing = "required" if slot.required else slot.missing or default
         rows.append(f"| {names} | {_cell(values)} | {_cell(missing)} |")
     return "\n".join([*rows, ""])
 
@@ -125,14 +125,14 @@ def _names(failures: Iterable[type[PlanFailure]]) -> str:
 
 
 def _failure(kind: type[PlanFailure]) -> str:
-    """Return what a failure says and holds, as its docstring tells it."""
+    """Return what a failure says and holds, by its docstring."""
     text, _, fields = (inspect.getdoc(kind) or "").partition("\n\nAttributes:\n")
     text = re.sub(r":class:`(\w+)`", r"`\1`", _line(text))
     found = re.findall(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", fields, re.MULTILINE)
-    told = "; ".join(f"`{name}`: {_line(meaning)}" for name, meaning in found)
+    described = "; ".join(f"`{name}`: {_line(meaning)}" for name, meaning in found)
     base = kind.__mro__[1]
     more = "" if base is PlanFailure else f", a kind of `{base.__name__}`"
-    return f"- **{kind.__name__}**{more}: {text}." + (f" Its fields: {told}." if told else "")
+    return f"- **{kind.__name__}**{more}: {text}." + (f" Its fields: {described}." if described else "")
 
 
 def main(arguments: Sequence[str]) -> None:

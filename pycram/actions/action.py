@@ -162,7 +162,7 @@ def _texts(function: Callable[..., Any]) -> dict[str, str]:
             found[name] = match[2]
         elif name:
             found[name] += " " + line.strip()
-    return {each: told.rstrip(".") for each, told in found.items()}
+    return {each: text.rstrip(".") for each, text in found.items()}
 
 
 class ActionDesignator(ResolvedDesignator):

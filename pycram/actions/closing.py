@@ -5,30 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pycram.actions.action import action
-from pycram.actions.containers import access_of, known_container, move, ways
-from pycram.motions import slot_checks
+from pycram.actions.containers import CHECKS, access_of, choices, move
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
 
-def _ways(
+def _choices(
     container: Any, joint: str | None = None, handle: str | None = None, arm: str | None = None
 ) -> Iterator[Mapping[str, Any]]:
     access = access_of(container, joint, handle)
-    yield from ways(access, arm, [access.closed])
+    yield from choices(access, arm, [access.closed])
 
 
-@action(
-    "closing",
-    choices=_ways,
-    checked={
-        "container": known_container,
-        "joint": slot_checks.name,
-        "handle": slot_checks.name,
-        "place": slot_checks.position,
-    },
-)
+@action("closing", choices=_choices, checked=CHECKS)
 def closing(
     container: Any,
     joint: str | None = None,

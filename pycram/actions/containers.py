@@ -1,4 +1,4 @@
-"""What opening and closing have in common: a drawer or door by its names, and ways to move it by its handle."""
+"""Drawers and doors by their names, and from where their handles are moved, for opening and closing."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+
+    from pycram.motions.slot_checks import Check
 
 _PLACES: Final = 3  # to stand at, that are tried for each width
 _SAME: Final = (0.005, math.radians(0.5))  # m and rad within which the robot stands where it is to stand
@@ -79,6 +81,16 @@ def known_container(name: str, value: Any) -> Any:
     raise BadArgument(name, value, "a container, its name, or an Object")
 
 
+#: Checks of the slots that opening and closing have.
+CHECKS: Final[Mapping[str, Check]] = {
+    "container": known_container,
+    "joint": slot_checks.name,
+    "handle": slot_checks.name,
+    "distance": slot_checks.distance,
+    "place": slot_checks.position,
+}
+
+
 def containers() -> list[tuple[Access, Any]]:
     """Return what furniture in the robot's world has, each with its container."""
     return [
@@ -131,7 +143,7 @@ def access_of(container: Access | Object, joint: str | None, handle: str | None)
     return Access(handle, body, joint, handle, Handle(body, joint, handle).closed, body.joint_limits(joint)[1])
 
 
-def ways(access: Access, arm: str | None, values: Sequence[float]) -> Iterator[Mapping[str, Any]]:
+def choices(access: Access, arm: str | None, values: Sequence[float]) -> Iterator[Mapping[str, Any]]:
     """Yield arms and places from which a handle can be held all the way, for the first of some values that it can be.
 
     Args:

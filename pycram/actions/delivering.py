@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram.actions.action import ActionDesignator, action
 from pycram.actions.checks import place_for_an_object
 from pycram.actions.fetching import go, location, park
-from pycram.actions.hands import holder
+from pycram.actions.hands import holder, holding_arm
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
 from pycram.actions.placing import places_for
-from pycram.foundation.failures import NoPlace, PlaceFailed
+from pycram.foundation.failures import NoPlace
 from pycram.reasoning.places import PutDown, standing_places
 from pycram.world.world import BulletWorld
 
@@ -21,20 +21,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 _EACH: Final = 2  # places to stand at that are tried for one place of the object
-_VAIN: Final = 6  # places of the object that can be reached from nowhere, after which no others are looked at
+_MAX_UNREACHABLE: Final = (
+    6  # places of the object that can be reached from nowhere, after which no others are looked at
+)
 
 
-def _ways(object: Any, target: Any, place: LocationDesignator | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002
+def _choices(object: Any, target: Any, place: LocationDesignator | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002
     """Yield where the object is put, and where the robot stands then."""
     body, robot = object_of(object), BulletWorld.current_robot()
-    arm = holder(body)
-    if arm is None:
-        raise PlaceFailed(body.name, body.get_position(), f"{robot.name} doesn't hold it")
-    vain: list[NoPlace] = []
+    arm = holding_arm(body)
+    unreachable: list[NoPlace] = []
     reached = False
-    if isinstance(target, LocationDesignator) and target.for_objects:
-        target = target.copy([("reachable-for", robot), ("arm", arm.name)])
-    for put in places_for(body, target):
+    for put in places_for(body, target, arm):
         there = LocationDesignator(position=put["position"], orientation=put["orientation"])
         if place is not None:
             yield {"put": there, "place": place}
@@ -45,14 +43,14 @@ def _ways(object: Any, target: Any, place: LocationDesignator | None = None) -> 
                 reached = True
                 yield {"put": there, "place": location(found)}
         except NoPlace as failure:
-            vain.append(failure)
-            if len(vain) == _VAIN:
+            unreachable.append(failure)
+            if len(unreachable) == _MAX_UNREACHABLE:
                 break
-    if vain and not reached:
-        raise vain[-1]
+    if unreachable and not reached:
+        raise unreachable[-1]
 
 
-@action("delivering", choices=_ways, prepare=park, checked={"target": place_for_an_object})
+@action("delivering", choices=_choices, prepare=park, checked={"target": place_for_an_object})
 def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> Any:  # noqa: A002  the slot's name
     """Goes where it reaches a place, puts down there what a hand holds, and folds the arms.
 

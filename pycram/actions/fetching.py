@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pycram.reasoning.places.place import Target
     from pycram.world.object import Object
 
-_MOST: Final = 6  # places with room for the hand that are tried before others
+_MAX_PLACES: Final = 6  # places with room for the hand that are tried before others
 _MOVED: Final = 0.05  # m from where an object is believed to be, at which it isn't there any more
 _IN_THE_WAY: Final = 2  # things that are cleared away, one after the other
 
@@ -65,7 +65,7 @@ def found(thing: Any) -> Any:
     return thing
 
 
-def ways(
+def choices(
     object: Any,  # noqa: A002  the slot's name
     arm: str | None = None,
     place: LocationDesignator | None = None,
@@ -79,22 +79,22 @@ def ways(
     if place is not None:
         yield from ({"arm": each, "place": place} for each in free)
         return
-    vain: NoPlace | None = None
+    nowhere: NoPlace | None = None
     try:
         yield from _from_places(body, free, body)
     except NoPlace as failure:
-        vain = failure
+        nowhere = failure
     if holder(body) is None and making_room.crowded(body):
         with suppress(NoPlace):
-            yield from ({**way, "clear": True} for way in _from_places(body, free, center(body)))
-    if vain is not None:
-        raise vain
+            yield from ({**choice, "clear": True} for choice in _from_places(body, free, center(body)))
+    if nowhere is not None:
+        raise nowhere
 
 
 def _from_places(body: Object, free: Sequence[str], reach: Target) -> Iterator[Mapping[str, Any]]:
     """Yield places from which a target is reached, and arms, until one has taken the object."""
     robot = BulletWorld.current_robot()
-    for spot in itertools.islice(standing_places(robot, reach=[reach], arms=free), _MOST):
+    for spot in itertools.islice(standing_places(robot, reach=[reach], arms=free), _MAX_PLACES):
         for arm in spot.arms:
             yield {"arm": arm, "place": location(spot)}
             if holder(body) is not None:
@@ -106,7 +106,7 @@ def location(place: Place) -> LocationDesignator:
     return LocationDesignator(position=place.position, orientation=place.orientation)
 
 
-@action("fetching", choices=ways, prepare=prepare, checked={"object": portable})
+@action("fetching", choices=choices, prepare=prepare, checked={"object": portable})
 def fetching(
     object: Any,  # noqa: A002  the slot's name
     arm: str | None = None,

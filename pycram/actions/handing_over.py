@@ -28,14 +28,14 @@ _DOWN: Final = (0.2, 0.35, 0.05)  # m below them
 _TURNS: Final = (30, 60, 0, 90)  # degrees by which the giving hand points inward
 
 
-def _ways(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
+def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
     """Yield where the giving hand may hold an object, and the arms that may take it."""
     body = object_of(object)
     robot = BulletWorld.current_robot()
     giver = _giver(robot, body)
     assert robot.description is not None  # noqa: S101  as it has arms
-    takers = [each for each in robot.description.arms.values() if each is not giver and arm in (None, each.name)]
-    takers = [each for each in takers if each.hand is not None]
+    others = [each for each in robot.description.arms.values() if each is not giver and each.hand is not None]
+    takers = [each for each in others if arm in (None, each.name)]
     if arm == giver.name:
         raise ReasoningError(f"{body.name} can't be handed over to the {arm} arm, which holds it")
     if not takers:
@@ -57,7 +57,7 @@ def _ways(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  
                         yield {"arm": taker.name, "target": list(pose[0]), "orientation": list(pose[1])}
 
 
-@action("handing-over", choices=_ways, checked={"target": slot_checks.position})
+@action("handing-over", choices=_choices, checked={"target": slot_checks.position})
 def handing_over(
     object: Any,  # noqa: A002  the slot's name
     arm: str | None = None,

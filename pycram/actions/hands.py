@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import MissingPart, ReasoningError
+from pycram.foundation.failures import MissingPart, PlaceFailed, ReasoningError
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
@@ -36,6 +36,18 @@ def held_by(arm: Arm) -> Object | None:
 def holder(body: Object) -> Arm | None:
     """Return the arm of the current robot that holds an object; None if none does."""
     return next((arm for arm in arms() if held_by(arm) is body), None)
+
+
+def holding_arm(body: Object) -> Arm:
+    """Return the arm of the current robot that holds an object, to be put down.
+
+    Raises:
+        PlaceFailed: None does.
+    """
+    arm = holder(body)
+    if arm is None:
+        raise PlaceFailed(body.name, body.get_position(), f"{BulletWorld.current_robot().name} doesn't hold it")
+    return arm
 
 
 def free_arms(name: str | None = None) -> list[str]:

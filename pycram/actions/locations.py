@@ -194,7 +194,7 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
 
     Raises:
         DesignatorError: A slot is missing, unknown or wrong.
-        NoPlace: There is none; it says which wish excluded how many.
+        NoPlace: There is none; it says which constraint excluded how many.
     """
     slots = _checked(designator)
     if "position" in slots:
@@ -258,7 +258,7 @@ def _far_from(point: Sequence[float], places: Iterator[Place], robot: Object) ->
         elif (near := near + 1) == _VAIN:
             break
     if near:
-        raise NoPlace(f"{robot.name} to stand", {"away from": near}, "away from")
+        raise NoPlace(f"{robot.name} to stand", {"away-from": near}, "away-from")
 
 
 def _point(near: Any) -> Any:

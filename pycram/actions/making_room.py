@@ -13,8 +13,11 @@ from pycram.foundation.failures import ReasoningError
 from pycram.reasoning.queries.blocking import blocking
 from pycram.scheduling.cancellation import Binding
 from pycram.world.world import BulletWorld
+from recorder import geometry
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pycram.models.surfaces import Surface
     from pycram.world.object import Object
 
@@ -63,12 +66,19 @@ def clear(body: Object, arm: str | None) -> None:
 
 
 def _surfaces(body: Object) -> list[Surface]:
-    """Return the surfaces that are nearest to an object, of those that are in no container."""
+    """Return the surfaces that are nearest to an object, of those that are in no container and reach beyond it."""
     position = body.get_position()
     found = [
         (math.dist(furniture.surface_pose(surface)[0], position), surface)
         for furniture in body.world.objects
         for surface in furniture.surfaces.values()
-        if not surface.container
+        if not surface.container and _beyond(furniture, surface, position)
     ]
     return [surface for _, surface in sorted(found, key=lambda each: each[0])[:_NEAREST]]
+
+
+def _beyond(furniture: Object, surface: Surface, position: Sequence[float]) -> bool:
+    """Whether a surface reaches beyond what is beside a position: the top of a fridge doesn't, for what is in it."""
+    pose = furniture.surface_pose(surface)
+    corners = (geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline)
+    return any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners)

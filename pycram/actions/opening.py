@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import action
-from pycram.actions.containers import access_of, known_container, move, ways
-from pycram.motions import slot_checks
+from pycram.actions.containers import CHECKS, access_of, choices, move
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-_WIDE: Final = {True: 0.3, False: 1.2}  # m of what slides, rad of what turns
-_SHARES: Final = (1.0, 0.5)  # of that, that are tried
+_WIDE: Final = {True: 0.4, False: 1.2}  # m of what slides, as what is at its back is to be reached; rad of what turns
+_SHARES: Final = (1.0, 0.75, 0.5)  # of that, that are tried
 
 
-def _ways(
+def _choices(
     container: Any,
     joint: str | None = None,
     handle: str | None = None,
@@ -25,20 +24,10 @@ def _ways(
     access = access_of(container, joint, handle)
     wide = min(access.open - access.closed, _WIDE[access.body.urdf.joint(access.joint).type == "prismatic"])
     widths = [share * wide for share in _SHARES] if distance is None else [distance]
-    yield from ways(access, arm, [access.closed + width for width in widths])
+    yield from choices(access, arm, [access.closed + width for width in widths])
 
 
-@action(
-    "opening",
-    choices=_ways,
-    checked={
-        "container": known_container,
-        "joint": slot_checks.name,
-        "handle": slot_checks.name,
-        "distance": slot_checks.distance,
-        "place": slot_checks.position,
-    },
-)
+@action("opening", choices=_choices, checked=CHECKS)
 def opening(
     container: Any,
     joint: str | None = None,
@@ -55,7 +44,7 @@ def opening(
         joint: Name of its joint, where the furniture itself is given.
         handle: Link of its handle, where the furniture itself is given.
         arm: Name of the arm; by default any that reaches.
-        distance: How wide, in m, or rad of what turns; by default up to 0.3 m or 1.2 rad, or half as wide.
+        distance: How wide, in m, or rad of what turns; by default up to 0.4 m or 1.2 rad, or down to half as wide.
         place: Where the robot stands, [x, y, z] of its base in m; by default where the handle can be held all the way.
         orientation: A quaternion [x, y, z, w] of the robot's base there.
     """

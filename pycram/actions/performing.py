@@ -33,7 +33,7 @@ BUDGET: Final = 20
 """How many tries of an action may fail by default, with those of the actions that it is made of."""
 
 _ENDLESS: Final = 10**9  # retries
-_TOLD: Final = 4  # kinds of failures that the message of an ActionFailed tells
+_MAX_REASONS: Final = 4  # kinds of failures in the message of an ActionFailed
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class ActionFailed(PlanFailure):
     ) -> None:
         count = f"{len(tried)} {'try' if len(tried) == 1 else 'tries'}"
         ending = "the budget is spent" if spent else "there is nothing else to try"
-        super().__init__(f"{action} failed after {count}, {ending}{_told(tried, last)}")
+        super().__init__(f"{action} failed after {count}, {ending}{_summary(tried, last)}")
         self.action = action
         self.tried = list(tried)
         self.spent = spent
@@ -76,16 +76,16 @@ class ActionFailed(PlanFailure):
 export("pycram.actions", ActionFailed)
 
 
-def _told(tried: Sequence[Try], last: BaseException | None) -> str:
+def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
     """Return in words what came of tries, those alike as one."""
     groups: dict[str, int] = {}
     for each in tried:
         reason = _reason(each.failure)
         groups[reason] = groups.get(reason, 0) + 1
-    told = [f"{count} times: {text}" if count > 1 else text for text, count in list(groups.items())[:_TOLD]]
-    told += [f"and {len(groups) - _TOLD} other failures"] if len(groups) > _TOLD else []
-    told += [_reason(last)] if last is not None else []
-    return ": " + "; ".join(told) if told else ""
+    reasons = [f"{count} times: {text}" if count > 1 else text for text, count in list(groups.items())[:_MAX_REASONS]]
+    reasons += [f"and {len(groups) - _MAX_REASONS} other failures"] if len(groups) > _MAX_REASONS else []
+    reasons += [_reason(last)] if last is not None else []
+    return ": " + "; ".join(reasons) if reasons else ""
 
 
 def _reason(failure: BaseException) -> str:

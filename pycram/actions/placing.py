@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram.actions.action import action
 from pycram.actions.checks import place_for_an_object
 from pycram.actions.containers import containers
-from pycram.actions.hands import holder
+from pycram.actions.hands import holding_arm
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
@@ -21,19 +21,29 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from pycram.models.robots.description import Arm
     from pycram.world.object import Object
 
 
 _UPRIGHT: Final = [geometry.from_rpy(0.0, 0.0, step * math.pi / 6) for step in range(12)]
 
 
-def places_for(body: Object, target: Any) -> Iterator[Mapping[str, Any]]:
-    """Yield where an object can be put, by a slot ``target``: ``position`` and ``orientation``, None for any."""
+def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Mapping[str, Any]]:
+    """Yield where an object can be put, by a slot ``target``: ``position`` and ``orientation``, None for any.
+
+    Args:
+        body: The object.
+        target: The slot's value.
+        arm: Of the current robot, which is to get there; None for whoever would.
+    """
     if not isinstance(target, LocationDesignator):
         yield {"position": target, "orientation": None}
         return
     wanted = target.prop_value("orientation")  # else as is natural for the hand: what was found is one of many
-    for place in target.copy([("for", body)]).solutions() if target.for_objects else target.solutions():
+    if target.for_objects:
+        reached = [] if arm is None else [("reachable-for", BulletWorld.current_robot()), ("arm", arm.name)]
+        target = target.copy([("for", body), *reached])
+    for place in target.solutions():
         yield {"position": place["position"], "orientation": wanted}
 
 
@@ -41,7 +51,7 @@ def check_target(body: Object, target: Any) -> None:
     """Check, before anything moves, that an object has a place at a target at all, whoever would bring it there.
 
     Raises:
-        NoPlace: It has none: the surfaces are too small, too full or in something closed, or wishes exclude each other.
+        NoPlace: It has none: the surfaces are too small, too full or closed, or constraints exclude each other.
         PlaceFailed: Nothing is below that it could stand on, or something is there.
     """
     place = next(places_for(body, target))
@@ -72,13 +82,8 @@ def _closed_at(target: Any) -> list[str]:
 
 
 def _places(object: Any, target: Any, orientation: Sequence[float] | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002
-    body, robot = object_of(object), BulletWorld.current_robot()
-    arm = holder(body)
-    if arm is None:
-        raise PlaceFailed(body.name, body.get_position(), f"{robot.name} doesn't hold it")
-    wishes = [("reachable-for", robot), ("arm", arm.name)]
-    from_here = isinstance(target, LocationDesignator) and target.for_objects
-    for place in places_for(body, target.copy(wishes) if from_here else target):
+    body = object_of(object)
+    for place in places_for(body, target, holding_arm(body)):
         yield {"target": place["position"], "orientation": orientation or place["orientation"]}
 
 

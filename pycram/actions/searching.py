@@ -47,9 +47,9 @@ class ObjectNotFound(PerceptionError):
         self.looked = list(looked)
         seen = dict.fromkeys(where for where, failure in looked if isinstance(failure, PerceptionError))
         vain = [where for where in dict.fromkeys(where for where, _ in looked) if where not in seen]
-        told = f"it was looked for {', '.join(seen)}" if seen else "there was nothing to look at"
+        text = f"it was looked for {', '.join(seen)}" if seen else "there was nothing to look at"
         rest = f"; no look was possible {', '.join(vain)}" if vain else ""
-        self.args = (f"no {object_type} found: {told}{rest}",)
+        self.args = (f"no {object_type} found: {text}{rest}",)
 
 
 export("pycram.actions", ObjectNotFound)

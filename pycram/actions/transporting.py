@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pycram.actions.action import ActionDesignator, action
 from pycram.actions.checks import place_for_an_object, portable
-from pycram.actions.fetching import prepare, ways
+from pycram.actions.fetching import choices, prepare
 from pycram.actions.hands import arms, held_by, holder
 from pycram.actions.objects import candidates_of, object_of
 from pycram.actions.performing import ActionFailed, perform
@@ -26,7 +26,7 @@ def _prepare(object: Any, target: Any) -> None:  # noqa: A002  the slot's name
 
 @action(
     "transporting",
-    choices=ways,
+    choices=choices,
     prepare=_prepare,
     checked={"object": portable, "target": place_for_an_object},
 )

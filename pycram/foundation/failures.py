@@ -229,19 +229,19 @@ class NoPath(PlanFailure):
 
 
 class NoPlace(PlanFailure):
-    """No place was found that fulfils all wishes at once, among those that were considered.
+    """No place was found that fulfils all constraints at once, among those that were considered.
 
     Attributes:
         wanted: for what.
-        excluded: how many places each wish excluded, of those that came that far.
-        last: the wish that excluded the last ones.
+        excluded: how many places each constraint excluded, of those that came that far.
+        last: the constraint that excluded the last ones.
     """
 
     def __init__(self, wanted: str, excluded: Mapping[str, int], last: str) -> None:
         self.wanted = wanted
         self.excluded = dict(excluded)
         self.last = last
-        counts = ", ".join(f"{count} by {wish}" for wish, count in self.excluded.items())
+        counts = ", ".join(f"{count} by {name}" for name, count in self.excluded.items())
         considered = f"of {sum(self.excluded.values())} places {counts} were excluded" if counts else "none was left"
         super().__init__(f"no place for {wanted}: {considered}; the last by {last}")
 

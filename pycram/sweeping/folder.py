@@ -27,7 +27,7 @@ FORMAT: Final = 1  # of sweep.json
 SWEEP: Final = "sweep.json"
 _LOCK: Final = "sweep.lock"
 _UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # in names of files, on any system
-_LONGEST: Final = 120  # characters of a name
+_MAX_LETTERS: Final = 120  # characters of a name
 _PART: Final = re.compile(r"\.(\d{5,}.*\.mcap|models-.*\.mcap|sweep\.json)\.part")
 _MAY_CHANGE: Final = frozenset({"runs", "plan"})  # when it is started again
 _held: Final[set[Path]] = set()  # folders into which this process sweeps
@@ -52,7 +52,7 @@ def name_of(number: int, values: Mapping[str, Any]) -> str:
     """Return the name of a run's recording: for people, as the recording itself has the values."""
     shown = ((name, LEFT_OUT if is_secret(name) else value) for name, value in values.items())
     words = ",".join(f"{name}={_shown(value)}" for name, value in shown)
-    return f"{number:05}{'.' if words else ''}{words[:_LONGEST]}.mcap"
+    return f"{number:05}{'.' if words else ''}{words[:_MAX_LETTERS]}.mcap"
 
 
 def _shown(value: object) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import BadArgument
-from pycram.plan_parameters import parsed
+from pycram.plan_parameters import parsed, split
 from recorder.suggestions import suggestion
 
 if TYPE_CHECKING:
@@ -82,9 +82,10 @@ def listed(text: str) -> tuple[str, list[Any]]:
     Raises:
         BadArgument: It isn't that.
     """
-    name, equals, values = text.partition("=")
-    if not (equals and name.isidentifier() and values):
-        raise BadArgument("set", text, "name=value or name=value,value,...")
+    expected = "name=value or name=value,value,..."
+    name, values = split("set", text, expected)
+    if not values:
+        raise BadArgument("set", text, expected)
     try:
         whole: list[Any] = json.loads(f"[{values}]")
     except ValueError:
@@ -98,9 +99,7 @@ def sampled(text: str) -> tuple[str, str]:
     Raises:
         BadArgument: It isn't that.
     """
-    name, equals, distribution = text.partition("=")
-    if not (equals and name.isidentifier()):
-        raise BadArgument("sample", text, f"name={_EXPECTED}")
+    name, distribution = split("sample", text, f"name={_EXPECTED}")
     _parse(name, distribution)
     return name, distribution
 

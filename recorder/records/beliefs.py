@@ -33,7 +33,7 @@ _NAMES: Final = tuple(name.encode() for name in SOURCES)
 _WORDS: Final = {source: name.lower() for name, source in Belief.Source.items() if source}
 _FORGETTING: Final = frozenset({"reset", "close_world"})
 _FAR: Final = 1e9  # m, beyond which nothing is
-_SHORTEST, _LONGEST = 0.99, 1.01  # squared lengths of a unit quaternion
+_MIN_SQUARE, _MAX_SQUARE = 0.99, 1.01  # squared lengths of a unit quaternion
 
 
 def is_look(query: Query) -> bool:
@@ -185,7 +185,7 @@ def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
         if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
             raise ValueError(f"{values!r} is no {part} of {name}")
         numbers.append([float(value) for value in values])
-    if not _SHORTEST <= sum(number * number for number in numbers[1]) <= _LONGEST:
+    if not _MIN_SQUARE <= sum(number * number for number in numbers[1]) <= _MAX_SQUARE:
         raise ValueError(f"{numbers[1]} is no unit quaternion")
     return numbers[0], numbers[1]
 

@@ -30,7 +30,7 @@ _FATES: Final = {
 }
 """What becomes of a place for a reason, by its type; of one place, and of several."""
 _MAX_LETTERS: Final = 80
-_MAX_FATES: Final = 4  # that are told in a line
+_MAX_FATES: Final = 4  # in a line
 
 
 def fates(query: Query) -> Iterator[str]:
@@ -51,13 +51,13 @@ def fates_text(query: Query) -> str:
     if not counts:
         return ""
     taken, untried = counts.pop(TAKEN, 0), counts.pop(NOT_TRIED, 0)
-    told = [_counted(count, fate) for fate, count in counts.most_common(_MAX_FATES)]
+    parts = [_counted(count, fate) for fate, count in counts.most_common(_MAX_FATES)]
     rest = counts.total() - sum(count for _, count in counts.most_common(_MAX_FATES))
-    told += [f"{rest} won't do for other reasons"] if rest else []
-    told += [f"{taken} {'was' if taken == 1 else 'were'} taken"] if taken else ["none was taken"]
-    told += [f"{untried} {'was' if untried == 1 else 'were'} not tried"] if untried else []
+    parts += [f"{rest} won't do for other reasons"] if rest else []
+    parts += [f"{taken} {'was' if taken == 1 else 'were'} taken"] if taken else ["none was taken"]
+    parts += [f"{untried} {'was' if untried == 1 else 'were'} not tried"] if untried else []
     total = len(query.grid.spots)
-    return f"of {total} {'place' if total == 1 else 'places'} {', '.join(told)}"
+    return f"of {total} {'place' if total == 1 else 'places'} {', '.join(parts)}"
 
 
 def _counted(count: int, fate: str) -> str:
@@ -66,12 +66,12 @@ def _counted(count: int, fate: str) -> str:
 
 
 def _fate(candidate: Candidate) -> str:
-    """Return why a place won't do; of one place, and of several, where these are told in other words."""
+    """Return why a place won't do; of one place, and of several, where the words differ."""
     data, reason = argument_values(candidate.data), candidate.reason
     if reason == "Touching":
         return "collides with {0}|collide with {0}".replace("{0}", _touched(data))
-    told = data.get("reason")
-    why = f": {told}" if isinstance(told, str) and len(told) <= _MAX_LETTERS else ""
+    text = data.get("reason")
+    why = f": {text}" if isinstance(text, str) and len(text) <= _MAX_LETTERS else ""
     if reason == "NoRoom":
         return f"has no room{why}|have no room{why}"
     return _FATES.get(reason, "won't do" + (why or f": {reason}"))

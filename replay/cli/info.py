@@ -42,8 +42,8 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     from replay.cli.stats_text import data, summary_lines  # noqa: PLC0415  what they need is an extra
     from replay.runs.statistics import statistics  # noqa: PLC0415
 
-    told = statistics(runs)
-    print_result(lambda: data(told), summary_lines(told), as_json=options.json)
+    stats = statistics(runs)
+    print_result(lambda: data(stats), summary_lines(stats), as_json=options.json)
     return 0
 
 

@@ -14,17 +14,17 @@ if TYPE_CHECKING:
 
     from replay.runs.statistics import Share
 
-_PATIENCE: Final = 1.0  # s without a line of progress
+_PROGRESS_PERIOD: Final = 1.0  # s without a line of progress
 
 
 @contextmanager
 def opened(path: str) -> Iterator[Runs]:
-    """Open a folder; what takes long is told on a terminal."""
+    """Open a folder; a terminal shows how far it is."""
     began, shown = time.monotonic(), False
 
     def progress(done: int, of: int) -> None:
         nonlocal shown
-        if sys.stderr.isatty() and time.monotonic() - began > _PATIENCE:
+        if sys.stderr.isatty() and time.monotonic() - began > _PROGRESS_PERIOD:
             shown = True
             print(f"\rpycram-replay: reading recordings: {done} of {of}", end="", file=sys.stderr, flush=True)
 

@@ -31,19 +31,19 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     chosen, others = plan_of(runs, options.plan)
     if options.plan and options.plan not in {each for (each,) in runs.sql("SELECT DISTINCT plan FROM runs").rows()}:
         raise ReplayError(f"{runs.path} has no run of {options.plan!r}; it has {', '.join(each for each, _ in others)}")
-    told = statistics(runs, chosen)
-    data, lines = stats_text.data(told), list(stats_text.lines(told))
+    stats = statistics(runs, chosen)
+    data, lines = stats_text.data(stats), list(stats_text.lines(stats))
     if options.picture:
         from replay.cli.stats_picture import contact_sheet  # noqa: PLC0415  rendering is an extra
 
-        _write(options.picture, contact_sheet(runs.path, told))
+        _write(options.picture, contact_sheet(runs.path, stats))
         data["picture"] = options.picture
         lines += ["", options.picture]
     if options.html:
         from replay.cli.stats_report import report  # noqa: PLC0415  rendering is an extra
         from replay.runs.separation import separate  # noqa: PLC0415
 
-        _write(options.html, report(runs.path, told, separate(runs, told.runs), Path(options.html)).encode())
+        _write(options.html, report(runs.path, stats, separate(runs, stats.runs), Path(options.html)).encode())
         data["html"] = options.html
         lines += ["", options.html]
     for plan, count in others:

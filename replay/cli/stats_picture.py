@@ -31,9 +31,9 @@ def picture(folder: Path, run: str, step: int | None) -> Image.Image | None:
             return None
 
 
-def contact_sheet(folder: Path, told: Statistics) -> bytes:
+def contact_sheet(folder: Path, stats: Statistics) -> bytes:
     """Return a sheet (PNG) with the last moments of failures: of each cause the first ones."""
-    chosen = list(_chosen(told.causes))
+    chosen = list(_chosen(stats.causes))
     rows = max(1, -(-len(chosen) // _COLUMNS))
     width, height = _SIZE[0], _SIZE[1] + _CAPTION
     sheet = Image.new("RGB", (min(_COLUMNS, max(1, len(chosen))) * width, rows * height), "white")

@@ -57,33 +57,33 @@ document.querySelectorAll("th").forEach(head => head.addEventListener("click", (
 """
 
 
-def report(folder: Path, told: Statistics, found: Separation, file: Path) -> str:
+def report(folder: Path, stats: Statistics, found: Separation, file: Path) -> str:
     """Return the page.
 
     Args:
         folder: of the recordings.
-        told: their statistics.
+        stats: their statistics.
         found: what separates failures from successes.
         file: where the page will be, from which its links go.
     """
     links = quote(os.path.relpath(folder.resolve(), file.resolve().parent))
     parts = [
-        f"<h1>{escape(told.plan)}: {len(told.runs)} runs</h1>",
-        _summary(told),
-        *(f"<h2>Success by {escape(name)}</h2>{_shares(shares)}" for name, shares in told.parameters),
+        f"<h1>{escape(stats.plan)}: {len(stats.runs)} runs</h1>",
+        _summary(stats),
+        *(f"<h2>Success by {escape(name)}</h2>{_shares(shares)}" for name, shares in stats.parameters),
         "<h2>What separates failures from successes</h2>",
         _claims(folder, found),
         "<h2>Failures by cause</h2>",
-        _causes(folder, told.causes, links),
+        _causes(folder, stats.causes, links),
         "<h2>Last moments</h2>",
-        "".join(_figure(folder, cause, links) for cause in told.causes[:_PICTURES]) or "<p>No run failed.</p>",
+        "".join(_figure(folder, cause, links) for cause in stats.causes[:_PICTURES]) or "<p>No run failed.</p>",
         *(
             f"<h2>{title} that took longest</h2>{_slow(folder, slow)}"
-            for title, slow in (("Queries", told.queries), ("Motions", told.motions), ("Other tasks", told.tasks))
+            for title, slow in (("Queries", stats.queries), ("Motions", stats.motions), ("Other tasks", stats.tasks))
             if slow
         ),
     ]
-    title = escape(f"{told.plan}: {len(told.runs)} runs")
+    title = escape(f"{stats.plan}: {len(stats.runs)} runs")
     return (
         f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f"<style>{_STYLE}</style></head>"
@@ -91,18 +91,18 @@ def report(folder: Path, told: Statistics, found: Separation, file: Path) -> str
     )
 
 
-def _summary(told: Statistics) -> str:
-    low, high = told.success.interval
-    rate = f"{told.success.succeeded / told.success.of:.1%}" if told.success.of else "no run ended"
-    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in told.outcomes)
-    left_out = [f"{count} of plan {plan}" for plan, count in told.others]
-    left_out += [f"{each.name} ({each.reason})" for each in told.skipped]
-    count = f"{told.success.succeeded} of {told.success.of}"
-    size = f"{told.size / 1e6:.1f} MB, {told.records} records"
-    took = f"a run took {told.seconds[0]:.2f} s in the middle, {told.seconds[1]:.2f} s at most"
+def _summary(stats: Statistics) -> str:
+    low, high = stats.success.interval
+    rate = f"{stats.success.succeeded / stats.success.of:.1%}" if stats.success.of else "no run ended"
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in stats.outcomes)
+    left_out = [f"{count} of plan {plan}" for plan, count in stats.others]
+    left_out += [f"{each.name} ({each.reason})" for each in stats.skipped]
+    count = f"{stats.success.succeeded} of {stats.success.of}"
+    size = f"{stats.size / 1e6:.1f} MB, {stats.records} records"
+    took = f"a run took {stats.seconds[0]:.2f} s in the middle, {stats.seconds[1]:.2f} s at most"
     lines = [
         f'<p><span class="big">{rate}</span> succeeded, {count} (95 %: {low:.1%} to {high:.1%})</p>',
-        f'<p class="gray">{escape(told.folder)}: {escape(outcomes)}; {size}; {took}</p>',
+        f'<p class="gray">{escape(stats.folder)}: {escape(outcomes)}; {size}; {took}</p>',
     ]
     if left_out:
         lines.append(f'<p class="gray">Left out: {escape(", ".join(left_out))}</p>')

@@ -18,53 +18,53 @@ _MAX_CAUSES: Final = 10
 _MAX_SLOW: Final = 5
 
 
-def data(told: Statistics) -> dict[str, object]:
+def data(stats: Statistics) -> dict[str, object]:
     """Return statistics as JSON has them, with the intervals of shares."""
-    facts = dataclasses.asdict(told)
-    facts["success"] |= {"interval": told.success.interval}
+    facts = dataclasses.asdict(stats)
+    facts["success"] |= {"interval": stats.success.interval}
     facts["parameters"] = {
         name: [dataclasses.asdict(share) | {"interval": share.interval} for share in shares]
-        for name, shares in told.parameters
+        for name, shares in stats.parameters
     }
-    facts["outcomes"], facts["others"] = dict(told.outcomes), dict(told.others)
+    facts["outcomes"], facts["others"] = dict(stats.outcomes), dict(stats.others)
     return facts
 
 
-def summary_lines(told: Statistics) -> Iterator[str]:
+def summary_lines(stats: Statistics) -> Iterator[str]:
     """Yield what the runs are, and how they ended."""
-    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in told.outcomes)
-    median, longest = told.seconds
-    yield f"folder     {told.folder} ({told.size / 1e6:.1f} MB)"
-    yield f"plan       {told.plan or 'none'}"
-    yield f"runs       {plural(len(told.runs), 'run')}: {outcomes}" if told.runs else "runs       none"
-    yield f"success    {success(told.success)}"
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in stats.outcomes)
+    median, longest = stats.seconds
+    yield f"folder     {stats.folder} ({stats.size / 1e6:.1f} MB)"
+    yield f"plan       {stats.plan or 'none'}"
+    yield f"runs       {plural(len(stats.runs), 'run')}: {outcomes}" if stats.runs else "runs       none"
+    yield f"success    {success(stats.success)}"
     yield f"took       {median:.2f} s in the middle, {longest:.2f} s at most"
-    yield f"records    {told.records}"
-    if told.others:
-        others = ", ".join(f"{plural(count, 'run')} of {plan}" for plan, count in told.others)
+    yield f"records    {stats.records}"
+    if stats.others:
+        others = ", ".join(f"{plural(count, 'run')} of {plan}" for plan, count in stats.others)
         yield f"left out   {others}"
-    if told.skipped:
-        yield f"left out   {plural(len(told.skipped), 'file')}"
+    if stats.skipped:
+        yield f"left out   {plural(len(stats.skipped), 'file')}"
 
 
-def lines(told: Statistics) -> Iterator[str]:
+def lines(stats: Statistics) -> Iterator[str]:
     """Yield all statistics."""
-    yield from summary_lines(told)
-    for name, shares in told.parameters:
+    yield from summary_lines(stats)
+    for name, shares in stats.parameters:
         yield from ("", f"By {name}")
         width = max(len(share.what) for share in shares)
         yield from (f"  {share.what:{width}}  {success(share)}" for share in shares)
-    if told.causes:
+    if stats.causes:
         yield from ("", "Failures by cause")
-    for cause in told.causes[:_MAX_CAUSES]:
+    for cause in stats.causes[:_MAX_CAUSES]:
         yield f"  {plural(cause.count, 'run')}, {percent(cause.share)}: {cause.cause}"
         yield f"    first: {one_line(short(cause.message))}"
-        yield f"    pycram-replay why {shlex.quote(f'{told.folder}/{cause.first}')}"
-    if len(told.causes) > _MAX_CAUSES:
-        yield f"  {plural(len(told.causes) - _MAX_CAUSES, 'more cause')}"
-    yield from _slow("Queries that took longest", told.queries)
-    yield from _slow("Motions that took longest", told.motions)
-    yield from _slow("Other tasks that took longest", told.tasks)
+        yield f"    pycram-replay why {shlex.quote(f'{stats.folder}/{cause.first}')}"
+    if len(stats.causes) > _MAX_CAUSES:
+        yield f"  {plural(len(stats.causes) - _MAX_CAUSES, 'more cause')}"
+    yield from _slow("Queries that took longest", stats.queries)
+    yield from _slow("Motions that took longest", stats.motions)
+    yield from _slow("Other tasks that took longest", stats.tasks)
 
 
 def _slow(title: str, slow: Sequence[Slow]) -> Iterator[str]:

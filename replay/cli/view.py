@@ -80,8 +80,8 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
     if options.others:
         raise ReplayError("a folder is shown alone; name recordings of it to see these side by side")
-    told = statistics(runs)
-    chosen = [cause.first for cause in told.causes[: _MAX_BESIDE + 1]] or told.runs[:1]
+    stats = statistics(runs)
+    chosen = [cause.first for cause in stats.causes[: _MAX_BESIDE + 1]] or stats.runs[:1]
     if not chosen:
         raise ReplayError(f"{runs.path}: there is no run to be shown")
     options.others = [str(runs.path / name) for name in chosen[1:]]

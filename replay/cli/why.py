@@ -54,20 +54,20 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
     if options.step or options.pictures:
         raise ReplayError("a step, and pictures, are of one recording; give that instead of the folder")
-    told = statistics(runs)
-    failed = sum(cause.count for cause in told.causes)
+    stats = statistics(runs)
+    failed = sum(cause.count for cause in stats.causes)
     explained, text = (
         [],
-        [f"{failed} of {plural(told.success.of, 'run')} failed, of {plural(len(told.causes), 'cause')}"],
+        [f"{failed} of {plural(stats.success.of, 'run')} failed, of {plural(len(stats.causes), 'cause')}"],
     )
-    for cause in told.causes[:_COMMONEST]:
+    for cause in stats.causes[:_COMMONEST]:
         with Recording(runs.path / cause.first) as log:
             why = log.why()
             explained.append({"cause": cause.cause, "count": cause.count, "first": cause.first, "why": facts(why)})
             text += ["", f"{plural(cause.count, 'run')}, {percent(cause.share)}: {cause.cause}"]
             text += [f"first in {cause.first}:", *(f"  {line}".rstrip() for line in _start(lines(why, str(log.path))))]
     if options.json:
-        print_json({"runs": told.success.of, "failed": failed, "causes": explained})
+        print_json({"runs": stats.success.of, "failed": failed, "causes": explained})
     else:
         print_text("\n".join(text))
     return FINE

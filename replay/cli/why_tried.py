@@ -34,7 +34,7 @@ def lines(tried: TriedAction) -> Iterator[str]:
         yield f"    {outcome}"
     for query in tried.places:
         yield f"step {query.seq}: {record_text.question(query)}"
-        yield f"    {fates_text(query)}"
+        yield f"    {fates_text(query) or 'no place was left on its map'}"
     if tried.last:
         yield f"nothing else could be chosen: {formatting.one_line(tried.last)}"
     elif tried.spent:

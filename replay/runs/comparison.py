@@ -70,17 +70,17 @@ def compare_folders(first: Runs, second: Runs, plan: str | None = None) -> Folde
         ReplayError: one of them has no run of that plan.
     """
     chosen, _ = plan_of(first, plan)
-    told = [statistics(each, chosen) for each in (first, second)]
-    for runs, each in zip((first, second), told, strict=True):
+    stats = [statistics(each, chosen) for each in (first, second)]
+    for runs, each in zip((first, second), stats, strict=True):
         if not each.runs:
             raise ReplayError(f"{runs.path} has no run of {chosen!r}; runs of one plan are compared")
     before, after = _ended(first, chosen), _ended(second, chosen)
     both = sorted((before[given], after[given]) for given in before.keys() & after.keys())
     return FolderComparison(
         chosen,
-        told[0].success,
-        told[1].success,
-        _causes(*told),
+        stats[0].success,
+        stats[1].success,
+        _causes(*stats),
         len(both),
         tuple((a, b) for (a, before_ok), (b, after_ok) in both if after_ok and not before_ok),
         tuple((a, b) for (a, before_ok), (b, after_ok) in both if before_ok and not after_ok),
@@ -98,6 +98,6 @@ def _ended(runs: Runs, plan: str) -> dict[tuple[str, str, str], tuple[str, bool]
 
 
 def _causes(first: Statistics, second: Statistics) -> tuple[tuple[str, int, int], ...]:
-    before, after = (Counter({cause.cause: cause.count for cause in told.causes}) for told in (first, second))
+    before, after = (Counter({cause.cause: cause.count for cause in stats.causes}) for stats in (first, second))
     found = [(cause, before[cause], after[cause]) for cause in before | after]
     return tuple(sorted(found, key=lambda each: (-abs(each[2] - each[1]), -max(each[1:]), each[0])))

@@ -10,13 +10,11 @@ Recordings that can't be read, or are of a newer release, are named and left out
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import re
 import shutil
 import tempfile
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,8 +23,10 @@ from pyarrow import compute, parquet
 
 from replay.errors import NotALog, ReplayError
 from replay.file.record_reader import RecordReader
-from replay.runs.rows import FOLDER, NEW, read_rows, tables_of, written_rows
-from replay.runs.schema import RUN, TABLES, VERSION, arrow_schema
+from replay.runs.contents import Contents, flocked, parts_there
+from replay.runs.record_rows import tables_of
+from replay.runs.rows import FOLDER, NEW, read_rows, written_rows
+from replay.runs.schema import RUN, TABLES, arrow_schema
 
 try:
     import fcntl
@@ -37,12 +37,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 _RUN_FIELD: Final = pa.field(RUN.name, pa.string())
-_CONTENTS: Final = "contents.json"
 _MODELS: Final = "models-"  # files of models that a sweep's recordings share
 _BATCH: Final = 200  # recordings whose rows are in memory at once
 _PARTS: Final = 8  # small parts that are merged into one
 _SMALL: Final = 2000  # recordings in a part that is still merged with others
-_PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # its name; with a dot before it while it is written
 
 
 class NotRead(ReplayError):
@@ -72,28 +70,6 @@ class Skipped:
     reason: str
 
 
-@dataclass
-class _Contents:
-    """What is in the tables.
-
-    Attributes:
-        files: size and time of each recording that was read, and its part; those that can't be read have the reason.
-        next: number of the next part.
-    """
-
-    files: dict[str, dict[str, Any]] = field(default_factory=dict)
-    next: int = 1
-
-    @property
-    def parts(self) -> dict[str, list[str]]:
-        """Names of the recordings by part."""
-        found = defaultdict(list)
-        for name, told in self.files.items():
-            if "part" in told:
-                found[told["part"]].append(name)
-        return found
-
-
 class Folder:
     """A folder of recordings, with its tables.
 
@@ -110,7 +86,7 @@ class Folder:
             raise NotALog(self.path, "is no folder of recordings" if self.path.exists() else "there is no such folder")
         if not self.recordings():
             raise NotALog(self.path, "is a directory in which no recording lies")
-        self._contents = _Contents()
+        self._contents = Contents()
         self._held = contextlib.ExitStack()
 
     def close(self) -> None:
@@ -125,8 +101,8 @@ class Folder:
     @property
     def skipped(self) -> tuple[Skipped, ...]:
         """The files that are left out, each with the reason."""
-        told = sorted(self._contents.files.items())
-        return tuple(Skipped(name, facts["reason"]) for name, facts in told if "reason" in facts)
+        files = sorted(self._contents.files.items())
+        return tuple(Skipped(name, facts["reason"]) for name, facts in files if "reason" in facts)
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -162,21 +138,21 @@ class Folder:
         self.close()
         try:
             with self._locked():
-                self._contents = self._read_contents()
+                self._contents = Contents.read(self.tables)
                 self._update(progress)
                 self._hold()
         except OSError as error:
-            self._contents = self._read_contents()  # such as on a read-only disk: they may be there
+            self._contents = Contents.read(self.tables)  # such as on a read-only disk: they may be there
             if any(self._changed(self.recordings())):
-                told = error.strerror or str(error)
-                cause = f"its tables can't be written ({told}); copy it to where they can be"
+                reason = error.strerror or str(error)
+                cause = f"its tables can't be written ({reason}); copy it to where they can be"
                 raise NotRead(self.path, cause) from error
             self._hold()
 
     def _changed(self, present: Mapping[str, os.stat_result]) -> tuple[list[str], list[str]]:
         """Return which recordings in the tables have changed or are gone, and which ones are to be read."""
         known = self._contents.files
-        stale = [name for name, facts in known.items() if _facts(present.get(name)) != _told(facts)]
+        stale = [name for name, facts in known.items() if _state(present.get(name)) != _known_state(facts)]
         return stale, [name for name in present if name not in known or name in stale]
 
     def _update(self, progress: Callable[[int, int], object]) -> None:
@@ -190,9 +166,9 @@ class Folder:
             progress(start, len(wanted))
             self._add({name: present[name] for name in batch}, progress, start, len(wanted))
         self._merge()
-        self._write_contents()
-        for part in self._parts_there() - set(self._contents.parts):
-            with contextlib.suppress(BlockingIOError), _flocked(self.tables / part, exclusive=True):
+        self._contents.write(self.tables)
+        for part in parts_there(self.tables) - set(self._contents.parts):
+            with contextlib.suppress(BlockingIOError), flocked(self.tables / part, exclusive=True):
                 shutil.rmtree(self.tables / part, ignore_errors=True)
         for name in wanted:
             written_rows(self.path / name).unlink(missing_ok=True)
@@ -208,7 +184,7 @@ class Folder:
             try:
                 tables = self._rows(name, state)
             except (ReplayError, OSError) as error:
-                self._contents.files[name] = _facts(state) | {"reason": _reason(self.path / name, error)}
+                self._contents.files[name] = _state(state) | {"reason": _reason(self.path / name, error)}
                 continue
             progress(done, of)
             names.append(name)
@@ -218,7 +194,7 @@ class Folder:
             return
         part = self._write_part({table: pa.concat_tables(parts) for table, parts in rows.items()})
         for name in names:
-            self._contents.files[name] = _facts(recordings[name]) | {"part": part}
+            self._contents.files[name] = _state(recordings[name]) | {"part": part}
 
     def _rows(self, name: str, state: os.stat_result) -> dict[str, pa.Table]:
         path = self.path / name
@@ -283,7 +259,7 @@ class Folder:
             raise
         return part
 
-    # --- contents ----------------------------------------------------------------------------------------------------
+    # --- locks -------------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
@@ -299,66 +275,14 @@ class Folder:
         """Keep other processes from removing these tables until they are closed."""
         for part in self._contents.parts:
             with contextlib.suppress(BlockingIOError):  # it isn't waited for
-                self._held.enter_context(_flocked(self.tables / part, exclusive=False))
-
-    def _read_contents(self) -> _Contents:
-        """Return what is in the tables: nothing, where that can't be known or another release made them."""
-        numbers = [int(found[1]) for name in self._parts_there() if (found := _PART.fullmatch(name))]
-        nothing = _Contents(next=max(numbers, default=0) + 1)  # who reads the old ones may go on
-        try:
-            told = json.loads((self.tables / _CONTENTS).read_text(encoding="utf-8"))
-            contents = _Contents(dict(told["files"]), int(told["next"]))
-            ours = told["version"] == VERSION and all(part.isdecimal() for part in contents.parts)  # no other folders
-            intact = ours and all(
-                (self.tables / part / f"{table.name}.parquet").is_file() for part in contents.parts for table in TABLES
-            )
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            return nothing
-        return contents if intact else nothing
-
-    def _parts_there(self) -> set[str]:
-        """Return the names of folders of parts, also of those that are no longer in the contents."""
-        found = self.tables.iterdir() if self.tables.is_dir() else ()
-        return {each.name for each in found if _PART.fullmatch(each.name) and each.is_dir() and not each.is_symlink()}
-
-    def _write_contents(self) -> None:
-        partial = self.tables / f".{_CONTENTS}.{os.getpid()}"
-        told = {"version": VERSION, "next": self._contents.next, "files": self._contents.files}
-        try:
-            partial.write_text(json.dumps(told, indent=0), encoding="utf-8")
-            partial.replace(self.tables / _CONTENTS)
-        finally:
-            partial.unlink(missing_ok=True)
+                self._held.enter_context(flocked(self.tables / part, exclusive=False))
 
 
-@contextlib.contextmanager
-def _flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
-    """Hold a lock on a folder where the system can; it isn't waited for.
-
-    Raises:
-        BlockingIOError: another one holds it.
-    """
-    if fcntl is None:
-        yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(descriptor, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise
-        except OSError:  # some network file systems have none
-            pass
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _facts(state: os.stat_result | None) -> dict[str, Any]:
+def _state(state: os.stat_result | None) -> dict[str, Any]:
     return {} if state is None else {"size": state.st_size, "mtime_ns": state.st_mtime_ns}
 
 
-def _told(facts: Mapping[str, Any]) -> dict[str, Any]:
+def _known_state(facts: Mapping[str, Any]) -> dict[str, Any]:
     return {key: facts.get(key) for key in ("size", "mtime_ns")}
 
 

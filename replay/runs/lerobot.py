@@ -229,11 +229,11 @@ class _Writer:
         parquet.write_table(pa.Table.from_pylist(episodes), path)
         tasks = pa.table({"task_index": pa.array([0]), "task": pa.array([self.task])})
         kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
-        told = [
+        columns = [
             {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
             for name, (kind, numpy) in kinds.items()
         ]
-        index = {"index_columns": ["task"], "column_indexes": [], "columns": told, "pandas_version": "2.2.0"}
+        index = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.2.0"}
         parquet.write_table(
             tasks.replace_schema_metadata({"pandas": json.dumps(index)}), self.folder / "meta" / "tasks.parquet"
         )

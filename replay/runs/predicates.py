@@ -143,7 +143,7 @@ class _Sites:
             "SELECT run, step, task, parent, kind, name, label, parameters, solution, resolver, module, status, "
             "last_step, origin FROM tasks ORDER BY run, step"
         )
-        for run, step, task, parent, kind, name, label, *told, resolver, module, status, last, origin in rows.rows():
+        for run, step, task, parent, kind, name, label, *values, resolver, module, status, last, origin in rows.rows():
             number = self.numbers.get(run)
             if number is None:
                 continue
@@ -157,7 +157,7 @@ class _Sites:
                 self.add("reached", f"{label} {kind}" if kind in _STRUCTURE else label, number, True, step)
             if kind not in _STRUCTURE:
                 self.mark(number, f"the start of {label}", step, task)
-                self._slots(number, label, told, step)
+                self._slots(number, label, values, step)
             ended = last is not None and last < self.cases[number].end
             if ended and kind not in _STRUCTURE:
                 self.mark(number, f"the end of {label}", last, task)
@@ -169,10 +169,10 @@ class _Sites:
             if kind == "branch" and name:
                 self.mark(number, f"the start of branch {name}", step, task)
 
-    def _slots(self, number: int, label: str, told: Iterable[str], step: int) -> None:
+    def _slots(self, number: int, label: str, values: Iterable[str], step: int) -> None:
         """Add the slots of a motion; those of its solution replace what it was given."""
         slots: dict[str, Plain] = {}
-        for text in told:
+        for text in values:
             slots |= _object(text)
         for slot, value in slots.items():
             self.add("motion", f"{slot} at {label}", number, value, step)

@@ -147,7 +147,7 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
         "SELECT run, outcome, succeeded, parameters, cause, cause_step, message FROM runs WHERE plan = ? ORDER BY run",
         [chosen],
     ).rows()
-    told = [
+    ended = [
         (run, succeeded, dict(parameters or ())) for run, _, succeeded, parameters, *_ in rows if succeeded is not None
     ]
     totals = runs.sql(
@@ -161,9 +161,9 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
         runs=tuple(row[0] for row in rows),
         others=others,
         skipped=runs.skipped,
-        success=Share("all", sum(succeeded for _, succeeded, _ in told), len(told)),
+        success=Share("all", sum(succeeded for _, succeeded, _ in ended), len(ended)),
         outcomes=tuple(Counter(row[1] for row in rows).most_common()),
-        parameters=_by_parameter([(bool(succeeded), given) for _, succeeded, given in told]),
+        parameters=_by_parameter([(bool(succeeded), given) for _, succeeded, given in ended]),
         causes=causes([(run, cause, step, message) for run, _, ok, _, cause, step, message in rows if ok is False]),
         queries=_slowest(runs, "queries", "name", "true", chosen),
         motions=_slowest(runs, "tasks", "label", "kind = 'motion'", chosen),
@@ -197,10 +197,10 @@ def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureC
     )
 
 
-def _by_parameter(told: Sequence[tuple[bool, dict[str, str]]]) -> tuple[tuple[str, tuple[Share, ...]], ...]:
+def _by_parameter(ended: Sequence[tuple[bool, dict[str, str]]]) -> tuple[tuple[str, tuple[Share, ...]], ...]:
     found = []
-    for name in dict.fromkeys(name for _, given in told for name in given):
-        of = [(given[name], succeeded) for succeeded, given in told if name in given]
+    for name in dict.fromkeys(name for _, given in ended for name in given):
+        of = [(given[name], succeeded) for succeeded, given in ended if name in given]
         shares = _shares(of)
         if len(shares) > 1:
             found.append((name, shares))

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 import recorder
-from pycram.actions import ActionFailed, Try
+from pycram.actions import ActionFailed, Try, perform
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import ActionDesignator, LocationDesignator
 from pycram.failures import GraspFailed
 from recorder.records import Argument, Candidate, Grid, Query, Spot, to_json
 from recorder.tracing import journal
@@ -17,6 +19,7 @@ from recorder.tracing.span import Span
 from replay.cli.main import main
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 
@@ -85,3 +88,41 @@ def test_tree_shows_actions_with_their_attempts(log: Path, capsys: pytest.Captur
     assert sum("failure-handling" in line for line in lines) == 1
     assert main(["tree", str(log), "--all"]) == 0
     assert capsys.readouterr().out.count("failure-handling") == 2
+
+
+@pytest.fixture
+def table() -> Iterator[BulletWorld]:
+    """A Panda on a table, with milk in reach, and another table that is not."""
+    with BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("table", "environment", "table.urdf")
+        Object("far table", "environment", "table.urdf", [4, 0, 0])
+        world.robot = robot = Object("panda", "robot", "panda.urdf", [0, 0, 0.72])
+        assert robot.description is not None
+        robot.set_joint_positions(next(iter(robot.description.arms.values())).posture("park"))
+        Object("milk", "milk", "milk.stl", [0.62, -0.25, 0.83])
+        yield world
+
+
+@pytest.mark.slow
+def test_why_tells_which_choice_a_transport_could_not_make(
+    table: BulletWorld, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, milk = tmp_path / "log.mcap", table.get_object("milk")
+    target = LocationDesignator(on=table.get_object("far table"))
+    with pytest.raises(ActionFailed), recorder.record(file):
+        perform(ActionDesignator(type="transporting", object=milk, target=target))
+    assert milk.carrier is table.robot, "taking it is what succeeded"
+    assert main(["why", str(file)]) == 0
+    told = capsys.readouterr().out
+    assert "The cause: delivering(" in told, "the part of it that failed"
+    _, _, text = told.partition("What transporting(")
+    lines = [line.strip() for line in text.partition("\n\n")[0].splitlines()]
+    assert any(line.startswith("NoPlace: no place for milk on table: ") and "by reach" in line for line in lines)
+    taking, putting = (
+        next(number for number, line in enumerate(lines) if f": {name}(" in line)
+        for name in ("standing_places", "free_places")
+    )
+    assert lines[taking + 1] == "of 1 place 1 was taken"
+    assert lines[putting + 1] == "no place was left on its map"
+    assert lines[-1] == "there was nothing else to choose"

@@ -1,4 +1,4 @@
-"""Maps: scores of all cells of a grid for one wish each, 0 to 1. They are rough, and multiplied."""
+"""Maps: scores of all cells of a grid for one constraint each, 0 to 1. They are rough, and multiplied."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -17,9 +17,18 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _UPRIGHT: Final = 0.999  # of a unit axis along the vertical
+_LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the other axes of a box, by the one that is vertical
 _DIRECTIONS: Final = 36
 _BEHIND: Final = 1e-4  # of its score that a place keeps with something between: where all have that, none is better
+_AT_ONCE: Final = 1 << 15  # pairs of a rectangle and a point
 _SURE: Final = 0.85  # of the radius of a circle within an outline: boxes are a little wider than what they are around
+
+
+def scattered(scores: Array, cells: NDArray[np.intp], count: int) -> Array:
+    """Return a map (count,) with the scores of some cells, and 0 elsewhere."""
+    whole = np.zeros(count)
+    whole[cells] = scores
+    return whole
 
 
 def near(centers: Array, point: Sequence[float], scale: float, most: float = math.inf) -> Array:
@@ -59,36 +68,56 @@ class Footprints:
         self.axes = np.repeat(np.eye(2)[None], len(axes), axis=0)
         self.halves = extents[counted, :2]
         standing = np.abs(axes[:, 2]) > _UPRIGHT  # (k, 3): which of its axes is vertical
-        for number in np.flatnonzero(standing.any(axis=1)):
-            flat = np.flatnonzero(~standing[number])
-            self.axes[number] = axes[number][:2, flat]
-            self.halves[number] = halves[number, flat]
+        upright = np.flatnonzero(standing.any(axis=1))
+        flat = _LYING[standing[upright].argmax(axis=1)]
+        self.axes[upright] = np.take_along_axis(axes[upright, :2], flat[:, None], axis=2)
+        self.halves[upright] = np.take_along_axis(halves[upright], flat, axis=1)
 
     def distances(self, points: Array, most: float) -> Array:
         """Return how far points (n, 2) are from the nearest rectangle, m: 0 inside of one, ``most`` and more alike."""
-        nearest = np.full(len(points), most)
+        nearest = np.full(len(points), most * most)
         around = np.hypot(*self.halves.T)[:, None] + most
-        low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
-        counted = ((self.centers > low - around) & (self.centers < high + around)).all(axis=1)
-        for center, axes, halves in zip(self.centers[counted], self.axes[counted], self.halves[counted], strict=True):
-            beyond = np.maximum(np.abs((points - center) @ axes) - halves, 0.0)
-            np.minimum(nearest, np.hypot(beyond[:, 0], beyond[:, 1]), out=nearest)
-        return nearest
+        for along, halves in self._along(points, self._beside(points, around)):
+            beyond = np.maximum(np.abs(along) - halves, 0.0)
+            np.square(beyond, out=beyond)
+            np.minimum(nearest, beyond.sum(axis=1).min(axis=0), out=nearest)
+        distances: Array = np.sqrt(nearest)
+        return distances
 
     def between(self, points: Array, target: Sequence[float]) -> NDArray[np.bool_]:
         """Return for points (n, 2) whether a rectangle meets the straight line to a target that isn't in it."""
         end = np.asarray(target[:2])
         hidden = np.zeros(len(points), dtype=bool)
-        for center, axes, halves in zip(self.centers, self.axes, self.halves, strict=True):
-            last = (end - center) @ axes
-            if (np.abs(last) <= halves).all():
-                continue
-            first = (points - center) @ axes
-            way = np.where(last == first, 1e-12, last - first)
+        ends = np.vstack([points, end])
+        beside = self._beside(ends, (np.abs(self.axes) * self.halves[:, None]).sum(axis=2))
+        for along, halves in self._along(ends, beside):
+            first, last = along[..., :-1], along[..., -1:]
+            way = last - first
+            way[way == 0.0] = 1e-12
             one, other = (-halves - first) / way, (halves - first) / way  # shares of the way, by slabs
             enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
-            hidden |= np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)
+            met = np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)
+            hidden |= (met & (np.abs(last) > halves).any(axis=1)).any(axis=0)
         return hidden
+
+    def _beside(self, points: Array, around: Array) -> NDArray[np.bool_]:
+        """Return which rectangles (k,) come as near as (k, 1) or (k, 2) m to the bounds of points (n, 2)."""
+        low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+        counted: NDArray[np.bool_] = ((self.centers >= low - around) & (self.centers <= high + around)).all(axis=1)
+        return counted
+
+    def _along(self, points: Array, counted: NDArray[np.bool_]) -> Iterator[tuple[Array, Array]]:
+        """Yield where points (n, 2) are in the frames of rectangles, (m, 2, n) m, with half extents (m, 2, 1).
+
+        It yields as many rectangles at once as a processor's cache holds.
+        """
+        centers, axes, halves = (part[counted] for part in (self.centers, self.axes, self.halves))
+        some = max(1, _AT_ONCE // max(1, len(points)))
+        for start in range(0, len(centers), some):
+            part = slice(start, start + some)
+            back = axes[part].transpose(0, 2, 1)
+            middles = back @ centers[part, :, None]  # (m, 2, 1)
+            yield back @ points.T - middles, halves[part, :, None]
 
     def corners(self) -> Array:
         """Return the corners (4 * k, 2) of the rectangles, m."""

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Quaternion, Vector
 
 _TURNS: Final = 6  # about the vertical, in which what is put down may roughly stand
-_FEW: Final = 30  # places
+_MAX_SINGLE: Final = 30  # places; of more than these a search for all at once takes less
 _STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle has to be reached
 
 
@@ -99,7 +99,7 @@ def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Po
     for arm in arms:
         solver = Solver(robot, arm.tool_frame)
         tools = [goal.tools(arm, base) for base in bases]
-        if any(each is None for each in tools) or not (solver.in_closed_form or len(bases) > _FEW):
+        if any(each is None for each in tools) or not (solver.in_closed_form or len(bases) > _MAX_SINGLE):
             return [True] * len(bases)
         targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each or ()]
         if solver.in_closed_form:
@@ -163,12 +163,10 @@ class Taking:
         """Return the side of the first grasp that would hold it."""
         if self.body.fixed:
             return Unfit(f"{self.body.name} is fixed")
-        if arm.hand is None:
-            return Unfit("it has no gripper")
-        in_hand = held(self._robot, arm)
-        if in_hand:
-            return Unfit(f"it holds {in_hand[0].name}")
-        solver = Solver(self._robot, arm.tool_frame)  # most places are out of reach: they are told quickly
+        unfit = _no_free_hand(self._robot, arm)
+        if unfit is not None:
+            return unfit
+        solver = Solver(self._robot, arm.tool_frame)  # most places are out of reach: that is quickly known
         grasps = [
             *candidates(self.body, self._robot, arm, base=base),
             *candidates(self.body, self._robot, arm, base=base, off_center=True),
@@ -257,11 +255,9 @@ class Pulling:
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the arm can hold the handle all the way."""
-        if arm.hand is None:
-            return Unfit("it has no gripper")
-        in_hand = held(self._robot, arm)
-        if in_hand:
-            return Unfit(f"it holds {in_hand[0].name}")
+        unfit = _no_free_hand(self._robot, arm)
+        if unfit is not None:
+            return unfit
         target = self._target
         start = target.container.get_joint_position(target.joint)
         steps = max(1, math.ceil(abs(target.to - start) / _STEP))
@@ -296,6 +292,14 @@ class Touch:
                 return ""
             nearest.append(Touching(pairs))
         return min(nearest, key=lambda reason: reason.miss())
+
+
+def _no_free_hand(robot: Object, arm: Arm) -> Unfit | None:
+    """Return why an arm can take hold of nothing; None if it can."""
+    if arm.hand is None:
+        return Unfit("it has no gripper")
+    in_hand = held(robot, arm)
+    return Unfit(f"it holds {in_hand[0].name}") if in_hand else None
 
 
 def _rejection(failure: PlanFailure) -> Rejection:

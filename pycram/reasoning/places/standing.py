@@ -6,23 +6,19 @@ import itertools
 import math
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from pycram.foundation import checks
 from pycram.foundation.failures import MissingPart
 from pycram.reasoning.collision.checker import CollisionChecker
-from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.places import maps, reaching
-from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.batch import Batch, Spot
+from pycram.reasoning.places.constraints import ConstraintCounts
 from pycram.reasoning.places.grid import Grid, generator, spread
-from pycram.reasoning.places.outline import room, surroundings
 from pycram.reasoning.places.place import Place
 from pycram.reasoning.places.reaching import drives
 from pycram.reasoning.places.seeing import seen_share
-from pycram.reasoning.places.wishes import Wishes
+from pycram.reasoning.places.standing_maps import StandingMaps
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE
 from pycram.reasoning.rejections import OutOfReach, Touching, Unseen, Untried
@@ -32,6 +28,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from pycram.models.robots.description import Arm
@@ -44,19 +41,13 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _SPOTS: Final = (30, 120, 120)  # that are drawn at once, and again where none of them will do
-_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
-_FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
+_AT_FIRST: Final = 4  # of them that are looked at together, then twice as many: mostly one of the first will do
 _TRIES: Final = 40  # of each draw that are checked one by one: of what is shut in, all others fail as well
 _FEWER: Final = 16  # where an arm isn't solved in closed form, which takes longer
 _JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # of the heading, in each of these draws
 _APART: Final = 0.07  # m between places that are offered
 _TRIED: Final = 0.02  # m around places that won't do: another heading may
 _POOR: Final = 1e-3  # of the best score, below which a place isn't drawn
-_SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
-_ROOM: Final = 1.5  # m around a point that a place is to be near
-_NEAR: Final = 0.7  # m at which a place near a point counts half
-_SHORT_WAY: Final = 8.0  # m of driving that count half
-_LEVEL: Final = 0.05  # m above what is reached: what is lower isn't between
 _HERE: Final = "where it stands"
 
 
@@ -128,12 +119,13 @@ class _Search:
         seed: int | None,
     ) -> None:
         self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
-        self._see, self._near, self._seed = see, near, seed
+        self._see, self._seed = see, seed
         self._avoid: list[Vector] = list(avoid)  # with the places that were offered
         self._vain: list[Vector] = []  # places that won't do
         wanted = [f"reach {goal.named()}" for goal in goals] + ([f"see {see.name}"] if see is not None else [])
-        self._wanted = " and ".join(wanted) or "stand"
-        self._wishes = Wishes(f"{robot.name} to {self._wanted}")
+        purpose = " and ".join(wanted) or "stand"
+        self._counts = ConstraintCounts(f"{robot.name} to {purpose}")
+        self._maps = StandingMaps(robot, goals, arms, both, see, near, purpose)
         self._arguments: Mapping[str, object] = {
             "robot": robot,
             **({"reach": [goal.named() for goal in goals]} if goals else {}),
@@ -155,7 +147,7 @@ class _Search:
                 vain = 0 if place else vain + 1
                 over = not spots or not drives(self._robot) or vain == len(_SPOTS)
                 if place is None and over and not found:
-                    raise self._wishes.failure()
+                    raise self._counts.failure()
             if place is not None:
                 found = True
                 yield place
@@ -164,90 +156,24 @@ class _Search:
 
     # --- all places at once ------------------------------------------------------------------------------------------
 
-    def _maps(self) -> tuple[Grid, Array, Array]:
+    def _scored(self) -> tuple[Grid, Array, Array]:
         """Return the cells, the product (cells,) of the maps, and the heading (cells,) for each, rad."""
-        robot = self._robot
-        here, turn = robot.get_position_and_orientation()
-        grid = self._grid(here)
-        centers = grid.centers()
-        wishes: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
-        yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
-        if self._goals or self._see is not None:
-            faced, yaws = self._faced(centers, here[2])
-            wishes.append((self._wanted, faced))
-            wishes += [(self._wanted, self._straight(centers, goal)) for goal in self._goals]
-        if drives(robot):
-            wishes.append(("collision", room(robot, centers)))
-        if self._near is not None:
-            wishes.append(("near", maps.near(centers, self._near, _NEAR, _ROOM)))
-        scores, _ = self._wishes.product(wishes)
+        grid, factors, yaws = self._maps.of()
+        scores, _ = self._counts.product(factors)
         scores[scores < _POOR] = 0.0
+        centers = grid.centers()
         left = maps.away(centers, self._avoid, _APART) * maps.away(centers, self._vain, _TRIED)
         return grid, scores * left, yaws
-
-    def _straight(self, centers: Array, goal: Goal) -> Array:
-        """Return little where something is between a place and a goal, at the height of what would be reached."""
-        x, y, z = goal.position
-        target = [goal.body] if isinstance(goal, reaching.Taking) else []
-        between = maps.Footprints(surroundings(self._robot, *target), z, z + _LEVEL)
-        return maps.straight(centers, (x, y), between)
-
-    def _grid(self, here: Sequence[float]) -> Grid:
-        """Return the cells from which everything may be reached and seen."""
-        areas: list[tuple[Sequence[float], float]] = []
-        if self._goals:
-            radius = max(arm_reach(self._robot, arm).radius for arm in self._arms)
-            areas += [(goal.position, radius) for goal in self._goals]
-        if self._see is not None:
-            areas.append((center(self._see), _SIGHT[1]))
-        if not areas:
-            areas.append((self._near or here, _ROOM))
-        low = [max(point[axis] - radius for point, radius in areas) for axis in (0, 1)]
-        high = [min(point[axis] + radius for point, radius in areas) for axis in (0, 1)]
-        return Grid.over(low, high, here[2])
-
-    def _faced(self, centers: Array, ground: float) -> tuple[Array, Array]:
-        """Return for all cells how well everything is reached or seen with the best heading, and that heading."""
-        points = [goal.position for goal in self._goals] or ([center(self._see)] if self._see is not None else [])
-        offsets = np.asarray(points)[None, :, :2] - centers[:, None]  # (cells, points, 2)
-        distances, bearings = np.hypot(offsets[..., 0], offsets[..., 1]), np.arctan2(offsets[..., 1], offsets[..., 0])
-        middle = offsets.mean(axis=1)
-        facing = np.arctan2(middle[:, 1], middle[:, 0])
-        best, yaws = np.full(len(centers), -1.0), facing.copy()
-        for offset in _OFFSETS if self._goals else (0.0,):
-            score = np.full(len(centers), 1.0 - _FACING * abs(offset) / (math.pi / 2))
-            for number, point in enumerate(points):
-                if self._goals:
-                    score *= self._by_arms(
-                        point[2] - ground, distances[:, number], bearings[:, number] - facing - offset
-                    )
-            if self._see is not None:
-                good, far = _SIGHT
-                away = np.hypot(*(np.asarray(center(self._see)[:2]) - centers).T)
-                score *= np.where(away < good, away / good, np.clip((far - away) / (far - good), 0.0, 1.0))
-            better = score > best
-            best[better], yaws[better] = score[better], (facing + offset)[better]
-        return best, yaws
-
-    def _by_arms(self, height: float, distance: Array, bearing: Array) -> Array:
-        """Return how well one of the arms, or each of them, reaches points."""
-        every = []
-        base_T_world = geometry.invert(self._robot.get_position_and_orientation())
-        for arm in self._arms:
-            shoulder = geometry.transform(base_T_world, self._robot.get_link_position(arm.base_link))
-            every.append(arm_reach(self._robot, arm).scores(height - shoulder[2], distance, bearing))
-        together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
-        return together
 
     def _drawn(self, batch: Batch, number: int, vain: int) -> Sequence[Spot]:
         """Return places that are drawn from the maps, for the n-th batch from 0, after some others in vain."""
         robot = self._robot
         position, turn = robot.get_position_and_orientation()
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
-        grid, scores, yaws = self._maps()
+        grid, scores, yaws = self._scored()
         spots = []
-        is_near = self._near is None or math.dist(here[0][:2], self._near[:2]) <= _ROOM
-        if is_near and not any(math.dist(here[0][:2], each[:2]) < _APART for each in (*self._avoid, *self._vain)):
+        known = (*self._avoid, *self._vain)
+        if self._maps.is_near(here[0]) and not any(math.dist(here[0][:2], each[:2]) < _APART for each in known):
             spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
         if drives(robot):
             random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
@@ -262,29 +188,32 @@ class _Search:
 
     def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
         """Return the first place that will do."""
-        left = []
-        for spot, known in zip(spots, self._at_first_sight(spots), strict=True):
-            if known is None:
-                left.append(spot)
-            else:
-                self._vain.append(spot.pose[0])
-                self._wishes.exclude(batch, spot, *known)
         quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
         tries = _TRIES if quick else _FEWER
-        for spot in left[tries:]:
-            batch.reject(spot.name, Untried())
-        for spot in left[:tries]:
-            excluded = self._excluded(spot)
-            if isinstance(excluded, Place):
-                self._avoid.append(spot.pose[0])
-                batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": excluded.arms})
-                return excluded
-            self._vain.append(spot.pose[0])
-            self._wishes.exclude(batch, spot, *excluded)
+        for some in _growing(spots) if quick else (spots,):
+            left = []
+            for spot, known in zip(some, self._at_first_sight(some), strict=True):
+                if known is None:
+                    left.append(spot)
+                else:
+                    self._vain.append(spot.pose[0])
+                    self._counts.exclude(batch, spot, *known)
+            for spot in left[tries:]:
+                batch.reject(spot.name, Untried())
+            for spot in left[:tries]:
+                excluded = self._excluded(spot)
+                if isinstance(excluded, Place):
+                    self._avoid.append(spot.pose[0])
+                    position, orientation = spot.pose
+                    batch.take(spot.name, {"position": position, "orientation": orientation, "arms": excluded.arms})
+                    return excluded
+                self._vain.append(spot.pose[0])
+                self._counts.exclude(batch, spot, *excluded)
+            tries = max(0, tries - len(left))
         return None
 
     def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
-        """Return which wish excludes each place at first sight, of all at once; None for those that may do."""
+        """Return which constraint excludes each place at first sight, of all at once; None for those that may do."""
         found = self._collisions(spots)
         for goal in self._goals:
             left = [number for number, excluded in enumerate(found) if excluded is None]
@@ -311,7 +240,7 @@ class _Search:
         return found
 
     def _excluded(self, spot: Spot) -> Place | tuple[str, Rejection]:
-        """Return a place that will do, or which wish excludes it, and why."""
+        """Return a place that will do, or which constraint excludes it, and why."""
         able = list(self._arms)
         grasps: dict[str, str] = {}
         for goal in self._goals:
@@ -333,3 +262,11 @@ class _Search:
                 return f"see {self._see.name}", Unseen(seen.share, list(seen.hiding))
         names = tuple(arm.name for arm in able) if self._goals else ()
         return Place(*spot.pose, names, spot.score, "", {name: grasps[name] for name in names if name in grasps})
+
+
+def _growing(spots: Sequence[Spot]) -> Iterator[Sequence[Spot]]:
+    """Yield places in their order, a few at first, then twice as many each time."""
+    start, size = 0, _AT_FIRST
+    while start < len(spots):
+        yield spots[start : start + size]
+        start, size = start + size, 2 * size

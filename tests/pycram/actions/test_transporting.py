@@ -143,6 +143,13 @@ def test_a_motion_drives_to_places_that_a_designator_stands_for(shared_scene: Bu
     assert milk.carrier is robot
 
 
+def test_a_surface_with_places_only_right_beside_a_point_has_none_away_from_it(shared_scene: BulletWorld) -> None:
+    (x, y, _), _ = shared_scene.get_object("kitchen").surface_pose("top of the fridge")
+    milk = shared_scene.get_object("milk")
+    with pytest.raises(NoPlace, match=r"no place for milk on top of the fridge: .* by away-from"):
+        LocationDesignator(on="top of the fridge", away_from=[x, y], for_=milk).reference()
+
+
 def test_what_can_t_be_reached_is_told_with_all_that_was_tried(shared_scene: BulletWorld) -> None:
     milk = shared_scene.get_object("milk")
     assert shared_scene.robot is not None

@@ -129,7 +129,7 @@ def test_a_full_surface_says_that_there_is_no_room(room: BulletWorld, table: Obj
     assert record.failure.type.endswith("NoPlace")
 
 
-def test_wishes_that_exclude_each_other_are_named(room: BulletWorld, table: Object) -> None:
+def test_constraints_that_exclude_each_other_are_named(room: BulletWorld, table: Object) -> None:
     bowl, cup = room.get_object("bowl"), room.get_object("cup")
     bowl_was = bowl.get_position()
     bowl.set_position([0.95, 0.0, TOP + 0.04])
@@ -173,7 +173,7 @@ def test_a_place_on_record_has_its_map_and_what_was_rejected(
         assert "something is there already" in rejections(record)
 
 
-def test_impossible_wishes_are_refused_at_once(room: BulletWorld, table: Object) -> None:
+def test_impossible_constraints_are_refused_at_once(room: BulletWorld, table: Object) -> None:
     cup = room.get_object("cup")
     with pytest.raises(UnknownName, match="left"):
         free_places(cup, on=on(table), side="lefft")

@@ -164,7 +164,9 @@ def test_both_arms_reach_if_both_are_asked_for(scene: BulletWorld) -> None:
 
 
 @pytest.mark.slow
-def test_wishes_that_exclude_each_other_are_counted_and_the_last_is_named(scene: BulletWorld, sink: MemorySink) -> None:
+def test_constraints_that_exclude_each_other_are_counted_and_the_last_is_named(
+    scene: BulletWorld, sink: MemorySink
+) -> None:
     robot, milk, spoon = scene.robot, scene.get_object("milk"), scene.get_object("spoon")
     with pytest.raises(NoPlace, match=r"reach milk and reach \[-3\.00, 0\.00, 0\.90\]") as far:
         next(standing_places(robot, reach=[milk, [-3.0, 0.0, 0.9]], seed=0))

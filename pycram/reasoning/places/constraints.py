@@ -1,4 +1,4 @@
-"""Which wishes excluded how many places: wishes may exclude each other."""
+"""Which constraints excluded how many places: constraints may exclude each other."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-class Wishes:
-    """Counts of the places that wishes excluded.
+class ConstraintCounts:
+    """Counts of the places that each constraint excluded.
 
     Args:
         wanted: for what a place is wanted, in words.
@@ -32,24 +32,24 @@ class Wishes:
         self._last = ""
 
     def product(self, maps: Iterable[tuple[str, Array]]) -> tuple[Array, float]:
-        """Return the product (cells,) of maps by their wishes, the best cell 1, and how good that one is.
+        """Return the product (cells,) of maps by their constraints, the best cell 1, and how good that one is.
 
         All cells are 0 if none is left.
         """
         scores = np.ones(1)
-        for wish, score in maps:
+        for constraint, score in maps:
             left = scores.any()
             scores = scores * score
             if left and not scores.any() and not self._counts:
-                self._counts[wish], self._last = len(scores), wish
+                self._counts[constraint], self._last = len(scores), constraint
         best = float(scores.max())
         return scores / (best or 1.0), best
 
-    def exclude(self, batch: Batch, spot: Spot, wish: str, reason: Rejection) -> None:
-        """Say that a wish excludes a place, and why."""
+    def exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
+        """Say that a constraint excludes a place, and why."""
         batch.reject(spot.name, reason)
-        self._counts[wish] = self._counts.get(wish, 0) + 1
-        self._last = wish
+        self._counts[constraint] = self._counts.get(constraint, 0) + 1
+        self._last = constraint
 
     def failure(self) -> NoPlace:
         """Return the failure that says so."""

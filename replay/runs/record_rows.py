@@ -1,0 +1,349 @@
+"""From records to rows: one pass over a recording, and for a run that failed its root cause."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING, Any, Final
+
+import pyarrow as pa
+
+from recorder.records import STEPS_PER_SECOND, Event, Fluent, Keyframe, Mutation, Query, Refusal, Run, Task
+from recorder.records.choices import chosen_name
+from recorder.records.text import mutation_text
+from replay.errors import Damaged
+from replay.explain.root_cause import INTERRUPT, root_cause, uncaught_failure
+from replay.runs.cells import json_of, label, parameters, source
+from replay.runs.failure_causes import cause_of, pairs_of
+from replay.runs.schema import TABLES, arrow_schema
+
+if TYPE_CHECKING:
+    from recorder.records import BodyState, Failure, Record
+    from replay.explain.root_cause import RootCause
+    from replay.file.record_reader import RecordReader
+
+_NO_TEXTS: Final = pa.array([], pa.string())  # here pyarrow imports pandas where that is: once, before a process forks
+_MAX_PATH: Final = 500  # characters: tasks may be nested a thousand deep
+_STATUSES: Final = {Task.SUCCEEDED: "succeeded", Task.FAILED: "failed", Task.CANCELLED: "cancelled"}
+
+
+def tables_of(log: RecordReader) -> dict[str, pa.Table]:
+    """Return the rows of a recording, by the names of the tables.
+
+    Raises:
+        Damaged: no record of it can be read, or one makes no sense.
+    """
+    rows = _Rows()
+    for record in log.records():
+        try:
+            rows.add(record)
+        except (ValueError, IndexError) as error:
+            raise Damaged(log.path, f"step {record.seq}", str(error)) from error
+    if rows.first is None:
+        raise Damaged(log.path, "every record", log.problems or "there is none")
+    rows.finish(log)
+    return {
+        table.name: pa.table(
+            [pa.array(rows.columns[table.name][column.name], column.type) for column in arrow_schema(table)],
+            schema=arrow_schema(table),
+        )
+        for table in TABLES
+    }
+
+
+class _Rows:
+    """The columns of all tables, while records are added."""
+
+    def __init__(self) -> None:
+        self.columns: dict[str, dict[str, list[Any]]] = {
+            table.name: {name: [] for name in table.names} for table in TABLES
+        }
+        self.first: Record | None = None
+        self.last: Record | None = None
+        self.start: Run | None = None
+        self.end: Run | None = None
+        self._paths: dict[int, str] = defaultdict(str)
+        self._rows: dict[int, int] = {}  # of the tasks that run: index in their table
+        self._parents: dict[int, int] = {}
+        self._failing: set[int] = set()  # tasks of which a part failed
+
+    def add(self, record: Record) -> None:
+        """Add what a record has."""
+        if self.first is None:
+            self.first = record
+        self.last = record
+        if isinstance(record, Task):
+            self._task(record)
+        elif isinstance(record, Mutation):
+            self._mutation(record)
+        elif isinstance(record, Query):
+            self._query(record)
+        elif isinstance(record, Event | Fluent):
+            self._event(record)
+        elif isinstance(record, Keyframe):
+            for state in record.bodies:
+                self._state(record.seq, record.world, record.sim_step, state)
+        elif isinstance(record, Refusal):
+            self._failure(record, "refusal", record.failure)
+        elif isinstance(record, Run):
+            self._run(record)
+
+    def _append(self, table: str, *values: Any) -> None:
+        for column, value in zip(self.columns[table].values(), values, strict=True):
+            column.append(value)
+
+    def _seconds(self, record: Record) -> float:
+        first = self.first
+        if first is None or record.monotonic_ns:
+            return record.monotonic_ns / 1e9
+        return (record.wall_time_ns - first.wall_time_ns) / 1e9  # early recordings
+
+    # --- records -----------------------------------------------------------------------------------------------------
+
+    def _run(self, record: Run) -> None:
+        if record.phase == Run.STARTED:
+            self.start = record
+        elif record.phase == Run.FINISHED:
+            self.end = record
+        if record.HasField("failure"):
+            self._failure(record, "thread" if record.phase == Run.THREAD_FAILED else "run", record.failure)
+
+    def _task(self, record: Task) -> None:
+        if record.phase in (Task.STARTED, Task.ASKED):
+            self._begin(record)
+            return
+        if record.task not in self._rows:  # its beginning is lost
+            self._begin(record)
+        columns, row = self.columns["tasks"], self._rows[record.task]
+        if record.phase == Task.LEFT:
+            return
+        columns["status"][row] = _STATUSES.get(record.status, "")
+        columns["last_step"][row] = record.seq
+        columns["seconds"][row] = record.duration_ns / 1e9
+        columns["sim_took"][row] = record.sim_step / STEPS_PER_SECOND - columns["sim_seconds"][row]
+        columns["result"][row] = record.result_json
+        if record.solution:
+            columns["solution"][row] = json_of(record.solution)
+        if record.HasField("decision"):
+            columns["resolver"][row], columns["module"][row] = record.decision.resolver, record.decision.module
+        if record.HasField("failure"):
+            columns["failure"][row], columns["message"][row] = record.failure.type, record.failure.message
+        if record.status == Task.FAILED:
+            columns["origin"][row] = record.task not in self._failing
+            self._failing.add(self._parents[record.task])
+            if columns["origin"][row]:
+                self._failure(record, "task", record.failure)
+
+    def _begin(self, record: Task) -> None:
+        """Add a task's row; one that was asked for first and starts now gets its start's time."""
+        known = self._rows.get(record.task)
+        if known is not None:
+            self.columns["tasks"]["began"][known] = self._seconds(record)
+            self.columns["tasks"]["sim_seconds"][known] = record.sim_step / STEPS_PER_SECOND
+            return
+        outer = self._paths[record.parent]
+        path = f"{outer}/{record.name}" if outer else record.name
+        self._paths[record.task] = path = path if len(path) <= _MAX_PATH else outer
+        self._rows[record.task] = len(self.columns["tasks"]["step"])
+        self._parents[record.task] = record.parent
+        self._append(
+            "tasks",
+            record.seq,
+            record.task,
+            record.parent,
+            path,
+            record.kind,
+            record.name,
+            label(record.name, record.parameters),
+            record.world,
+            "running",
+            None,
+            self._seconds(record),
+            None,
+            record.sim_step / STEPS_PER_SECOND,
+            None,
+            record.attempt,
+            json_of(record.parameters),
+            json_of(record.solution),
+            "",
+            record.decision.resolver,
+            record.decision.module,
+            False,
+            "",
+            "",
+            source(record),
+        )
+
+    def _query(self, record: Query) -> None:
+        path = self._paths[record.task]
+        called = label(record.name, record.arguments)
+        chosen = record.chosen if record.HasField("chosen") else -1
+        self._append(
+            "queries",
+            record.seq,
+            record.task,
+            path,
+            record.name,
+            called,
+            record.world,
+            json_of(record.arguments),
+            record.answer_json,
+            chosen_name(record),
+            sum(candidate.count or 1 for candidate in record.candidates),
+            self._seconds(record),
+            record.duration_ns / 1e9,
+            record.sim_step / STEPS_PER_SECOND,
+            record.failure.type,
+            source(record),
+        )
+        for number, candidate in enumerate(record.candidates):
+            self._append(
+                "choices",
+                record.seq,
+                record.task,
+                path,
+                record.name,
+                called,
+                ", ".join(candidate.names),
+                candidate.count or 1,
+                number == chosen,
+                candidate.reason,
+                json_of(candidate.data),
+            )
+        if record.HasField("failure"):
+            self._failure(record, "query", record.failure)
+
+    def _mutation(self, record: Mutation) -> None:
+        command = record.WhichOneof("command") or ""
+        self._append(
+            "mutations",
+            record.seq,
+            record.task,
+            self._paths[record.task],
+            record.world,
+            command,
+            getattr(getattr(record, command, None), "body", ""),
+            mutation_text(record),
+            len(record.effect.bodies),
+            self._seconds(record),
+            record.sim_step / STEPS_PER_SECOND,
+            source(record),
+        )
+        for sample in record.effect.samples:
+            for state in sample.bodies:
+                self._state(record.seq, record.world, sample.sim_step, state)
+        for state in record.effect.bodies:
+            self._state(record.seq, record.world, record.sim_step, state)
+
+    def _event(self, record: Event | Fluent) -> None:
+        event = record if isinstance(record, Event) else Event()
+        self._append(
+            "events",
+            record.seq,
+            record.task,
+            self._paths[record.task],
+            "fluent" if isinstance(record, Fluent) else "event",
+            record.name,
+            label(record.name, event.arguments),
+            record.world,
+            event.sender,
+            json_of(event.arguments),
+            record.after_json if isinstance(record, Fluent) else "",
+            len(event.handlers),
+            self._seconds(record),
+            record.sim_step / STEPS_PER_SECOND,
+            source(record),
+        )
+
+    def _state(self, step: int, world: str, sim_step: int, state: BodyState) -> None:
+        """Add where a body and its joints are, as far as they are on record."""
+        seconds = sim_step / STEPS_PER_SECOND
+        if state.position:
+            self._append("poses", step, world, seconds, state.body, *state.position, *state.orientation)
+        count = len(state.joints)
+        if count:
+            columns = self.columns["joints"]
+            columns["step"] += [step] * count
+            columns["world"] += [world] * count
+            columns["sim_seconds"] += [seconds] * count
+            columns["body"] += [state.body] * count
+            columns["joint"] += state.joints
+            columns["position"] += state.joint_positions
+            columns["velocity"] += state.joint_velocities or [0.0] * count
+
+    def _failure(self, record: Task | Query | Refusal | Run, of: str, failure: Failure) -> None:
+        path = self._paths[record.task]
+        self._append(
+            "failures",
+            record.seq,
+            record.task,
+            path,
+            of,
+            failure.type,
+            failure.message,
+            json_of(failure.data),
+            pairs_of(failure),
+            cause_of(failure, path),
+            False,
+            self._seconds(record),
+            record.sim_step / STEPS_PER_SECOND,
+            "" if isinstance(record, Run) else source(record),
+        )
+
+    # --- the run -----------------------------------------------------------------------------------------------------
+
+    def finish(self, log: RecordReader) -> None:
+        """Add the run, which is known when all records are."""
+        first, last, end = self.first, self.last, self.end
+        if first is None or last is None:
+            return
+        start = self.start or Run()
+        outcome, succeeded = "cut off", False
+        if end is not None:
+            interrupted = end.failure.type == INTERRUPT
+            outcome = "succeeded" if end.succeeded else "interrupted" if interrupted else "failed"
+            succeeded = end.succeeded
+        broken = root_cause(log) if outcome in ("failed", "cut off") or uncaught_failure(log) is not None else None
+        failure, path, step = self._root(broken)
+        cause = cause_of(failure, path) if failure is not None else "" if succeeded else outcome
+        self._append(
+            "runs",
+            start.name or log.metadata.get("plan", ""),
+            start.sweep.number if start.HasField("sweep") else None,
+            parameters(start),
+            list(start.arguments),
+            start.seed,
+            start.order,
+            start.environment,
+            outcome,
+            None if outcome == "interrupted" else succeeded,
+            cause,
+            failure.type if failure is not None else "",
+            failure.message if failure is not None else "",
+            path,
+            step,
+            log.final_step(),
+            first.wall_time_ns // 1000,
+            self._seconds(last) - self._seconds(first),
+            max(self.columns["mutations"]["sim_seconds"], default=0.0),
+            len(log),
+            log.path.stat().st_size,
+            start.plan.sha256,
+            log.complete,
+            log.metadata.get("pycram", ""),
+            start.host,
+        )
+
+    def _root(self, broken: RootCause | None) -> tuple[Failure | None, str, int | None]:
+        """Return the failure that explains the run's end, the path of its task, and its step; mark it."""
+        if broken is None:
+            return None, "", None
+        failure, path = broken.failure, ""
+        if broken.task is not None:
+            path = broken.task.path
+            if broken.task.failure is not None:
+                failure = broken.task.failure
+        failures = self.columns["failures"]
+        for row, step in enumerate(failures["step"]):
+            of_end = broken.task is None and failures["of"][row] in ("run", "thread")
+            failures["root"][row] = step == broken.step or of_end
+        return failure, path, broken.step
