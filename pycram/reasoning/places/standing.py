@@ -190,27 +190,37 @@ class _Search:
         """Return the first place that will do."""
         quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
         tries = _TRIES if quick else _FEWER
+        place: Place | None = None
+        closely: list[tuple[Spot, str, Rejection]] = []  # counted after the others: they came farther
         for some in _growing(spots) if quick else (spots,):
             left = []
             for spot, known in zip(some, self._at_first_sight(some), strict=True):
                 if known is None:
                     left.append(spot)
                 else:
-                    self._vain.append(spot.pose[0])
-                    self._counts.exclude(batch, spot, *known)
+                    self._exclude(batch, spot, *known)
             for spot in left[tries:]:
                 batch.reject(spot.name, Untried())
             for spot in left[:tries]:
                 excluded = self._excluded(spot)
                 if isinstance(excluded, Place):
-                    self._avoid.append(spot.pose[0])
-                    position, orientation = spot.pose
-                    batch.take(spot.name, {"position": position, "orientation": orientation, "arms": excluded.arms})
-                    return excluded
-                self._vain.append(spot.pose[0])
-                self._counts.exclude(batch, spot, *excluded)
+                    place = excluded
+                    break
+                closely.append((spot, *excluded))
+            if place is not None:
+                break
             tries = max(0, tries - len(left))
-        return None
+        for each in closely:
+            self._exclude(batch, *each)
+        if place is not None:
+            self._avoid.append(spot.pose[0])
+            batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": place.arms})
+        return place
+
+    def _exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
+        """Say that a constraint excludes a place, which isn't drawn again."""
+        self._vain.append(spot.pose[0])
+        self._counts.exclude(batch, spot, constraint, reason)
 
     def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
         """Return which constraint excludes each place at first sight, of all at once; None for those that may do."""
