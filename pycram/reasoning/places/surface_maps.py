@@ -42,6 +42,7 @@ _NEAR: Final = 0.15  # m at which a place near a point counts half
 _FAR: Final = 1.0  # m from a point or an object at which a place isn't near it, or beside it, any more
 _AWAY: Final = 0.4  # m from what a place is to be away from
 _APART: Final = 0.04  # m between places that are offered, or were tried
+_EASY: Final = 0.5  # m from the nearest place of the robot, at which a place counts half
 _FLOOR: Final = 0.15  # m between places of the robot from which a surface may be reached
 _COARSE: Final = 0.1  # m between places of a surface for which that is asked
 
@@ -203,6 +204,8 @@ class SurfaceMaps:
         coarse = Grid.over(low, high, height, _COARSE)
         distances = np.hypot(*(coarse.centers()[:, None] - places[None]).transpose(2, 0, 1))
         best = np.max([(reach.best(above, distances) * free).max(axis=1) for reach, above in shoulders], axis=0)
+        if drives(robot):  # an arm that stretches far over a surface meets what stands around there
+            best /= 1.0 + (distances.min(axis=1) / _EASY) ** 4
         column, row = ((grid.centers() - low) / coarse.resolution).astype(np.intp).T
         spread_out: Array = best.reshape(coarse.shape)[row, column]
         return spread_out
