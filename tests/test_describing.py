@@ -265,7 +265,7 @@ def test_what_ends_without_a_gripper_says_why(robot: str, joints: int, why: str)
     assert {(len(arm.joints), hand) for arm, hand in arms} == {(joints, why)}
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_a_hand_with_one_jaw_that_turns_is_described(describe: Callable[..., Ended], tmp_path: Path) -> None:
     """SO-101: its jaw turns towards one that is part of the hand, by up to 110 degrees."""
     urdf = urdf_of("so101.urdf")
@@ -280,7 +280,7 @@ def test_a_hand_with_one_jaw_that_turns_is_described(describe: Callable[..., End
     assert checked.returncode == 0, checked.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_heads_and_fingers_that_curl_are_no_arms_and_no_grippers(describe: Callable[..., Ended]) -> None:
     """Romeo: four joints turn its head; its fingers have three joints each."""
     ended = describe(urdf_of("romeo.urdf"))

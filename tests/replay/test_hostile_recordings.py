@@ -372,6 +372,7 @@ def test_an_index_that_names_the_same_very_often_harms_nobody(
     check(file, tmp_path, ["state", "last"], damaged=False)
 
 
+@pytest.mark.costly
 def test_records_in_disorder_are_read_once(tmp_path: Path) -> None:
     """Neighbouring steps are in other chunks, of which each takes a while to inflate, and another program wrote it."""
     file, chunks, each = tmp_path / "x.mcap", 20, 500

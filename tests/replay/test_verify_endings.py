@@ -125,7 +125,7 @@ def test_a_plan_that_ends_in_a_recursion_error_is_sound(limit: int, tmp_path: Pa
     assert verification.tasks - changes in (0, 1)  # of the innermost block perhaps only the change was refused
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_branches_within_each_other_without_end_end_in_a_recursion_error(tmp_path: Path) -> None:
     verified_after_recursion_error(BRANCHES_WITHOUT_END, 200, tmp_path / "run.mcap")
 

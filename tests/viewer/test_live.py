@@ -166,6 +166,7 @@ def test_a_viewer_gets_everything(
     until(lambda: server.rows() == expected, "what is shown live is what is shown afterwards")
 
 
+@pytest.mark.costly
 def test_a_viewer_that_starts_late_gets_what_was_before(
     plan: Callable[..., Plan], serve: Callable[[], Server], port: int, tmp_path: Path, until
 ) -> None:
@@ -196,6 +197,7 @@ def test_a_plan_that_ends_before_the_viewer_s_library_is_loaded_is_shown_whole(
     until(lambda: server.rows() == rows, "what was left is shown")
 
 
+@pytest.mark.costly
 def test_records_that_can_t_be_shown_are_skipped(
     plan: Callable[..., Plan], serve: Callable[[], Server], until: Callable[..., None]
 ) -> None:
@@ -231,6 +233,7 @@ def test_a_short_plan_waits_only_until_no_viewer_answers(
     assert time.monotonic() - begun < 60
 
 
+@pytest.mark.costly
 def test_another_program_has_the_port(plan: Callable[..., Plan]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"rerun+http://127.0.0.1:{silent.getsockname()[1]}/proxy"
@@ -244,6 +247,7 @@ def changes_in(server: Server) -> int:
     return server.rows()["/records/mutation"]
 
 
+@pytest.mark.costly
 def test_a_viewer_is_closed_while_the_plan_runs(plan: Callable[..., Plan], serve: Callable[[], Server], until) -> None:
     server = serve()
     running = plan("wait_for('more'); move(10); wait_for('go'); move(1_000)", f"connect:{server.url}")
@@ -362,6 +366,7 @@ def test_a_killed_plan_leaves_no_process(plan: Callable[..., Plan], port: int, u
     until(lambda: not marked(running.mark), "nothing is left")
 
 
+@pytest.mark.costly
 @pytest.mark.needs("Xvfb", "Vulkan driver", "window libraries")
 @pytest.mark.usefixtures("usual_ports")
 def test_the_viewer_outlives_the_plan_that_opened_it(plan: Callable[..., Plan], display: str) -> None:
@@ -374,6 +379,7 @@ def test_the_viewer_outlives_the_plan_that_opened_it(plan: Callable[..., Plan], 
     assert len(viewer) == 1, "it is still open"
 
 
+@pytest.mark.costly
 @pytest.mark.usefixtures("usual_ports")
 def test_no_viewer_opens_without_a_screen(plan: Callable[..., Plan]) -> None:
     ended = plan(f"{PATIENT}move(100)", "spawn").end()

@@ -105,7 +105,7 @@ def test_a_temporary_folder_that_others_can_write_into_is_refused(
         temporary_file("x.rrd")
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_a_full_disk_is_reported(tmp_path: Path) -> None:
     log = small(tmp_path / "log.mcap")
     for words in ([], ["--save", "log.rrd"]):

@@ -50,7 +50,7 @@ def shown(demo: Path) -> Shown:
     return view(demo, demo.with_suffix(".rrd"))
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_every_link_has_its_recorded_pose(demo: Path, shown: Shown) -> None:
     with replay.open(demo) as log:
         for step in [*range(12, len(log) - 3, 29), len(log) - 3]:

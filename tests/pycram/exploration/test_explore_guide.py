@@ -57,7 +57,7 @@ def test_a_reader_of_the_guide_gets_what_it_shows(tmp_path: Path) -> None:
             assert (began.order, began.seed, began.hash_seed) == (bad, "1", "1")
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_machines_get_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan = tmp_path / "plan.py"
     plan.write_text(

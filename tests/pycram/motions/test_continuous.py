@@ -58,7 +58,7 @@ def tool(robot: Object, arm: str) -> tuple[list[float], list[float]]:
     return robot.get_link_position_and_orientation(robot.description.arm(arm).tool_frame)
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_the_base_drives_around_what_stands_there(shared_scene: BulletWorld, sink: MemorySink) -> None:
     robot, begun = shared_scene.robot, shared_scene.sim_step
     robot.set_position_and_orientation([0.3, 0.7, 0], [0, 0, 0, 1])
@@ -165,7 +165,7 @@ def test_what_is_moved_while_the_hand_comes_is_not_grasped_blindly(shared_scene:
     assert shared_scene.sim_step > begun
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_what_is_taken_away_while_the_fingers_close_is_not_held(shared_scene: BulletWorld) -> None:
     robot, milk = shared_scene.robot, shared_scene.get_object("milk")
     finger = joint(robot, "l_gripper_l_finger_joint")

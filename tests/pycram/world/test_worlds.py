@@ -104,7 +104,7 @@ def test_a_world_ends_even_if_its_exit_functions_fail() -> None:
     world.exit()
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_60_worlds_leak_nothing(tmp_path: Path) -> None:
     program = """
 import gc, threading

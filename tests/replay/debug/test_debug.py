@@ -326,6 +326,7 @@ def test_a_breakpoint_in_one_of_several_files_of_a_name_is_in_the_named_one(tmp_
     assert second == "Breakpoint 2: lifting.py:3: step 4\n"
 
 
+@pytest.mark.costly
 def test_a_failed_run_is_debugged_at_once(tmp_path: Path) -> None:
     plan = tmp_path / "fails.py"
     plan.write_text("def f(reason):\n    raise ValueError(reason)\nf('so')\n")

@@ -48,6 +48,7 @@ def hung(folder: Path, *arguments: str, ended_by: signal.Signals) -> Path:
     return folder / "hung.mcap"
 
 
+@pytest.mark.costly
 def test_ctrl_c_stops_a_plan_where_it_hangs(tmp_path: Path, debug: Callable[..., list[str]]) -> None:
     file = hung(tmp_path, ended_by=signal.SIGINT)
     with replay.open(file) as log:

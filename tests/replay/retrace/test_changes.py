@@ -140,7 +140,7 @@ def test_a_fork_of_a_fork_keeps_what_was_changed_before(log: Recording, tmp_path
         assert [change.step for change in recording[0].origin.changes] == [here(log), here(log) + 5]
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_an_answer_is_given_to_the_next_query_that_fits(
     log: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -181,7 +181,7 @@ def test_another_seed_takes_another_order_from_the_step_on(log: Recording, tmp_p
     assert_runs_again(tmp_path / "8.mcap")
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_what_only_the_setter_knows_ends_the_fork(log: Recording, tmp_path: Path) -> None:
     for changes, said in (
         ({"settings": ["cabinet.drawer_joint=9"]}, "drawer_joint"),
@@ -237,7 +237,7 @@ def test_arguments_of_a_query_count_as_far_as_they_are_given() -> None:
     assert list(given) == ["object", "gripper"]
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_a_control_that_comes_out_differently_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "plan.py"
     file.write_text(

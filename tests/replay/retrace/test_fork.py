@@ -139,6 +139,7 @@ move(4)
 """
 
 
+@pytest.mark.costly
 def test_a_plan_that_projects_runs_again_and_its_fork_has_recordings_of_its_own(tmp_path: Path) -> None:
     file = tmp_path / "plan.py"
     file.write_text(PROJECTS)

@@ -44,6 +44,7 @@ def test_the_plan_does_the_same_again(log: Path) -> None:
         assert verify(recording).exact
 
 
+@pytest.mark.costly
 def test_a_fork_in_the_middle_of_motions_goes_on_as_the_original(log: Path, tmp_path: Path) -> None:
     steps = within(log)
     assert len(steps) > 2
@@ -52,6 +53,7 @@ def test_a_fork_in_the_middle_of_motions_goes_on_as_the_original(log: Path, tmp_
         assert_same_bits(log, tmp_path / "fork.mcap")
 
 
+@pytest.mark.costly
 def test_what_a_fork_changes_there_is_compared_with_its_control(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

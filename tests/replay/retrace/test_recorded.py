@@ -73,6 +73,7 @@ def test_recorded_answers_are_taken_and_all_else_is_compared(
         assert difference.line.startswith(f"{other}:1")
 
 
+@pytest.mark.costly
 def test_a_given_answer_is_taken_as_recorded_and_not_asked_for_elsewhere(tmp_path: Path) -> None:
     """A recorded answer that the query itself wouldn't give shows that it isn't asked."""
     file = tmp_path / "plan.py"

@@ -113,6 +113,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("demo", ["demo_log", "failed_log"])
 def test_the_demos_do_the_same_again(
     demo: str, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
@@ -355,6 +356,7 @@ def test_texts_of_objects_differ_in_each_process_and_are_the_same(tmp_path: Path
         assert retrace(recording, arguments=["more"]).difference is not None
 
 
+@pytest.mark.costly
 def test_what_a_plan_imagined_is_imagined_again(tmp_path: Path) -> None:
     file = tmp_path / "imagines.py"
     file.write_text(
@@ -413,6 +415,7 @@ def test_a_plan_that_ends_its_process_is_an_error(tmp_path: Path) -> None:
         retraced(log)
 
 
+@pytest.mark.costly
 def test_of_several_recordings_the_others_are_retraced_where_one_cant_be(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
