@@ -1,9 +1,9 @@
 """Sets a breakfast and clears it away, without one pose of where to stand or how to grasp: it says what, not where.
 
 The milk stands in the fridge, the spoon lies in a drawer, bowl and cereal stand on the counter. All of it goes to the
-kitchen island, the cereal from one hand to the other on its way; afterwards bowl and milk go to the counter, and the
-fridge is shut. Run it with ``pycram demo breakfast``. Arms that are bolted down have breakfast on a table, from its
-right side to its left. What a robot can't do, as with an arm too few, is told before it begins.
+kitchen island, the cereal from one hand to the other on its way; afterwards the bowl goes to the counter, and the milk
+into the fridge, which is shut. Run it with ``pycram demo breakfast``. Arms that are bolted down have breakfast on a
+table, from its right side to its left. What a robot can't do, as with an arm too few, is told before it begins.
 """
 
 from __future__ import annotations
@@ -90,8 +90,11 @@ def breakfast() -> None:
     print("breakfast is ready")
 
     bring("bowl", away)
-    bring("milk", away)
-    if BASE not in lacks:
+    if BASE in lacks:
+        bring("milk", away)
+    else:
+        do("opening", container="fridge")
+        bring("milk", LocationDesignator(in_="fridge"))
         do("closing", container="fridge")
     print("and cleared away")
 

@@ -31,6 +31,7 @@ _EXTRAS: Final = {
     "PIL": "render",
     "pyarrow": "viewer",
     "duckdb": "runs",
+    "av": "video",
     "rerun": "viewer",
     "rerun_cli": "viewer",
     "rerun_sdk": "viewer",

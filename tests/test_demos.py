@@ -115,11 +115,11 @@ def test_every_robot_in_the_box_sets_the_table(tmp_path: Path, robot: str, goals
 def test_every_robot_in_the_box_sets_a_breakfast_as_far_as_it_can(tmp_path: Path, robot: str) -> None:
     ended = pycram("demo", "breakfast", "--robot", robot, "--seed", "1", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
-    told = [line for line in ended.stdout.splitlines() if "says its description" in line]
-    assert ended.stdout.splitlines()[: len(told)] == told, "before it begins"
+    lacking = [line for line in ended.stdout.splitlines() if "says its description" in line]
+    assert ended.stdout.splitlines()[: len(lacking)] == lacking, "before it begins"
     bolted = robot in {"panda", "ur5"}
-    assert ["no base that drives" in line for line in told] == ([True, False] if bolted else [])
-    assert ["no second arm" in line for line in told] == ([False, True] if bolted else [])
+    assert ["no base that drives" in line for line in lacking] == ([True, False] if bolted else [])
+    assert ["no second arm" in line for line in lacking] == ([False, True] if bolted else [])
     with replay.open(tmp_path / "breakfast.mcap") as log:
         assert log.complete
         closing = next(r.seq for r in log.records(Mutation) if r.WhichOneof("command") == "close_world")

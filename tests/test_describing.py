@@ -106,7 +106,7 @@ def test_the_command_prints_what_it_guesses_and_nothing_else(describe: Callable[
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", ["pr2", "tiago_pro", "panda", "ur5"])
+@pytest.mark.parametrize("robot", ["pr2", pytest.param("tiago_pro", marks=pytest.mark.costly), "panda", "ur5"])
 def test_the_robots_in_the_box_pass_all_checks(describe: Callable[..., Ended], tmp_path: Path, robot: str) -> None:
     ended = describe("--check", str(ROBOTS / f"{robot}.toml"), "--picture", "robot.png")
     assert ended.returncode == 0, ended.stdout + ended.stderr
@@ -257,7 +257,9 @@ def test_hands_that_are_not_understood_are_left_out(describe: Callable[..., Ende
     ("robot", "joints", "why"),
     [
         ("so100.urdf", 5, "jaw has no collision shapes: nothing would be held"),
-        ("alex_nub_hands.urdf", 7, "nothing that moves hangs on it"),  # LeftGripperYaw turns all of the hand
+        pytest.param(  # LeftGripperYaw turns all of the hand
+            *("alex_nub_hands.urdf", 7, "nothing that moves hangs on it"), marks=pytest.mark.costly
+        ),
     ],
 )
 def test_what_ends_without_a_gripper_says_why(robot: str, joints: int, why: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias, TypeVar
 
@@ -24,6 +24,7 @@ from recorder.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
+    from contextlib import AbstractContextManager
 
     from pycram.motions.designator import Resolver
     from pycram.motions.slot_checks import Check
@@ -62,7 +63,7 @@ class ActionType:
     function: Callable[..., Any]
     slots: tuple[Slot, ...]
     choices: Choices | None = None
-    prepare: Callable[..., None] | None = None
+    prepare: Callable[..., Any] | None = None
     text: str = ""
     one_of: ClassVar[tuple[str, ...]] = ()
     only_one: ClassVar[bool] = False
@@ -89,7 +90,7 @@ def action(
     name: str,
     *,
     choices: Choices | None = None,
-    prepare: Callable[..., None] | None = None,
+    prepare: Callable[..., Any] | None = None,
     checked: Mapping[str, Check] | None = None,
 ) -> Callable[[Function], Function]:
     """Decorate a function that does the actions of a type, instead of what did them before.
@@ -98,7 +99,8 @@ def action(
         name: The type, as "fetching".
         choices: A generator function that is called with the slots, as the function is, of which it takes those that it
             has as parameters. It yields values of slots by name, the best first; those that a try gets.
-        prepare: What the robot does before choices are found, as looking for the object; called as these are.
+        prepare: What the robot does before choices are found, as looking for the object; called as these are. What a
+            generator function does after its only ``yield`` comes when the action has been done, or has failed there.
         checked: Checks of slots that PyCRAM's own actions don't have, by name.
 
     Raises:
@@ -117,8 +119,17 @@ def action(
 def replaced(
     name: str, function: Callable[..., Any], *, choices: Choices | None = None
 ) -> Iterator[Callable[..., Any]]:
-    """Have a function do the actions of a type in the ``with`` block."""
+    """Have a function do the actions of a type in the ``with`` block.
+
+    Raises:
+        BadArgument: The function doesn't take all slots of the action that it replaces, which others may give it.
+    """
     before = TYPES.get(name)
+    taken = {slot_name(parameter) for parameter in inspect.signature(function).parameters}
+    lacks = [slot.name for slot in (before.slots if before else ()) if slot not in _COMMON and slot.name not in taken]
+    if lacks:
+        known = f"a function that takes the slots of {name}, also {', '.join(lacks)}"
+        raise BadArgument("function", qualified_name(function), known)
     action(name, choices=choices)(function)
     try:
         yield function
@@ -133,7 +144,7 @@ def _type(
     name: str,
     function: Callable[..., Any],
     choices: Choices | None,
-    prepare: Callable[..., None] | None,
+    prepare: Callable[..., Any] | None,
     checked: Mapping[str, Check],
 ) -> ActionType:
     texts = _texts(function)
@@ -173,6 +184,8 @@ class ActionDesignator(ResolvedDesignator):
     type of what is done in ``action``.
     """
 
+    performed_by = "pycram.actions.perform"
+
     @staticmethod
     def _own_resolver() -> Resolver:
         return resolve
@@ -192,14 +205,18 @@ def checked_type(designator: ActionDesignator) -> tuple[ActionType, dict[str, An
     return kind, checked_slots(kind, given)
 
 
-def prepare(designator: ActionDesignator) -> None:
-    """Do what is done before the choices of an action are found."""
+def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
+    """Do what is done before the choices of an action are found; after the ``with`` block, what is done in the end."""
     try:
         kind, slots = checked_type(designator)
     except DesignatorError:  # only a resolver of the plan's own may know it
-        return
-    if kind.prepare is not None:
-        kind.prepare(**arguments(kind.prepare, slots))
+        return nullcontext()
+    if kind.prepare is None:
+        return nullcontext()
+    if inspect.isgeneratorfunction(kind.prepare):
+        return contextmanager(kind.prepare)(**arguments(kind.prepare, slots))
+    kind.prepare(**arguments(kind.prepare, slots))
+    return nullcontext()
 
 
 def resolve(designator: ActionDesignator) -> Iterator[Solution]:
@@ -217,10 +234,16 @@ def type_of(solution: Solution) -> ActionType:
     """Return the type that a solution is to be done by.
 
     Raises:
-        DesignatorError: There is none.
+        DesignatorError: There is none, or it has no such slots.
     """
     name = solution.get("action")
     if not isinstance(name, str) or name not in TYPES:
         problem = f"the solution has the unknown action {name!r}{did_you_mean(name, TYPES)}"
         raise DesignatorError(problem, slot="action", value=name, takes=f"actions: {', '.join(TYPES)}")
-    return TYPES[name]
+    kind = TYPES[name]
+    names = [slot.name for slot in kind.slots]
+    for slot, value in solution.items():
+        if slot != "action" and slot not in names:
+            problem = f"a choice has the unknown slot {slot}{did_you_mean(slot, names)}"
+            raise DesignatorError(problem, type=name, slot=slot, value=value, takes=kind.describe())
+    return kind

@@ -88,6 +88,7 @@ BY_SLOT: Final[Mapping[str, Check]] = {
     "place": location,
     "put": location,
     "clear": flag,
+    "close": flag,
     "orientation": slot_checks.orientation,
     "arm": slot_checks.arm,
     "grasp": slot_checks.grasp,

@@ -15,7 +15,8 @@ def _choices(
     container: Any, joint: str | None = None, handle: str | None = None, arm: str | None = None
 ) -> Iterator[Mapping[str, Any]]:
     access = access_of(container, joint, handle)
-    yield from choices(access, arm, [access.closed])
+    for choice in choices(access, arm, [access.closed]):
+        yield {slot: value for slot, value in choice.items() if slot != "distance"}
 
 
 @action("closing", choices=_choices, checked=CHECKS)

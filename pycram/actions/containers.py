@@ -102,7 +102,12 @@ def containers() -> list[tuple[Access, Any]]:
 
 def enclosing(body: Object) -> Any:
     """Return the closed container that an object stands or lies in; None if there is none."""
-    x, y, z = center(body)
+    return enclosing_at(center(body))
+
+
+def enclosing_at(position: Sequence[float]) -> Any:
+    """Return the closed container that a position in the world, m, is in; None if there is none."""
+    x, y, z = position
     for access, container in containers():
         if not access.is_closed:
             continue

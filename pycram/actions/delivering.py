@@ -21,13 +21,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 _EACH: Final = 2  # places to stand at that are tried for one place of the object
-_MAX_UNREACHABLE: Final = (
-    6  # places of the object that can be reached from nowhere, after which no others are looked at
-)
+_MAX_UNREACHABLE: Final = 6  # places of the object that are reached from nowhere, after which no others are tried
 
 
 def _choices(object: Any, target: Any, place: LocationDesignator | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002
-    """Yield where the object is put, and where the robot stands then."""
+    """Yield where the object is put, and where the robot stands then; nothing of it when a try has lost the object."""
     body, robot = object_of(object), BulletWorld.current_robot()
     arm = holding_arm(body)
     unreachable: list[NoPlace] = []
@@ -42,6 +40,9 @@ def _choices(object: Any, target: Any, place: LocationDesignator | None = None) 
             for found in itertools.islice(standing_places(robot, reach=[goal], arms=[arm.name]), _EACH):
                 reached = True
                 yield {"put": there, "place": location(found)}
+                if holder(body) is None:  # it fell, or leans: it is taken again, perhaps by another arm
+                    yield {}
+                    return
         except NoPlace as failure:
             unreachable.append(failure)
             if len(unreachable) == _MAX_UNREACHABLE:
@@ -63,6 +64,7 @@ def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> 
     body = object_of(object)
     if holder(body) is None:  # it was put down, but doesn't stand where it should
         perform(ActionDesignator(type="fetching", object=body))
+        return perform(ActionDesignator(type="delivering", object=body, target=target, put=put, place=place))
     go(place)
     perform(ActionDesignator(type="placing", object=body, target=put or target))
     park()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram.actions import making_room
 from pycram.actions.action import ActionDesignator, action
 from pycram.actions.checks import portable
-from pycram.actions.containers import enclosing
+from pycram.actions.containers import containers, enclosing
 from pycram.actions.hands import arms, free_arms, holder
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import ObjectDesignator, object_of
@@ -19,12 +19,14 @@ from pycram.foundation.failures import Blocked, NoPlace, PerceptionError, PlanFa
 from pycram.knowledge import believed
 from pycram.language.retries import failure_handling
 from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.driving import drives
 from pycram.reasoning.places import standing_places
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from pycram.actions.containers import Access
     from pycram.reasoning.places import Place
     from pycram.reasoning.places.place import Target
     from pycram.world.object import Object
@@ -34,16 +36,21 @@ _MOVED: Final = 0.05  # m from where an object is believed to be, at which it is
 _IN_THE_WAY: Final = 2  # things that are cleared away, one after the other
 
 
-def prepare(object: Any) -> None:  # noqa: A002  the slot's name
-    """Get to know where an object is, open what it is in, and fold the arms, with which places to stand are found."""
+def prepare(object: Any) -> list[Access]:  # noqa: A002  the slot's name
+    """Get to know where an object is, open what it is in, and fold the arms, with which places to stand are found.
+
+    Returns:
+        What was opened.
+    """
     arms()
+    closed = [access for access, _ in containers() if access.is_closed]
     body = found(object)
-    if holder(body) is not None:
-        return
-    container = enclosing(body)
-    if container is not None:
-        perform(ActionDesignator(type="opening", container=container))
-    park()
+    if holder(body) is None:
+        container = enclosing(body)
+        if container is not None:
+            perform(ActionDesignator(type="opening", container=container))
+        park()
+    return [access for access in closed if not access.is_closed]
 
 
 def found(thing: Any) -> Any:
@@ -69,6 +76,7 @@ def choices(
     object: Any,  # noqa: A002  the slot's name
     arm: str | None = None,
     place: LocationDesignator | None = None,
+    grasp: str | None = None,
 ) -> Iterator[Mapping[str, Any]]:
     """Yield where to stand and with which arm to take an object; then where it can be reached if something is moved."""
     body = object_of(object)
@@ -81,20 +89,25 @@ def choices(
         return
     nowhere: NoPlace | None = None
     try:
-        yield from _from_places(body, free, body)
+        yield from _from_places(body, free, body, grasp)
     except NoPlace as failure:
         nowhere = failure
     if holder(body) is None and making_room.crowded(body):
-        with suppress(NoPlace):
-            yield from ({**choice, "clear": True} for choice in _from_places(body, free, center(body)))
+        if not drives(BulletWorld.current_robot()):  # there is no other place, whatever is in the way
+            yield from ({"arm": each, "clear": True} for each in free)
+        else:
+            with suppress(NoPlace):
+                yield from ({**choice, "clear": True} for choice in _from_places(body, free, center(body)))
     if nowhere is not None:
         raise nowhere
 
 
-def _from_places(body: Object, free: Sequence[str], reach: Target) -> Iterator[Mapping[str, Any]]:
+def _from_places(
+    body: Object, free: Sequence[str], reach: Target, grasp: str | None = None
+) -> Iterator[Mapping[str, Any]]:
     """Yield places from which a target is reached, and arms, until one has taken the object."""
     robot = BulletWorld.current_robot()
-    for spot in itertools.islice(standing_places(robot, reach=[reach], arms=free), _MAX_PLACES):
+    for spot in itertools.islice(standing_places(robot, reach=[reach], arms=free, grasp=grasp), _MAX_PLACES):
         for arm in spot.arms:
             yield {"arm": arm, "place": location(spot)}
             if holder(body) is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import MissingPart, PlaceFailed, ReasoningError
+from pycram.world import carried
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
@@ -29,8 +30,7 @@ def arms() -> list[Arm]:
 
 def held_by(arm: Arm) -> Object | None:
     """Return what an arm of the current robot holds; None for nothing."""
-    robot = BulletWorld.current_robot()
-    return next((held.body for held in robot.carried if held.carrier_link == arm.tool_frame), None)
+    return carried.attached_to(BulletWorld.current_robot(), arm.tool_frame)
 
 
 def holder(body: Object) -> Arm | None:

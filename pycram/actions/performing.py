@@ -7,7 +7,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.actions.action import ActionDesignator, ActionType, prepare, type_of
+from pycram.actions.action import ActionDesignator, ActionType, prepared, type_of
 from pycram.actions.projecting import AT_ONCE, Thinking, imagine, not_projecting, thinking
 from pycram.foundation.failures import PlanFailure
 from pycram.foundation.names import export, qualified_name
@@ -180,8 +180,7 @@ class _Act:
         slots = dict(self._designator.description)
         budget = self._room(slots.get("budget"))
         ahead = thinking(wanted=slots.get("projected"))
-        with Binding(_budget, budget):
-            prepare(self._designator)
+        with Binding(_budget, budget), prepared(self._designator):
             solutions = self._solutions()
             first = next(solutions)
             kind = type_of(first)

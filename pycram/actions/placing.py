@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import action
 from pycram.actions.checks import place_for_an_object
-from pycram.actions.containers import containers
-from pycram.actions.hands import holding_arm
+from pycram.actions.containers import containers, enclosing_at
+from pycram.actions.hands import held_by, holding_arm
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
@@ -45,6 +45,8 @@ def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Ma
         target = target.copy([("for", body), *reached])
     for place in target.solutions():
         yield {"position": place["position"], "orientation": wanted}
+        if arm is not None and held_by(arm) is not body:
+            return  # it was put down, but doesn't stand as it should
 
 
 def check_target(body: Object, target: Any) -> None:
@@ -74,7 +76,9 @@ def check_target(body: Object, target: Any) -> None:
 def _closed_at(target: Any) -> list[str]:
     """Return the names of the containers that have to be opened before an object can be put at a target."""
     if not isinstance(target, LocationDesignator) or not target.for_objects:
-        return []
+        place = target.reference()["position"] if isinstance(target, LocationDesignator) else target
+        container = enclosing_at(place)
+        return [] if container is None else [container.name]
     owners = {(body, surface.container) for body, surface in target.surfaces()}
     if any(not name for _, name in owners):
         return []  # other surfaces are open

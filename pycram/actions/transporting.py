@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import ActionDesignator, action
 from pycram.actions.checks import place_for_an_object, portable
@@ -14,14 +15,33 @@ from pycram.actions.placing import check_target
 from pycram.foundation.failures import NoPlace, PlanFailure
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pycram.actions.containers import Access
     from pycram.world.object import Object
 
 
-def _prepare(object: Any, target: Any) -> None:  # noqa: A002  the slot's name
-    """See whether there is a place for the object, before it is looked for and taken."""
+_TRIES: Final = 4  # that closing may fail
+
+
+def _prepare(object: Any, target: Any, close: bool = True) -> Iterator[None]:  # noqa: A002  the slot's name
+    """See whether there is a place for the object, before it is looked for and taken; close what was opened for it."""
     arms()
     check_target(candidates_of(object)[0], target)
-    prepare(object)
+    opened = prepare(object) if close else prepare(object)[:0]
+    try:
+        yield
+    except PlanFailure:
+        _close(opened)
+        raise
+    _close(opened)
+
+
+def _close(opened: Sequence[Access]) -> None:
+    """Close what was opened; what can't be closed from anywhere stays open."""
+    for access in opened:
+        with suppress(PlanFailure):
+            perform(ActionDesignator(type="closing", container=access.name, budget=_TRIES))
 
 
 @action(
@@ -37,8 +57,9 @@ def transporting(
     grasp: str | None = None,
     place: Any = None,
     clear: bool = False,
+    close: bool = True,  # noqa: ARG001  done in the end
 ) -> Any:
-    """Fetches an object and delivers it.
+    """Fetches an object and delivers it; the drawer or door that was opened for it is closed again.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -47,6 +68,7 @@ def transporting(
         grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
         place: Where the robot stands to take it, a LocationDesignator; by default places from which it reaches it.
         clear: Whether to clear away at once what is in the way of it.
+        close: Whether what is opened for it is closed in the end, where that can be done.
     """
     body = object_of(object)
     perform(ActionDesignator(type="fetching", object=body, arm=arm, grasp=grasp, place=place, clear=clear))

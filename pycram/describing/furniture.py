@@ -28,8 +28,8 @@ def is_furniture(model: Model) -> bool:
     """Whether a model is furniture: something can stand on or in it, and it has neither arms, legs nor wheels."""
     found, tree = guess(model), model.urdf
     in_a_row = max(sum(joint.movable for joint in tree.chain(tree.root, link)) for link in tree.links)
-    limbs = bool(found.arms) or in_a_row > _IN_A_ROW
-    return not limbs and not found.drives and bool(furniture_of(model).surfaces)
+    has_arms = bool(found.arms) or in_a_row > _IN_A_ROW
+    return not has_arms and not found.drives and bool(furniture_of(model).surfaces)
 
 
 def describe(model: Model, urdf: str | Path) -> str:

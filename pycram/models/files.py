@@ -49,6 +49,22 @@ def parse_toml(text: str, source: str | Path) -> dict[str, object]:
         raise AssetError(source, f"is not TOML: {error}") from error
 
 
+#: Of canonical URDFs in the store, where files stay as they are.
+_trees: dict[Path, Urdf] = {}
+
+
+def keep_tree(path: Path, tree: Urdf) -> None:
+    """Keep the tree of a canonical URDF for :func:`stored_tree`."""
+    _trees[path] = tree
+
+
+def stored_tree(path: Path) -> Urdf:
+    """Return the tree of links and joints of a canonical URDF."""
+    if path not in _trees:
+        _trees[path] = Urdf.parse(path.read_bytes())
+    return _trees[path]
+
+
 def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -> Urdf:
     """Return the tree of links and joints of a URDF; errors name its source.
 

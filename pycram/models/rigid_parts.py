@@ -13,9 +13,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.models import store
+from pycram.models.files import stored_tree
 from pycram.models.warming import notable
 from recorder import geometry
-from recorder.geometry.urdf import Urdf
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -51,7 +51,7 @@ def divided(path: Path) -> tuple[Part, ...]:
     Links that differ in friction or stiffness are different parts, as these belong to links.
     """
     elements = {link.get("name", ""): link for link in store.document(path).findall("link")}
-    urdf = Urdf.parse(path.read_bytes())
+    urdf = stored_tree(path)
     frames: dict[str, str] = {}
     parts: dict[tuple[str, bytes], list[str]] = {}
     for link in urdf.links:  # parents come before their children

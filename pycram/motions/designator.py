@@ -56,6 +56,9 @@ class Designator(Equated, ABC):
         DesignatorError: The description isn't a list of pairs.
     """
 
+    performed_by: ClassVar[str] = ""
+    """What performs it; "" for ``ProcessModule.perform``."""
+
     @refusing("designator", name="Designator")
     def __init__(self, description: Description = (), parent: Designator | None = None, **slots: object) -> None:
         super().__init__()

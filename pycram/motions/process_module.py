@@ -143,6 +143,10 @@ def forget_claims() -> None:
 def _motion(designator: Designator) -> Motion:
     if not isinstance(designator, Designator):
         raise DesignatorError(f"perform takes a designator, not {designator!r}", value=designator)
+    if designator.performed_by:
+        kind = type(designator).__name__
+        problem = f"a {kind} is performed by {designator.performed_by}, not by ProcessModule.perform"
+        raise DesignatorError(problem, value=designator)
     return Motion(designator, _world(), choose)
 
 

@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 from functools import partial
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from pycram.language.nesting import nothing_open
 from pycram.motions.process_module import forget_claims
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 _PR_SET_PDEATHSIG: Final = 1
 _BLOCK: Final = 1 << 20  # bytes that are read at once
 _CRASHED: Final = 70
+_prctl: Any = None  # looked up here, as each child would change half a megabyte of memory in doing so
+with contextlib.suppress(OSError, AttributeError, TypeError):  # only Linux has it
+    _prctl = ctypes.CDLL(None).prctl
 
 
 class Child:
@@ -130,8 +133,8 @@ def _leave(writing: int, parent: int) -> None:
 
 def die_with(parent: int) -> None:
     """Have the kernel end this process with its parent."""
-    with contextlib.suppress(OSError, AttributeError):  # only Linux has it
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if _prctl is not None:
+        _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(_CRASHED)
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
 from pycram.projection.child import Child, wait
+from pycram.world.current import number_anew
 
 if TYPE_CHECKING:
     from collections import deque
@@ -32,7 +34,7 @@ class LimitedChild:
     def __init__(self, answer: Callable[[], bytes], limit: float) -> None:
         self._limit = limit
         self._interrupted = 0.0  # when
-        self.child = Child(answer)
+        self.child = Child(partial(_from_start, answer))
 
     @property
     def late(self) -> bool:
@@ -59,6 +61,12 @@ class LimitedChild:
         """How its process ended, in words."""
         signalled, code = self.child.signal, os.waitstatus_to_exitcode(self.child.status)
         return f"its process was ended by {signalled}" if signalled else f"its process ended with {code}"
+
+
+def _from_start(answer: Callable[[], bytes]) -> bytes:
+    """Answer in the child, which runs a program from its start: its worlds have the names that they have there."""
+    number_anew()
+    return answer()
 
 
 class Several(Generic[K]):

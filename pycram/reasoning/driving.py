@@ -18,13 +18,18 @@ _UNEVEN: Final = 0.05  # m between the ground here and there
 _TILT: Final = math.radians(2)
 
 
+def drives(robot: Object) -> bool:
+    """Return whether a robot's base drives; one without a description is taken to."""
+    return robot.description is None or robot.description.drives
+
+
 def check_drives(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
     """Check that a robot's base drives at all.
 
     Raises:
         NotDrivable: It is fixed.
     """
-    if robot.description is not None and not robot.description.drives:
+    if not drives(robot):
         raise NotDrivable(target, orientation, "its base is fixed")
 
 

@@ -25,6 +25,7 @@ from pycram.sweeping.local import Local
 from pycram.sweeping.one_run import Outcome, RunLost, Spec
 from pycram.sweeping.result import Sweep, facts_of
 from pycram.sweeping.values import Variations
+from pycram.sweeping.worker import Worker, WorkerLost
 from pycram.world.current import open_worlds
 from recorder.tracing import forking
 
@@ -55,6 +56,8 @@ def sweep(
 ) -> Sweep:
     """Run a plan many times; each run's recording is a file of a folder.
 
+    From a process that has threads, as a notebook, or worlds, the runs are copies of another process.
+
     Args:
         plan: Its file.
         runs: How many, numbered from 0.
@@ -73,7 +76,7 @@ def sweep(
         progress: Called at the start and after each run.
 
     Raises:
-        SweepRefused: The folder has another sweep or one is running into it, or this process can't fork.
+        SweepRefused: The folder has another sweep or one is running into it, or the system can't fork.
         UnknownParameter: The plan doesn't declare a parameter.
         BadArgument: An argument is wrong.
         LockHeld: The caller holds a lock.
@@ -87,7 +90,10 @@ def sweep(
         from pycram.sweeping.on_ray import sweep_on_ray  # noqa: PLC0415  needs an extra
 
         return sweep_on_ray(spec, runs, str(folder), ray, cores, progress)
-    _refuse_impossible()
+    if "://" in str(folder):
+        raise BadArgument("folder", str(folder), "a folder; a URL is for a Ray cluster (--ray)")
+    if not hasattr(os, "fork"):
+        raise SweepRefused("this system can't copy a process (os.fork)")
     with folders.locked(Path(spec.folder)):
         return _sweep(spec, runs, cores, progress)
 
@@ -135,15 +141,6 @@ def _spec(
     )
 
 
-def _refuse_impossible() -> None:
-    if not hasattr(os, "fork"):
-        raise SweepRefused("this system can't copy a process (os.fork)")
-    if worlds := [world.name for world in open_worlds()]:
-        raise SweepRefused(f"{', '.join(worlds)} is open, which the runs would begin with; close it before")
-    if threads := [thread.name for thread in forking.others()]:
-        raise SweepRefused(f"the runs would lack the threads {', '.join(threads)}; sweep before they are started")
-
-
 def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, Outcome | None], None]) -> Sweep:
     folder = Path(spec.folder)
     facts = facts_of(spec, runs)
@@ -152,21 +149,27 @@ def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, Outcome
     missing = [number for number in range(runs) if spec.name(number) not in there]
     result = Sweep(spec.folder, runs, before=runs - len(missing))
     progress(result, None)
-    local = Local(spec, cores, models if models in there else None)
+    if not missing:
+        return result
+    # forks would lack the threads of this process, as a notebook's, and begin with its worlds
+    kind = Worker if forking.others() or open_worlds() else Local
     try:
-        for first in (True, False):
-            with closing(local.run(missing[:1] if first else missing[1:])) as outcomes:
-                for outcome in outcomes:
-                    if not result.take(outcome):
-                        return result
-                    if result.has_not_begun():
-                        _set_aside(result, outcome)
-                        return result
-                    if first:
-                        folders.write(folder, {**facts, "models": local.models})
-                    progress(result, outcome)
+        with closing(kind(spec, cores, models if models in there else None)) as process:
+            for numbers in (missing[:1], missing[1:]):
+                with closing(process.run(numbers)) as outcomes:
+                    for outcome in outcomes:
+                        if not result.take(outcome):
+                            return result
+                        if result.has_not_begun():
+                            _set_aside(result, outcome)
+                            return result
+                        progress(result, outcome)
+                if process.models:
+                    folders.write(folder, {**facts, "models": process.models})
     except KeyboardInterrupt:
         result.interrupted = True
+    except WorkerLost as error:
+        result.stopped = f"{error}; started again, the sweep makes the runs that are missing"
     return result
 
 

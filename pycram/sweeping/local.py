@@ -68,6 +68,9 @@ class Local:
         """Name and hash of the file of models; None as long as there is none."""
         return None if self._models is None else {"file": self._models.file, "sha256": self._models.sha256}
 
+    def close(self) -> None:
+        """Do nothing: no run goes on when the iteration over them has ended."""
+
     def run(self, numbers: Iterable[int]) -> Generator[Outcome, None, None]:
         """Make runs; yield their outcomes as they end. None goes on when the iteration has ended."""
         waiting = deque(map(_Job, numbers))
@@ -103,10 +106,12 @@ class Local:
         if received:  # it was interrupted, and its recording says so
             return None
         cause = f"it still ran after {self._spec.limit:g} s, and had to be killed" if process.late else process.how
+        cause += f", at each of {_ATTEMPTS} attempts"
         part = self._spec.part(job.number)
         if part.exists():
-            part.replace(Path(self._spec.folder) / f"{self._spec.name(job.number)}.killed")
-        return _Job(job.number, job.attempt, f"{cause}, at each of {_ATTEMPTS} attempts")
+            kept = part.replace(Path(self._spec.folder) / f"{self._spec.name(job.number)}.killed")
+            cause += f"; what it had recorded is in {kept.name}"
+        return _Job(job.number, job.attempt, cause)
 
     def _outcome(self, job: _Job, process: LimitedChild) -> Outcome:
         if not process.child.received:  # not even that could be recorded

@@ -7,12 +7,11 @@ of batches. PyCRAM and the plan are at the same paths on all nodes.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
-import json
 import logging
 import os
-import subprocess
-import sys
+import shutil
 import tempfile
 from contextlib import ExitStack
 from dataclasses import asdict, replace
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram.sweeping import folder as folders
 from pycram.sweeping.one_run import Outcome, Spec
 from pycram.sweeping.result import Sweep, facts_of
+from pycram.sweeping.worker import Worker
 from recorder.mcap.shared_models import NAME
 from recorder.packages import needed
 
@@ -124,12 +124,22 @@ def _made(spec: Spec, url: str, batches: Any, models: str | None, cores: int) ->
 
 
 class _Store:
-    """A folder by its URL; a plain path is one that all nodes share."""
+    """A folder by its URL; a plain path is one that all nodes share.
+
+    Raises:
+        SweepRefused: There can't be one of that URL.
+    """
 
     def __init__(self, url: str) -> None:
         given = url if "://" in url else str(Path(url).absolute())
-        self._files, self.root = fsspec.core.url_to_fs(given)
-        self.is_local = "file" in (self._files.protocol, *self._files.protocol)
+        try:
+            self._files, self.root = fsspec.core.url_to_fs(given)
+        except (ImportError, ValueError) as error:  # what such a URL needs isn't installed, or there is no such kind
+            raise folders.SweepRefused(f"{url}: {error}, on all nodes") from error
+        kinds = (self._files.protocol, *self._files.protocol)  # a name, or several
+        if "memory" in kinds:
+            raise folders.SweepRefused(f"{url}: what is there is gone with its process; name a folder of files")
+        self.is_local = "file" in kinds
         self._files.makedirs(self.root, exist_ok=True)
 
     def names(self) -> set[str]:
@@ -137,12 +147,21 @@ class _Store:
         self._files.invalidate_cache()
         return {Path(each).name for each in self._files.ls(self.root, detail=False)}
 
-    def put(self, file: Path) -> None:
-        """Put a file there, whole or not at all."""
-        target = f"{self.root}/{file.name}"
+    def has(self, name: str) -> bool:
+        """Return whether a file is there; the others aren't looked at, which may be very many."""
+        self._files.invalidate_cache()
+        found: bool = self._files.exists(f"{self.root}/{name}")
+        return found
+
+    def put(self, file: Path, within: str = "") -> None:
+        """Put a file there, or into a folder within, whole or not at all."""
+        folder = f"{self.root}/{within}" if within else self.root
+        target = f"{folder}/{file.name}"
         if self.is_local:  # storage of objects does it by itself
-            part = f"{self.root}/.{file.name}.part"
+            self._files.makedirs(folder, exist_ok=True)
+            part = f"{folder}/.{file.name}.part"
             self._files.put_file(str(file), part)
+            shutil.copystat(file, part)  # by its time tables know a recording again
             os.replace(part, target)  # noqa: PTH105  as texts
         else:
             self._files.put_file(str(file), target)
@@ -162,62 +181,46 @@ class _Store:
         return {"file": name, "sha256": hashlib.sha256(self._files.cat_file(f"{self.root}/{name}")).hexdigest()}
 
 
-class _Worker:
-    """The process of ours that a process of Ray's keeps."""
-
-    def __init__(self, seed: int) -> None:
-        self.folder = tempfile.TemporaryDirectory(prefix="pycram-sweep-", ignore_cleanup_errors=True)
-        self._process = subprocess.Popen(  # noqa: S603  ours
-            [sys.executable, "-P", "-m", "pycram.sweeping.worker", str(os.getpid())],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=os.environ | {"PYTHONHASHSEED": str(seed)},
-            text=True,
-            encoding="utf-8",
-        )
-
-    def run(self, spec: Spec, numbers: Sequence[int], models: str | None) -> Iterator[Outcome]:
-        """Make runs."""
-        batch = {"spec": asdict(replace(spec, folder=self.folder.name)), "numbers": numbers, "models": models}
-        sent, received = self._process.stdin, self._process.stdout
-        if sent is None or received is None:
-            return
-        sent.write(json.dumps(batch) + "\n")
-        sent.flush()
-        while line := received.readline().strip():
-            yield Outcome(**json.loads(line))
-        if self._process.poll() is not None:
-            raise RuntimeError(f"the process that makes runs has ended with {self._process.returncode}")
+_worker: Worker | None = None
 
 
-_worker: _Worker | None = None
+def _warm(spec: Spec, models: str | None) -> Worker:
+    """Return the process of ours that this process of Ray's keeps, for runs of a sweep into a folder of its own."""
+    global _worker  # noqa: PLW0603  of this process of Ray's
+    if _worker is None:
+        folder = tempfile.mkdtemp(prefix="pycram-sweep-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        _worker = Worker(replace(spec, folder=folder), 1)
+    _worker.spec, _worker.shared = replace(spec, folder=_worker.spec.folder), models
+    return _worker
 
 
 def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str | None) -> list[dict[str, Any]]:
     """Make those runs of a batch that aren't there yet; a task of Ray's."""
     global _worker  # noqa: PLW0603  of this process of Ray's
     spec, store = Spec(**spec_facts), _Store(url)
-    there = store.names()
-    if _worker is None:
-        _worker = _Worker(spec.seed)
-    folder = Path(_worker.folder.name)
+    worker = _warm(spec, models)
+    folder = Path(worker.spec.folder)
     if models is not None:
         store.fetch(models, folder)
-    missing = [number for number in numbers if spec.name(number) not in there]
+    missing = [number for number in numbers if not store.has(spec.name(number))]
     # of a lost node's batch, whose outcomes went with it
     outcomes = [_known(store, spec, number, folder) for number in numbers if number not in missing]
     try:
-        for outcome in _worker.run(spec, missing, models):
+        for outcome in worker.run(missing):
             if not outcome.unrecorded:
-                for made in folder.glob(f"{outcome.number:05}.*"):  # and what lies beside it
-                    store.put(made)
+                for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # and what lies beside it
+                    within = made.parent.relative_to(folder).as_posix().removeprefix(".")
+                    if store.is_local or not within:  # rows aren't those of a file with another time
+                        store.put(made, within)
                     made.unlink()
             outcomes.append(asdict(outcome))
     except BaseException:
+        worker.close()
         _worker = None
         raise
     for made in folder.glob("models-*.mcap"):
-        if made.name not in there:
+        if not store.has(made.name):
             store.put(made)
     return outcomes
 

@@ -19,7 +19,6 @@ from pycram.projection.child import limit_memory
 from pycram.seeding import MAX_SEED
 from pycram.sweeping.folder import name_of
 from pycram.sweeping.values import Variations
-from pycram.world import current
 from recorder.errors import RecordingError
 from recorder.mcap.sink import McapSink
 from recorder.provenance import metadata
@@ -155,7 +154,6 @@ def run_once(
     """
     process, plan, part = os.getpid(), Path(spec.plan), spec.part(number)
     values, seed = spec.values(number), spec.seed_of(number)
-    current.number_anew()
     if spec.memory and not lost:
         limit_memory(spec.memory)
     sinks: list[_RunSink] = []

@@ -7,6 +7,7 @@ import json
 import math
 import random
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import BadArgument
@@ -105,8 +106,13 @@ def sampled(text: str) -> tuple[str, str]:
 
 
 def _parse(name: str, text: object) -> tuple[str, list[Any]]:
+    return _distribution(name, str(text))
+
+
+@lru_cache  # each run's name has its values
+def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
     try:
-        call = ast.parse(str(text).strip(), mode="eval").body
+        call = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError):
         call = None
     if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)) or call.keywords:

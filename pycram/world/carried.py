@@ -33,6 +33,11 @@ def move_attached(carrier: Object, transaction: Transaction) -> None:
         move_attached(body, transaction)
 
 
+def attached_to(carrier: Object, link: str) -> Object | None:
+    """Return what is attached to a link of an object; None if nothing is."""
+    return next((attachment.body for attachment in carrier.carried if attachment.carrier_link == link), None)
+
+
 def root_of(body: Object) -> Object:
     """Return what carries an object in the end, directly or through other things; itself if nothing does."""
     while body.carrier is not None:

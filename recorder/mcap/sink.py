@@ -78,9 +78,6 @@ class McapSink:
         self.path = path
         self._final_metadata = final_metadata
         self._models = models
-        raw = open_output(path)
-        self._file = io.BufferedWriter(raw, 1 << 16)
-        self._watched = Watched(path, raw)
         self._durable = durable
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # since the last chunk was closed
@@ -99,17 +96,27 @@ class McapSink:
         self._ended = threading.Event()
         # a daemon, so that a plan which never closes its recording can end
         self._timer = own(threading.Thread(target=self._flush_periodically, name=f"flush {path.name}", daemon=True))
+        start = io.BytesIO()  # made before there is a file: a process that is killed meanwhile leaves no empty one
+        self._begin(start, metadata)
+        raw = open_output(path)
+        self._file = io.BufferedWriter(raw, 1 << 16)
+        self._watched = Watched(path, raw)
         try:
-            self._begin(metadata)
+            with self._guarded():
+                self._writer.move(self._file, start.getvalue())
+                if durable:
+                    self._watched.sync()
+                    self._watched.sync_name()
         except BaseException:
             self._close_file()
             raise
         self._timer.start()
 
-    def _begin(self, metadata: Mapping[str, str]) -> None:
+    def _begin(self, file: io.BytesIO, metadata: Mapping[str, str]) -> None:
+        """Writes what comes before all records."""
         with self._guarded():
             software = versions()
-            self._writer = McapWriter(self._file, f"pycram {software['pycram']}")
+            self._writer = McapWriter(file, f"pycram {software['pycram']}")
             messages: dict[str, type[Message]] = {topic: kind for kind, topic in TOPICS.items()}
             messages |= {"/tf": FrameTransforms, "/log": Log}
             for topic, message in messages.items():
@@ -122,9 +129,6 @@ class McapSink:
             if self._models is not None:
                 self._writer.add_metadata(METADATA, {"file": self._models.file, "sha256": self._models.sha256})
             self._writer.flush()
-            if self._durable:
-                self._watched.sync()
-                self._watched.sync_name()
 
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:
         """Adds a channel; where it names its world, the file's index has the chunks of that world."""

@@ -69,6 +69,12 @@ class McapWriter:
         self._write(MAGIC)
         self._write(_packed(Header(profile="", library=library)))
 
+    def move(self, file: BinaryIO, start: bytes) -> None:
+        """Goes on in a file, which begins with what was written to another one."""
+        file.write(start)
+        file.flush()
+        self._file = file
+
     @property
     def size(self) -> int:
         """Bytes of the file so far, without the chunk that isn't closed."""
@@ -99,7 +105,7 @@ class McapWriter:
 
         Args:
             messages: of each the id of its channel; its number, of which the lowest 32 bits are kept; its time in ns
-                since the Unix epoch, which never decreases; and its bytes.
+                since the Unix epoch, which never decreases within a chunk; and its bytes.
         """
         pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size
         for channel, sequence, time_ns, payload in messages:
@@ -218,8 +224,8 @@ class McapWriter:
             channel_message_counts=dict(self._counts),
             chunk_count=len(self._chunks),
             message_count=sum(self._counts.values()),
-            message_end_time=filled[-1].message_end_time if filled else 0,
-            message_start_time=filled[0].message_start_time if filled else 0,
+            message_end_time=max((index.message_end_time for index in filled), default=0),
+            message_start_time=min((index.message_start_time for index in filled), default=0),
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )

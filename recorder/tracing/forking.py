@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import random
+import signal
 import threading
 import warnings
 import weakref
@@ -17,6 +18,9 @@ from recorder.tracing import journal, process_identity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+#: They wait for the end of a fork: Python drops what a handler raises within the hooks that it calls there.
+_INTERRUPTS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _own: Final[weakref.WeakSet[threading.Thread]] = weakref.WeakSet()
 
@@ -57,4 +61,8 @@ def fork_continuation() -> int:
 def _fork(fork: Callable[[], int]) -> int:
     with journal.still(), warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12's, of threads: ours are parked
-        return fork()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
+        try:
+            return fork()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)

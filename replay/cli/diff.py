@@ -134,6 +134,8 @@ def lines(delta: Difference, *, whole: bool = False) -> Iterator[str]:
 def _plain(value: object) -> str:
     if isinstance(value, tuple):
         return formatting.vector(value)
+    if value is None:
+        return "nowhere"
     return formatting.number(value) if isinstance(value, float) else str(value) or "none"
 
 

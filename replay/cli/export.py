@@ -15,7 +15,12 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable
 
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from replay.file.record_reader import RecordReader
     from replay.recording import Recording
+    from replay.runs.lerobot import Draw
     from replay.runs.runs import Runs
 
 _FORMATS: Final = ("csv", "parquet")
@@ -39,13 +44,20 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--plan", metavar="NAME", help="of a folder, this plan's runs (default: of the plan that most are of)"
     )
     parser.add_argument("--succeeded", action="store_true", help="of a folder, only runs that succeeded")
+    parser.add_argument(
+        "--images",
+        nargs="?",
+        const="",
+        metavar="FRAME",
+        help="of a data set, with what the robot's camera sees, or one at this frame of it, as video (extra: video)",
+    )
     parser.add_argument("-o", dest="file", metavar="FILE", help="the table (default: CSV to standard output)")
     parser.add_argument("--format", choices=_FORMATS, help="of the file (default: by its name's end, else csv)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Write the table."""
-    if not options.trajectories or options.to:
+    if not options.trajectories or options.to or options.images is not None:
         raise ReplayError("of a recording there are --trajectories; of a folder of recordings a data set: --to lerobot")
     suffix = Path(options.file or "").suffix.removeprefix(".")
     form = options.format or (suffix if suffix in _FORMATS else "csv")
@@ -82,12 +94,29 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     if options.succeeded:
         good = {run for (run,) in runs.sql("SELECT run FROM runs WHERE succeeded").rows()}
         names = tuple(name for name in names if name in good)
-    done = export(runs, names, Path(out))
+    done = export(runs, names, Path(out), None if options.images is None else _camera(options.images))
     if done.left_out:
         print_message(f"left out: {len(done.left_out)} runs in which no robot moves, as {done.left_out[0]}")
     data = {"folder": str(done.folder), "format": form, "episodes": list(done.episodes), "frames": done.frames}
     print_result(lambda: data, [f"{out}: {len(done.episodes)} episodes, {done.frames} frames"], as_json=options.json)
     return 0
+
+
+def _camera(frame: str) -> Draw:
+    """Return what draws what the robot's camera sees, or one at another frame of it."""
+    import numpy as np  # noqa: PLC0415  slow to import
+
+    from replay.restore.render import Scene  # noqa: PLC0415  what it needs is an extra
+
+    def draw(
+        log: RecordReader, step: int, world: str, moment: float | None, size: tuple[int, int]
+    ) -> NDArray[np.uint8]:
+        scene = Scene(log, step, world, moment)
+        if not (camera := frame or scene.camera):
+            raise ReplayError(f"{log.path}: the robot has no camera; name one of its frames")
+        return np.asarray(scene.picture(camera=camera, size=size).convert("RGB"))
+
+    return draw
 
 
 def _csv(table: Iterable[Row]) -> str:

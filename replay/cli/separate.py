@@ -27,7 +27,7 @@ _MAX_ALSO: Final = 5
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the cause, and how much to print."""
     parser.epilog = (
-        "Claims are made where chance alone would make any in less than one of twenty folders (Fisher, Holm)."
+        "Claims are made where chance alone would make any in less than one of twenty folders (Westfall, Young)."
     )
     parser.add_argument("--plan", metavar="NAME", help="of this plan's runs (default: of the plan that most are of)")
     parser.add_argument(
@@ -105,7 +105,7 @@ def _data(found: Separation) -> dict[str, object]:
 
 def _claim(claim: Claim, found: Separation) -> dict[str, object]:
     fact = claim.fact
-    counts = {key: value for key, value in dataclasses.asdict(fact).items() if key not in ("true", "known", "tests")}
+    counts = {key: value for key, value in dataclasses.asdict(fact).items() if key not in ("true", "known", "evidence")}
     return counts | {
         "sentence": sentence(claim, found),
         "also": list(claim.also),

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from replay.runs.statistics import FailureCause, Share, Slow, Statistics
 
 _PICTURES: Final = 8  # causes with a picture
+_LABEL: Final = 22  # characters beside a bar
 _CLAIMS: Final = 10
 _WIDE, _BAR = 420, 22  # pixels
 
@@ -117,7 +118,7 @@ def _shares(shares: Sequence[Share]) -> str:
         y, rate = at * (_BAR + 8), share.succeeded / share.of if share.of else 0.0
         middle = y + _BAR / 2
         rows.append(
-            f'<text x="150" y="{middle + 5}" text-anchor="end">{escape(share.what[:22])}</text>'
+            f'<text x="150" y="{middle + 5}" text-anchor="end">{_short(share.what)}</text>'
             f'<rect x="160" y="{y}" width="{_WIDE}" height="{_BAR}" fill="#e8edf3"/>'
             f'<rect x="160" y="{y}" width="{rate * _WIDE:.1f}" height="{_BAR}" fill="#4f8f6b"/>'
             f'<line x1="{160 + low * _WIDE:.1f}" x2="{160 + high * _WIDE:.1f}" y1="{middle}" y2="{middle}" '
@@ -125,9 +126,19 @@ def _shares(shares: Sequence[Share]) -> str:
             f'<text x="{170 + _WIDE}" y="{middle + 5}">{rate:.0%}, {share.succeeded} of {share.of}</text>'
         )
     height = len(shares) * (_BAR + 8)
+    # what the line is, and how long the bar would be if all had succeeded
+    rows.append(f'<text x="160" y="{height + 10}" fill="#667" font-size="11">0 to 100 %; lines: 95 % intervals</text>')
+    height += 14
     return (
         f'<svg viewBox="0 0 780 {height}" width="780" height="{height}" font-size="13" role="img">{"".join(rows)}</svg>'
     )
+
+
+def _short(text: str) -> str:
+    """Return a text with as much of it as has room; the rest is shown where the mouse is."""
+    if len(text) <= _LABEL:
+        return escape(text)
+    return f"{escape(text[: _LABEL - 1])}…<title>{escape(text)}</title>"
 
 
 def _claims(folder: Path, found: Separation) -> str:

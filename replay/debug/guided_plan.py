@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from replay.debug.copies import Copies, EndedByInterrupt
 from replay.errors import Damaged, ReplayError
+from replay.retrace.guide import Difference
+from replay.retrace.outside import likely_reasons
 from replay.retrace.plan_process import PlanProcess
 
 if TYPE_CHECKING:
@@ -69,7 +71,8 @@ class GuidedPlan:
         recorded_files: the recorded source by its files' paths, if that runs.
         notes: what is different from when it was recorded.
         last: the last step that it can come to.
-        parted: how it differs from the recording after that step; "" if it isn't known to.
+        parted: how it differs from the recording after that step, and lines that may be why, as they read the world
+            outside; "" if it isn't known to.
 
     Raises:
         CantRetrace: the plan isn't there, or the recording doesn't tell how it was run.
@@ -90,6 +93,7 @@ class GuidedPlan:
         self.notes = tuple(process.notes())
         self.step = -1
         self.last = len(log) - 1
+        self._log = log
         self.parted = ""
         log.check()  # what is lost is known only then
         gap = next(iter(log.lost()), None)
@@ -179,7 +183,9 @@ class GuidedPlan:
             raise ReplayError(f"this isn't the plan of the recording: {found['text']}")
         self.step = message["step"]
         if found is not None:
-            self.last, self.parted = found["step"] - 1, found["text"]
+            difference = Difference(**found)
+            self.last = difference.step - 1
+            self.parted = "; ".join((difference.text, *likely_reasons(self._log, difference)))
         return Arrival(self.step, message["reason"], self.parted if found else "", message["changes"])
 
     def ask(self, what: str, **arguments: object) -> Any:

@@ -13,7 +13,7 @@ import select
 import signal
 import socket
 import sys
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.projection import obstacle
@@ -269,8 +269,7 @@ class StoppingSink(NullSink):
     # --- stopped ----------------------------------------------------------------------------------------------------
 
     def _stop(self, reason: str, *, between: bool = False) -> None:
-        difference = self._difference
-        found = None if difference is None else {"step": difference.step, "text": difference.text}
+        found = None if self._difference is None else asdict(self._difference)
         can_wait = reason != "parted" and not between and self._spacing is not None and not obstacle()
         self._channel.send(
             {

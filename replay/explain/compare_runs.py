@@ -9,6 +9,7 @@ are streamed.
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -225,20 +226,20 @@ def _bare(record: Record) -> Record:
     if isinstance(bare, Run):
         for field in _GIVEN:
             bare.ClearField(field)
-    if isinstance(bare, Task) and bare.kind == "projection" and bare.result_json:
-        bare.result_json = _without_file(bare.result_json)
+    if isinstance(bare, Task) and '"recording"' in bare.result_json:
+        with suppress(ValueError):
+            bare.result_json = json.dumps(_without_files(json.loads(bare.result_json)))
     return bare
 
 
-def _without_file(outcome: str) -> str:
-    """Return a projection's outcome without the file of its recording, which is named after the run's."""
-    try:
-        facts = json.loads(outcome)
-    except ValueError:
-        return outcome
-    if not isinstance(facts, dict) or "recording" not in facts:
-        return outcome
-    return json.dumps({name: value for name, value in facts.items() if name != "recording"})
+def _without_files(result: Plain) -> Plain:
+    """Return what a task returned without the files of projections' recordings, which are named after the run's."""
+    if isinstance(result, list):
+        return [_without_files(each) for each in result]
+    if isinstance(result, dict):
+        outcome = {"recording", "succeeded", "duration"} <= result.keys()
+        return {key: _without_files(value) for key, value in result.items() if not (outcome and key == "recording")}
+    return result
 
 
 def _leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[str, tuple[Plain, Plain]]]:

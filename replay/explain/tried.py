@@ -57,11 +57,11 @@ def tried(log: RecordReader, failed: Node) -> TriedAction | None:
         tuple(imagined),
         tuple(asked[-_MAX_PLACES:]),
         data.get("spent") is True,
-        _told(data.get("last")),
+        _error_text(data.get("last")),
     )
 
 
-def _told(last: Plain) -> str:
+def _error_text(last: Plain) -> str:
     """Return a recorded error as text."""
     if isinstance(last, dict):
         return str(last.get("repr") or next(iter(last.values()), ""))

@@ -6,6 +6,7 @@ import hashlib
 import io
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from mcap.data_stream import ReadDataStream
@@ -75,6 +76,12 @@ class Assets(Mapping[str, bytes]):
         if cause := self.missing(look=True):
             raise MissingModels(self._path, cause)
         return self.shared.read(name)
+
+    def check(self) -> None:
+        """Read all that the recording holds itself; :attr:`damaged` then tells what isn't as it was attached."""
+        for name in self._index.attachments:
+            with suppress(Damaged):
+                self.attachment(name)
 
     def missing(self, *, look: bool = False) -> str:
         """Return why files are missing that the recording shares, in words; "" if none are, or nobody has looked."""

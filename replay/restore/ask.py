@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -29,7 +30,11 @@ if TYPE_CHECKING:
     from recorder.geometry import Quaternion, Vector
     from recorder.records import Plain
     from replay.file.record_reader import RecordReader
+    from replay.state.state import State
 
+BELIEVED: Final = "believed"
+"""Asks what a robot believed, which the records themselves tell; ``away`` is how far the object is from there, m."""
+_BELIEVED_TAKES: Final = ("what", "robot")
 QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
 """Names of the queries that can be asked."""
 
@@ -88,26 +93,20 @@ def ask(
     A moment within the next record is as :func:`replay.restore.world.world_at` takes it.
 
     Questions are as ``visible(milk, wide_stereo_optical_frame)``: any of :data:`QUERIES`, with the arguments of
-    :mod:`pycram.bullet_world_reasoning`. Without one, the query that is recorded as this step is asked again, in its
-    world. By default the world is the open one that was opened last.
+    :mod:`pycram.bullet_world_reasoning`, or ``believed(milk)``, of an object or of a type. Without one, the query that
+    is recorded as this step is asked again, in its world. By default the world is the open one that was opened last.
 
     Raises:
         BadQuestion: it can't be read, that world has no answer to it, or the step's record is no query.
         NotRestored: no world was open then.
     """
     if question is None:
-        record = log[step]
-        if not isinstance(record, Query):
-            raise BadQuestion(f"step {step}", "its record is no query that could be asked again; give a question")
-        if record.name not in QUERIES:
-            cause = f"its record is a {record.name}, which was no question of the plan's to a world; give a question"
-            raise BadQuestion(f"step {step}", cause)
-        if world not in (None, record.world):
-            raise BadQuestion(f"step {step}", f"that query was asked in {record.world}, not in {world}")
-        question, world = question_of(record), record.world
+        question, world = _recorded(log, step, world)
     call = parse(question) if isinstance(question, str) else question
+    if call.query == BELIEVED:
+        return _believed(state_at(log, step), step, world, call, moves)
     if call.query not in QUERIES:
-        raise NoSuchName("query", call.query, QUERIES)
+        raise NoSuchName("query", call.query, (*QUERIES, BELIEVED))
     state = state_at(log, step)
     name = state.world(world).name if world is not None else None
     with unrecorded(log, step, name, moment) as restored:
@@ -125,6 +124,51 @@ def ask(
         evidence: dict[str, Plain] = json.loads(to_json(result.evidence))
         title = restored.name.rpartition("@")[0]
     return Answer(step, title, call, answer, evidence, tuple(moves))
+
+
+def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[Question, str]:
+    """Return the query that is recorded as a step, and its world.
+
+    Raises:
+        BadQuestion: there is none that could be asked again, or it was asked in another world.
+    """
+    record = log[step]
+    if not isinstance(record, Query):
+        raise BadQuestion(f"step {step}", "its record is no query that could be asked again; give a question")
+    if record.name not in QUERIES:
+        cause = f"its record is a {record.name}, which was no question of the plan's to a world; give a question"
+        raise BadQuestion(f"step {step}", cause)
+    if world not in (None, record.world):
+        raise BadQuestion(f"step {step}", f"that query was asked in {record.world}, not in {world}")
+    return question_of(record), record.world
+
+
+def _believed(state: State, step: int, world: str | None, question: Question, moves: Sequence[Move]) -> Answer:
+    """Return what a robot believed after a step, as the records tell it.
+
+    Raises:
+        BadQuestion: it asks for something else, or under changed conditions, on which beliefs don't depend.
+        NoSuchName: there is no such object, nor a type.
+    """
+    if moves:
+        raise BadQuestion(str(question), "what a robot believed doesn't depend on what is moved now")
+    given = dict(zip(_BELIEVED_TAKES, question.arguments, strict=False))
+    terms = {name: getattr(term, "text", term) for name, term in {**given, **question.keywords}.items()}
+    count = len(question.arguments) + len(question.keywords)
+    known = "what" in terms and len(terms) == count and set(terms) <= {*_BELIEVED_TAKES}
+    if not known or not all(isinstance(term, str) for term in terms.values()):
+        raise BadQuestion(str(question), "it is believed(what, robot): names of an object, or a type, and a robot")
+    what, robot = str(terms["what"]), None if "robot" not in terms else str(terms["robot"])
+    there = state.world(world)
+    names = [name for body in there.bodies.values() for name in (body.name, body.type)]
+    if what not in names:
+        raise NoSuchName("object", what, dict.fromkeys(names))
+    belief = next(iter(there.believed(what, robot)), None)
+    evidence: dict[str, Plain] = {}
+    if belief is not None:
+        evidence = {name: json.loads(json.dumps(getattr(belief, name))) for name in belief.__slots__}
+        evidence["away"] = math.dist(belief.position, there.bodies[belief.object].position)
+    return Answer(step, there.name, question, belief is not None, evidence)
 
 
 def _apply(world: BulletWorld, move: Move) -> None:

@@ -41,6 +41,12 @@ _STDIN: Final = "sys.stdin"  # whatever reads it: a call, a loop
 _METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # of whatever object
 
 
+def likely_reasons(log: RecordReader, difference: Difference) -> Iterator[str]:
+    """Yield in words what of the world outside may be why a record came out differently."""
+    yield from reads_before(difference)
+    yield from decided_outside(log, difference.step)
+
+
 def reads_before(difference: Difference) -> Iterator[str]:
     """Yield in words the lines that may be why a record came out differently, nearest first: those that led to it."""
     files = set()

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from replay.retrace.outside import decided_outside, reads_before
+from replay.retrace.outside import likely_reasons
 from replay.retrace.plan_process import PlanProcess
 
 if TYPE_CHECKING:
@@ -85,5 +85,5 @@ def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = Fa
     outcome = process.run(take_answers=take_answers)
     seconds = time.perf_counter() - start
     if outcome.difference is not None:
-        notes += (*reads_before(outcome.difference), *decided_outside(log, outcome.difference.step))
+        notes += tuple(likely_reasons(log, outcome.difference))
     return Retracing(process.program, len(log), outcome.equal, outcome.difference, notes, seconds, outcome.taken)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import from_json, to_json
@@ -41,7 +42,12 @@ def json_of(arguments: Sequence[Argument]) -> str:
     """Return named values as one JSON object; "" if there are none."""
     if not arguments:
         return ""
-    return "{" + ",".join([f"{json.dumps(each.name)}:{each.json or 'null'}" for each in arguments]) + "}"
+    return "{" + ",".join([f"{_key(each.name)}:{each.json or 'null'}" for each in arguments]) + "}"
+
+
+@lru_cache(maxsize=10_000)
+def _key(name: str) -> str:
+    return json.dumps(name)
 
 
 def label(name: str, arguments: Sequence[Argument]) -> str:

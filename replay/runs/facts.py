@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from replay.runs.intervals import difference, fisher
+from replay.runs.chance import evidence
+from replay.runs.intervals import difference
+from replay.runs.predicates import Site
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from replay.runs.predicates import Case, Site
+    from replay.runs.chance import Runs, Truth
+    from replay.runs.predicates import Case
 
 _MAX_VALUES: Final = 12  # different texts of a site that are compared one by one
 _CUTS: Final = 16  # places at which the range of a number is cut, at most
@@ -32,7 +35,7 @@ class Fact:
         succeeded: how many successful runs it is true of.
         successes: how many successful runs got to the site.
         step: the first step at which it is known, in the middle of the runs.
-        tests: how many facts of that site were compared to choose it.
+        evidence: how strongly it goes along with failing; see :mod:`replay.runs.chance`.
         true: numbers of the runs that it is true of.
         known: numbers of the runs that got to the site.
     """
@@ -45,7 +48,7 @@ class Fact:
     succeeded: int
     successes: int
     step: float
-    tests: int
+    evidence: float
     true: frozenset[int]
     known: frozenset[int]
 
@@ -61,12 +64,6 @@ class Fact:
         return failed / (failed + succeeded) if failed else 0.0
 
     @property
-    def chance(self) -> float:
-        """How likely so large a difference is by chance, of this fact alone."""
-        others = len(self.known) - len(self.true)
-        return fisher(self.failed, len(self.true), self.failures - self.failed, others)
-
-    @property
     def effect(self) -> float:
         """By how much the share of failures is larger where it is true."""
         others = len(self.known) - len(self.true)
@@ -80,57 +77,95 @@ class Fact:
         return difference(self.failed, len(self.true), self.failures - self.failed, others)
 
 
-def facts_of(found: Sequence[Site], cases: Sequence[Case]) -> Iterator[Fact]:
-    """Yield the facts of sites: each that is true of some runs, and false of others that got there."""
-    for site in found:
-        simple = {each.value for values in site.values.values() for each in values}
-        numbers = [value for value in simple if isinstance(value, float)]
-        if site.kind == "reached":
-            yield from _reached(site, cases)
-        elif len(numbers) == len(simple) and len(simple) > 2:
-            yield from _ranges(site, cases)
-        elif 1 < len(simple) <= _MAX_VALUES:
-            yield from _values(site, cases, simple)
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """The facts of a site that are compared.
+
+    Attributes:
+        site: the site.
+        known: numbers of the runs that got there.
+        true: a row for each fact: of which of these runs it is true.
+        text: returns a fact in words.
+        best: whether only the strongest one is of interest, as of ranges of a number.
+    """
+
+    site: Site
+    known: Runs
+    true: Truth
+    text: Callable[[int], str]
+    best: bool = False
+
+    def facts(self, failed: Truth) -> Iterator[Fact]:
+        """Yield those that are of interest."""
+        here = failed[self.known]
+        found = evidence(self.true, here)[:, 0]
+        for row in [int(found.argmax())] if self.best else range(len(found)):
+            true = self.known[self.true[row]].tolist()
+            steps = sorted(self.site.values[number][0].step for number in true if number in self.site.values)
+            hits, failures = int(here[self.true[row]].sum()), int(here.sum())
+            yield Fact(
+                self.site.kind,
+                self.text(row),
+                self.site.name,
+                hits,
+                failures,
+                len(true) - hits,
+                len(here) - failures,
+                steps[len(steps) // 2] if steps else 0.0,
+                float(found[row]),
+                frozenset(true),
+                frozenset(self.known.tolist()),
+            )
 
 
-def _fact(
-    site: Site, text: str, true: frozenset[int], known: frozenset[int], cases: Sequence[Case], tests: int
-) -> Fact | None:
-    """Return a fact; None where all runs are alike."""
-    if not true or len(true) == len(known):
+def compared_of(found: Sequence[Site], cases: Sequence[Case]) -> Iterator[Compared]:
+    """Yield what is compared of sites: facts that are true of some runs, and false of others that got there."""
+    for each in found:
+        for site in (each, _last(each)):
+            if site is None:
+                continue
+            simple = {each.value for values in site.values.values() for each in values}
+            numbers = [value for value in simple if isinstance(value, float)]
+            if site.kind == "reached":
+                compared = _reached(site, len(cases))
+            elif len(numbers) == len(simple) and len(simple) > 2:
+                compared = _ranges(site)
+            elif 1 < len(simple) <= _MAX_VALUES:
+                compared = _values(site, sorted(simple, key=str))
+            else:
+                continue
+            some = compared.true.any(axis=1) & ~compared.true.all(axis=1)
+            if some.any():
+                kept, text = np.flatnonzero(some), compared.text
+                yield Compared(site, compared.known, compared.true[kept], _picked(text, kept), compared.best)
+
+
+def _picked(text: Callable[[int], str], kept: Runs) -> Callable[[int], str]:
+    return lambda row: text(int(kept[row]))
+
+
+def _last(site: Site) -> Site | None:
+    """Return what a site had at last, which is what was in force when it failed; None where that is all that it had."""
+    if site.kind in ("reached", "order") or all(len({each.value for each in got}) == 1 for got in site.values.values()):
         return None
-    failed, failures = (sum(cases[number].failed for number in each) for each in (true, known))
-    steps = sorted(site.values[number][0].step for number in true if number in site.values)
-    return Fact(
-        site.kind,
-        text,
-        site.name,
-        failed,
-        failures,
-        len(true) - failed,
-        len(known) - failures,
-        steps[len(steps) // 2] if steps else 0.0,
-        tests,
-        true,
-        known,
-    )
+    before, at, where = site.name.partition(" at ")
+    name = f"{before} at the last {where}" if at else f"the last {site.name}"
+    return Site(site.kind, name, {number: got[-1:] for number, got in site.values.items()})
 
 
-def _reached(site: Site, cases: Sequence[Case]) -> Iterator[Fact]:
-    """Yield that runs got somewhere; of the others it is known that they didn't."""
-    fact = _fact(site, site.name, frozenset(site.values), frozenset(range(len(cases))), cases, 1)
-    if fact is not None:
-        yield fact
+def _reached(site: Site, runs: int) -> Compared:
+    """Compare that runs got somewhere; of the others it is known that they didn't."""
+    true = np.zeros((1, runs), dtype=np.bool_)
+    true[0, list(site.values)] = True
+    return Compared(site, np.arange(runs), true, lambda _: site.name)
 
 
-def _values(site: Site, cases: Sequence[Case], simple: set[str | float | bool]) -> Iterator[Fact]:
-    """Yield a fact for each value that a site had at some time in a run."""
-    known = frozenset(site.values)
-    for value in sorted(simple, key=str):
-        true = frozenset(number for number in known if any(each.value == value for each in site.values[number]))
-        fact = _fact(site, _value_text(site, value), true, known, cases, 1)
-        if fact is not None:
-            yield fact
+def _values(site: Site, simple: Sequence[str | float | bool]) -> Compared:
+    """Compare each value that a site had at some time in a run."""
+    known = sorted(site.values)
+    had = [{each.value for each in site.values[number]} for number in known]
+    true = np.array([[value in values for values in had] for value in simple])
+    return Compared(site, np.array(known), true, lambda row: _value_text(site, simple[row]))
 
 
 def _value_text(site: Site, value: str | float | bool) -> str:
@@ -150,38 +185,18 @@ def _value_text(site: Site, value: str | float | bool) -> str:
     return f"{name}={shown}{at}{where}"
 
 
-def _ranges(site: Site, cases: Sequence[Case]) -> Iterator[Fact]:
-    """Yield the range of a number that separates best, of those between some values that occur."""
-    known = sorted(site.values)
-    first = np.array([float(site.values[number][0].value) for number in known])
-    order = np.argsort(first, kind="stable")
-    values, failed = first[order], np.array([cases[number].failed for number in known])[order]
+def _ranges(site: Site) -> Compared:
+    """Compare the ranges of a number between some values that occur."""
+    known = np.array(sorted(site.values))
+    first = np.array([float(site.values[number][0].value) for number in known.tolist()])
+    values = np.sort(first)
     starts = np.flatnonzero(np.diff(values)) + 1  # indices at which a new value begins
     if len(starts) > _CUTS:
         starts = starts[np.unique(np.linspace(0, len(starts) - 1, _CUTS).round().astype(int))]
     cuts = [0, *starts.tolist(), len(values)]
-    sums = np.concatenate([[0], np.cumsum(failed)])
-    total = int(sums[-1])
-    best: tuple[float, int, int] | None = None
-    tests = 0
-    for at, low in enumerate(cuts):
-        for high in cuts[at + 1 :]:
-            if high - low == len(values):
-                continue
-            tests += 1
-            inside, hits = high - low, int(sums[high] - sums[low])
-            larger = hits * len(values) > total * inside
-            chance = fisher(hits, inside, total - hits, len(values) - inside) if larger else 1.0
-            if best is None or chance < best[0]:
-                best = chance, low, high
-    if best is None:  # it had one value only in the first place
-        return
-    _, low, high = best
-    numbers = [known[at] for at in order]
-    text = _range_text(site, values, low, high)
-    fact = _fact(site, text, frozenset(numbers[low:high]), frozenset(known), cases, tests)
-    if fact is not None:
-        yield fact
+    ends = [(low, high) for at, low in enumerate(cuts) for high in cuts[at + 1 :]]
+    true = np.array([(first >= values[low]) & (first <= values[high - 1]) for low, high in ends])
+    return Compared(site, known, true, lambda row: _range_text(site, values, *ends[row]), best=True)
 
 
 def _range_text(site: Site, values: np.ndarray, low: int, high: int) -> str:

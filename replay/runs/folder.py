@@ -120,7 +120,12 @@ class Folder:
         with os.scandir(self.path) as entries:
             for entry in entries:
                 ours = entry.name.endswith(".mcap") and not entry.name.startswith((".", _MODELS))
-                if ours and entry.is_file(follow_symlinks=True):
+                if not ours:
+                    continue
+                if entry.is_symlink():  # one to nothing can't be read, and is named for it
+                    if not Path(entry.path).is_dir():
+                        found[entry.name] = entry.stat(follow_symlinks=Path(entry.path).is_file())
+                elif entry.is_file():
                     found[entry.name] = entry.stat()
         return dict(sorted(found.items()))
 
@@ -207,6 +212,7 @@ class Folder:
             if log.live:
                 raise NotRead(path, "it is still being written")
             tables = tables_of(log)
+            log.assets.check()
             if log.damage:
                 raise NotRead(path, log.damage)
             return tables

@@ -3,7 +3,7 @@
 A frame has where the robot's base and joints are (``observation.state``), where they are in the next frame
 (``action``), and where the bodies are that move in any run (``observation.environment_state``). Between two changes
 everything is where it was, so runs whose motions take time (execution environment ``continuous``) have trajectories,
-others jump. Camera images aren't exported: recordings have none, only the answers of queries.
+others jump. What a camera sees can be drawn for each frame (:mod:`replay.runs.video`).
 
 The folder is written under another name first, and renamed when it is whole.
 """
@@ -14,9 +14,10 @@ import json
 import math
 import shutil
 import tempfile
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -25,18 +26,30 @@ from pyarrow import parquet
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
+    from replay.file.record_reader import RecordReader
     from replay.runs.runs import Runs
+    from replay.runs.video import Videos
 
 FPS: Final = 30
 _FILE_SIZE: Final = 100  # MB of a data file
-_FILES: Final = 1000  # in a folder of them
+FILES: Final = 1000  # in a folder of them
 _DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO: Final = "observation.images.camera"
+VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+VIDEO_SIZE: Final = 200  # MB of a file of videos, after which the next episode begins another one
 _EPISODES: Final = "meta/episodes/chunk-000/file-000.parquet"
 _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _STATE, _ACTION, _ENVIRONMENT = "observation.state", "action", "observation.environment_state"
+
+
+#: Draws what a camera sees in a world after a step, or at a moment within the next one (s of simulated time), in so
+#: many pixels, width and height; who exports brings it, as recordings are read without what draws.
+Draw: TypeAlias = "Callable[[RecordReader, int, str, float | None, tuple[int, int]], NDArray[np.uint8]]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +69,14 @@ class Exported:
     left_out: tuple[str, ...]
 
 
-def export(runs: Runs, names: Sequence[str], folder: Path) -> Exported:
+def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = None) -> Exported:
     """Export runs of one robot.
 
     Args:
         runs: the folder of recordings.
         names: of those that are exported.
         folder: where the data set gets; it must not be there yet.
+        draw: draws what a camera sees, for a video; None for none.
 
     Raises:
         ReplayError: no robot moves in any run, they are of several robots, or the folder can't be written.
@@ -75,11 +89,17 @@ def export(runs: Runs, names: Sequence[str], folder: Path) -> Exported:
     kinds = sorted(set(robots.values()))
     if len(kinds) > 1:
         raise ReplayError(f"{runs.path}: the runs are of {', '.join(kinds)}; a data set is of one robot")
+    if draw is not None:
+        from replay.runs.video import Videos  # noqa: PLC0415  what it needs is an extra
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
-            frames = _Writer(partial, runs, list(robots), kinds[0]).write()
+            with ExitStack() as files:
+                videos = None
+                if draw is not None:
+                    videos = files.enter_context(Videos(partial, runs, kinds[0], draw))
+                frames = _Writer(partial, runs, list(robots), kinds[0], videos).write()
             partial.chmod(0o755)
             partial.rename(folder)
         except BaseException:
@@ -103,8 +123,8 @@ def _robots(runs: Runs, names: Sequence[str]) -> dict[str, str]:
 class _Writer:
     """Writes a data set into a folder."""
 
-    def __init__(self, folder: Path, runs: Runs, names: Sequence[str], robot: str) -> None:
-        self.folder, self.runs, self.names, self.robot = folder, runs, names, robot
+    def __init__(self, folder: Path, runs: Runs, names: Sequence[str], robot: str, videos: Videos | None) -> None:
+        self.folder, self.runs, self.names, self.robot, self.videos = folder, runs, names, robot, videos
         self.joints = self._common("joint", "joints", "body = ?", [robot])
         self.bodies = self._moving()
         self.state = [*(f"base.{axis}" for axis in _POSE), *self.joints]
@@ -116,7 +136,7 @@ class _Writer:
         episodes: list[dict[str, Any]] = []
         index = file = 0
         for number, name in enumerate(self.names):
-            frames = self._frames(name)
+            moments, frames = self._frames(name)
             length = len(frames["timestamp"])
             frames |= {
                 "frame_index": np.arange(length),
@@ -132,8 +152,8 @@ class _Writer:
                     "length": length,
                     "dataset_from_index": index,
                     "dataset_to_index": index + length,
-                    "data/chunk_index": file // _FILES,
-                    "data/file_index": file % _FILES,
+                    "data/chunk_index": file // FILES,
+                    "data/file_index": file % FILES,
                     "meta/episodes/chunk_index": 0,
                     "meta/episodes/file_index": 0,
                     "run": name,
@@ -142,6 +162,7 @@ class _Writer:
                         for key, of in _statistics(frames).items()
                         for what, value in of.items()
                     },
+                    **({} if self.videos is None else self.videos.write(name, moments)),
                 }
             )
             index += length
@@ -179,8 +200,8 @@ class _Writer:
         moving = {body for (body,) in rows.rows()}
         return [body for body in in_all if body in moving]
 
-    def _frames(self, run: str) -> dict[str, np.ndarray]:
-        """Return the columns of an episode."""
+    def _frames(self, run: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Return when the frames of an episode are, in s of simulated time, and its columns."""
         poses = self._series(run, "poses", "body", _POSE)
         joints = self._series(run, "joints", "joint", ("position",), self.robot)
         times = [time for moments, _ in [*poses.values(), *joints.values()] for time in (moments[0], moments[-1])]
@@ -195,7 +216,7 @@ class _Writer:
         frames = {_STATE: state, _ACTION: np.concatenate([state[1:], state[-1:]])}
         if around:
             frames[_ENVIRONMENT] = np.concatenate(around, 1)
-        return frames | {
+        return moments, frames | {
             "next.done": last,
             "next.success": last & bool(succeeded),
             "timestamp": (moments - start).astype(np.float32),
@@ -219,7 +240,7 @@ class _Writer:
     # --- files -------------------------------------------------------------------------------------------------------
 
     def _write_data(self, tables: Sequence[pa.Table], file: int) -> None:
-        path = self.folder / _DATA.format(chunk_index=file // _FILES, file_index=file % _FILES)
+        path = self.folder / _DATA.format(chunk_index=file // FILES, file_index=file % FILES)
         path.parent.mkdir(parents=True, exist_ok=True)
         parquet.write_table(pa.concat_tables(tables), path)
 
@@ -243,17 +264,19 @@ class _Writer:
             "total_episodes": len(episodes),
             "total_frames": frames,
             "total_tasks": 1,
-            "chunks_size": _FILES,
+            "chunks_size": FILES,
             "data_files_size_in_mb": _FILE_SIZE,
-            "video_files_size_in_mb": 0,
+            "video_files_size_in_mb": VIDEO_SIZE if self.videos else 0,
             "fps": FPS,
             "splits": {"train": f"0:{len(episodes)}"},
             "data_path": _DATA,
-            "video_path": None,
-            "features": self._features(),
+            "video_path": VIDEO_PATH if self.videos else None,
+            "features": self._features() | ({VIDEO: self.videos.feature()} if self.videos else {}),
         }
         (self.folder / "meta" / "info.json").write_text(json.dumps(info, indent=2), encoding="utf-8")
-        whole = _statistics(dict(self._columns()))
+        whole: dict[str, Any] = _statistics(dict(self._columns()))
+        if self.videos:
+            whole[VIDEO] = self.videos.statistics(frames)
         (self.folder / "meta" / "stats.json").write_text(json.dumps(whole, indent=2), encoding="utf-8")
 
     def _features(self) -> dict[str, Any]:
@@ -305,6 +328,6 @@ def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[f
     for name, values in columns.items():
         rows = values.astype(np.float64).reshape(len(values), -1)
         of = {"min": rows.min(0), "max": rows.max(0), "mean": rows.mean(0), "std": rows.std(0)}
-        of |= {quantile: np.quantile(rows, share, 0) for quantile, share in _QUANTILES.items()}
+        of |= {quantile: np.quantile(rows, share, 0) for quantile, share in QUANTILES.items()}
         found[name] = {what: array.tolist() for what, array in of.items()} | {"count": [len(rows)]}
     return found

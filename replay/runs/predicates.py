@@ -211,6 +211,8 @@ class _Sites:
             number = self.before(run, step)
             if number is not None:
                 self.mark(number, f"{command.replace('_', ' ')} {body}", step, task)
+                if command == "load_body":
+                    self.add("reached", f"{body} was loaded", number, True, step)
 
     def orders(self) -> None:
         """Add which of two things of different branches came first.

@@ -14,14 +14,17 @@ from replay.errors import Damaged
 from replay.explain.root_cause import INTERRUPT, root_cause, uncaught_failure
 from replay.runs.cells import json_of, label, parameters, source
 from replay.runs.failure_causes import cause_of, pairs_of
-from replay.runs.schema import TABLES, arrow_schema
+from replay.runs.schema import COLUMNS, TABLES, arrow_schema
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from recorder.records import BodyState, Failure, Record
     from replay.explain.root_cause import RootCause
     from replay.file.record_reader import RecordReader
 
 _NO_TEXTS: Final = pa.array([], pa.string())  # here pyarrow imports pandas where that is: once, before a process forks
+_NO_EVENT: Final = Event()  # a fluent has nothing of what events have
 _MAX_PATH: Final = 500  # characters: tasks may be nested a thousand deep
 _STATUSES: Final = {Task.SUCCEEDED: "succeeded", Task.FAILED: "failed", Task.CANCELLED: "cancelled"}
 
@@ -41,29 +44,25 @@ def tables_of(log: RecordReader) -> dict[str, pa.Table]:
     if rows.first is None:
         raise Damaged(log.path, "every record", log.problems or "there is none")
     rows.finish(log)
-    return {
-        table.name: pa.table(
-            [pa.array(rows.columns[table.name][column.name], column.type) for column in arrow_schema(table)],
-            schema=arrow_schema(table),
-        )
-        for table in TABLES
-    }
+    return {table.name: _table(arrow_schema(table), rows.columns(table.name)) for table in TABLES}
+
+
+def _table(schema: pa.Schema, columns: Sequence[Sequence[Any]]) -> pa.Table:
+    return pa.table([pa.array(values, column.type) for values, column in zip(columns, schema, strict=True)], schema)
 
 
 class _Rows:
-    """The columns of all tables, while records are added."""
+    """The rows of all tables, while records are added."""
 
     def __init__(self) -> None:
-        self.columns: dict[str, dict[str, list[Any]]] = {
-            table.name: {name: [] for name in table.names} for table in TABLES
-        }
+        self._of: dict[str, list[list[Any]]] = {table.name: [] for table in TABLES}
+        self._joints: list[list[Any]] = [[] for _ in COLUMNS["joints"]]  # its columns, as rows come by the dozen
         self.first: Record | None = None
         self.last: Record | None = None
         self.start: Run | None = None
         self.end: Run | None = None
         self._paths: dict[int, str] = defaultdict(str)
-        self._rows: dict[int, int] = {}  # of the tasks that run: index in their table
-        self._parents: dict[int, int] = {}
+        self._tasks: dict[int, list[Any]] = {}  # their rows
         self._failing: set[int] = set()  # tasks of which a part failed
 
     def add(self, record: Record) -> None:
@@ -87,9 +86,15 @@ class _Rows:
         elif isinstance(record, Run):
             self._run(record)
 
+    def columns(self, table: str) -> Sequence[Sequence[Any]]:
+        """Return the columns of a table."""
+        if table == "joints":
+            return self._joints
+        rows = self._of[table]
+        return [*zip(*rows, strict=True)] if rows else [()] * len(COLUMNS[table])
+
     def _append(self, table: str, *values: Any) -> None:
-        for column, value in zip(self.columns[table].values(), values, strict=True):
-            column.append(value)
+        self._of[table].append([*values])
 
     def _seconds(self, record: Record) -> float:
         first = self.first
@@ -111,40 +116,39 @@ class _Rows:
         if record.phase in (Task.STARTED, Task.ASKED):
             self._begin(record)
             return
-        if record.task not in self._rows:  # its beginning is lost
+        if record.task not in self._tasks:  # its beginning is lost
             self._begin(record)
-        columns, row = self.columns["tasks"], self._rows[record.task]
         if record.phase == Task.LEFT:
             return
-        columns["status"][row] = _STATUSES.get(record.status, "")
-        columns["last_step"][row] = record.seq
-        columns["seconds"][row] = record.duration_ns / 1e9
-        columns["sim_took"][row] = record.sim_step / STEPS_PER_SECOND - columns["sim_seconds"][row]
-        columns["result"][row] = record.result_json
+        row, at = self._tasks[record.task], COLUMNS["tasks"]
+        row[at["status"]] = _STATUSES.get(record.status, "")
+        row[at["last_step"]] = record.seq
+        row[at["seconds"]] = record.duration_ns / 1e9
+        row[at["sim_took"]] = record.sim_step / STEPS_PER_SECOND - row[at["sim_seconds"]]
+        row[at["result"]] = record.result_json
         if record.solution:
-            columns["solution"][row] = json_of(record.solution)
+            row[at["solution"]] = json_of(record.solution)
         if record.HasField("decision"):
-            columns["resolver"][row], columns["module"][row] = record.decision.resolver, record.decision.module
+            row[at["resolver"]], row[at["module"]] = record.decision.resolver, record.decision.module
         if record.HasField("failure"):
-            columns["failure"][row], columns["message"][row] = record.failure.type, record.failure.message
+            row[at["failure"]], row[at["message"]] = record.failure.type, record.failure.message
         if record.status == Task.FAILED:
-            columns["origin"][row] = record.task not in self._failing
-            self._failing.add(self._parents[record.task])
-            if columns["origin"][row]:
+            row[at["origin"]] = record.task not in self._failing
+            self._failing.add(row[at["parent"]])
+            if row[at["origin"]]:
                 self._failure(record, "task", record.failure)
 
     def _begin(self, record: Task) -> None:
         """Add a task's row; one that was asked for first and starts now gets its start's time."""
-        known = self._rows.get(record.task)
+        known = self._tasks.get(record.task)
         if known is not None:
-            self.columns["tasks"]["began"][known] = self._seconds(record)
-            self.columns["tasks"]["sim_seconds"][known] = record.sim_step / STEPS_PER_SECOND
+            at = COLUMNS["tasks"]
+            known[at["began"]] = self._seconds(record)
+            known[at["sim_seconds"]] = record.sim_step / STEPS_PER_SECOND
             return
         outer = self._paths[record.parent]
         path = f"{outer}/{record.name}" if outer else record.name
         self._paths[record.task] = path = path if len(path) <= _MAX_PATH else outer
-        self._rows[record.task] = len(self.columns["tasks"]["step"])
-        self._parents[record.task] = record.parent
         self._append(
             "tasks",
             record.seq,
@@ -172,6 +176,7 @@ class _Rows:
             "",
             source(record),
         )
+        self._tasks[record.task] = self._of["tasks"][-1]
 
     def _query(self, record: Query) -> None:
         path = self._paths[record.task]
@@ -235,7 +240,7 @@ class _Rows:
             self._state(record.seq, record.world, record.sim_step, state)
 
     def _event(self, record: Event | Fluent) -> None:
-        event = record if isinstance(record, Event) else Event()
+        event = record if isinstance(record, Event) else _NO_EVENT
         self._append(
             "events",
             record.seq,
@@ -261,14 +266,12 @@ class _Rows:
             self._append("poses", step, world, seconds, state.body, *state.position, *state.orientation)
         count = len(state.joints)
         if count:
-            columns = self.columns["joints"]
-            columns["step"] += [step] * count
-            columns["world"] += [world] * count
-            columns["sim_seconds"] += [seconds] * count
-            columns["body"] += [state.body] * count
-            columns["joint"] += state.joints
-            columns["position"] += state.joint_positions
-            columns["velocity"] += state.joint_velocities or [0.0] * count
+            velocities = state.joint_velocities or [0.0] * count
+            same = ([each] * count for each in (step, world, seconds, state.body))
+            for column, values in zip(
+                self._joints, (*same, state.joints, state.joint_positions, velocities), strict=True
+            ):
+                column.extend(values)
 
     def _failure(self, record: Task | Query | Refusal | Run, of: str, failure: Failure) -> None:
         path = self._paths[record.task]
@@ -324,7 +327,7 @@ class _Rows:
             log.final_step(),
             first.wall_time_ns // 1000,
             self._seconds(last) - self._seconds(first),
-            max(self.columns["mutations"]["sim_seconds"], default=0.0),
+            max((row[COLUMNS["mutations"]["sim_seconds"]] for row in self._of["mutations"]), default=0.0),
             len(log),
             log.path.stat().st_size,
             start.plan.sha256,
@@ -342,8 +345,8 @@ class _Rows:
             path = broken.task.path
             if broken.task.failure is not None:
                 failure = broken.task.failure
-        failures = self.columns["failures"]
-        for row, step in enumerate(failures["step"]):
-            of_end = broken.task is None and failures["of"][row] in ("run", "thread")
-            failures["root"][row] = step == broken.step or of_end
+        at = COLUMNS["failures"]
+        for row in self._of["failures"]:
+            of_end = broken.task is None and row[at["of"]] in ("run", "thread")
+            row[at["root"]] = row[at["step"]] == broken.step or of_end
         return failure, path, broken.step

@@ -7,6 +7,7 @@ Values of users' own types are JSON, as recordings have them. Times are s since 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -241,6 +242,11 @@ TABLES: Final = (
 )
 
 
+COLUMNS: Final = {table.name: {name: at for at, name in enumerate(table.names)} for table in TABLES}
+"""Where each column is in a row of its table, without ``run``."""
+
+
+@cache
 def arrow_schema(table: Table) -> pa.Schema:
     """Return a table's columns without ``run`` as Arrow has them; names that repeat are stored once."""
     import pyarrow as pa  # noqa: PLC0415  the schema is printed without it, too

@@ -3,8 +3,8 @@
 Each fact that is true of some runs and false of others is scored as in spectrum-based fault localisation: Ochiai and
 Tarantula (Abreu et al. 2007; Jones and Harrold 2005). Facts are compared with the other runs that got to the same
 site, so that what merely comes before a failure has no score (Liblit et al. 2005: "context"). A claim is made only
-where Fisher's exact test, corrected by Holm for all facts that were compared, leaves less than one chance in twenty
-that there is any claim without a cause. Facts that are true of the same runs are one claim.
+where failures that are dealt to the runs at random would make any in less than one of twenty folders
+(:mod:`replay.runs.chance`). Facts that are true of the same runs are one claim.
 """
 
 from __future__ import annotations
@@ -13,14 +13,16 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from replay.runs.facts import facts_of
-from replay.runs.intervals import holm
+import numpy as np
+
+from replay.runs.chance import Chance
+from replay.runs.facts import compared_of
 from replay.runs.predicates import Case, sites
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from replay.runs.facts import Fact
+    from replay.runs.facts import Compared, Fact
     from replay.runs.runs import Runs
 
 LEVEL: Final = 0.05
@@ -85,9 +87,7 @@ def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None =
         cause: of the failures that are compared with the successes; by default all.
     """
     cases = _cases(runs, names, cause)
-    found = list(facts_of(sites(runs, cases), cases))
-    compared = sum(fact.tests for fact in found)
-    return _separation(cases, found, compared)
+    return _separation(cases, list(compared_of(sites(runs, cases), cases)))
 
 
 def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[Case, ...]:
@@ -105,17 +105,21 @@ def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[
     )
 
 
-def _separation(cases: tuple[Case, ...], facts: list[Fact], compared: int) -> Separation:
-    failures = sum(case.failed for case in cases)
-    if not failures or failures == len(cases):
+def _separation(cases: tuple[Case, ...], found: list[Compared]) -> Separation:
+    failing = np.array([case.failed for case in cases])
+    compared = sum(len(each.true) for each in found)
+    if not failing.any() or failing.all():
         return Separation(cases, (), compared, 0)
-    chances = [min(1.0, fact.chance * fact.tests) for fact in facts]
-    corrected = holm(chances)
+    failures = int(failing.sum())
+    facts = [fact for each in found for fact in each.facts(failing)]
+    by_chance = Chance(((each.known, each.true) for each in found), failing)
     strong = [
-        (fact, chance) for fact, chance in zip(facts, corrected, strict=True) if chance < LEVEL and fact.interval[0] > 0
+        (fact, chance)
+        for fact in facts
+        if fact.evidence and (chance := by_chance.of(fact.evidence)) < LEVEL and fact.interval[0] > 0
     ]
     groups: dict[tuple[frozenset[int], ...], list[tuple[Fact, float]]] = defaultdict(list)
-    failed = frozenset(number for number, case in enumerate(cases) if case.failed)
+    failed = frozenset(np.flatnonzero(failing).tolist())
     for fact, chance in strong:
         groups[fact.true & failed, fact.true - failed].append((fact, chance))
     claims = []

@@ -78,7 +78,8 @@ class Difference:
         added: bodies that are in the second only, as pairs of world and body.
         removed: bodies that are in the first only.
         changed: the others that are not the same, to the last bit.
-        facts: values of worlds that differ, before and after, by world and name: gravity, robot, realtime, seconds.
+        facts: values of worlds that differ, before and after, by world and name: gravity, robot, realtime, seconds, and
+            where a robot believes an object, a position or None.
     """
 
     opened: tuple[str, ...] = ()
@@ -126,6 +127,10 @@ def _facts(a: World, b: World) -> Iterator[tuple[tuple[str, str], tuple[object, 
         pair = getattr(a, name), getattr(b, name)
         if pair[0] != pair[1]:
             yield (a.name, name), pair
+    for robot, body in dict.fromkeys([*a.beliefs, *b.beliefs]):
+        one, other = a.beliefs.get((robot, body)), b.beliefs.get((robot, body))
+        if one is None or other is None or math.dist(one.position, other.position) >= NOTABLE_METRES:
+            yield (a.name, f"where {robot} believes {body}"), (one and one.position, other and other.position)
 
 
 def _changes(a: World, b: World) -> Iterator[BodyChange]:

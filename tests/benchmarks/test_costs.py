@@ -192,6 +192,7 @@ def test_attaching_and_leaving(tmp_path: Path) -> None:
     goal("exit, in steps", ending / step, 10)
 
 
+@pytest.mark.costly
 def test_following_trajectories_costs_little_beside_the_physics(scene: BulletWorld) -> None:
     """A second of an arm with seven joints and of a base that move, beside one in which nothing does."""
     robot = scene.robot

@@ -32,6 +32,7 @@ def check(robot: Object) -> None:
             checker.self_collisions(candidate)
 
 
+@pytest.mark.costly
 def test_a_search_costs_less_than_its_checks_one_by_one(arm: Object, pillar: Object) -> None:
     planned = joint_motion(arm, LEFT)
     assert pillar.name == "pillar"

@@ -22,7 +22,8 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.models import rigid_parts, visual
 from pycram.models.convex_pieces import solids_of
 from pycram.physics.engine import bullet
-from pycram.reasoning.collision import boxes, simulation_clone
+from pycram.reasoning.collision import boxes, moving_links, simulation_clone
+from pycram.reasoning.kinematics import articulation
 from pycram.vision.camera import FAR, NEAR
 from recorder import geometry
 from tests import large_kitchen
@@ -143,6 +144,8 @@ def forget() -> None:
         cached.cache_clear()
     for cached in (rigid_parts.divided, rigid_parts.single_link):
         cached.cache_clear()
+    for cached in (articulation.drivers, moving_links._structure, moving_links.joint_counts):
+        cached.cache_clear()
     for clones in simulation_clone._clones.values():
         for clone in clones.values():
             clone.close()
@@ -205,6 +208,7 @@ def test_what_blocking_costs_in_clutter(kitchen: Object) -> None:
         goal(f"blocking, {kind}, in IK calls, the median of {len(each)}", statistics.median(each), 5)
 
 
+@pytest.mark.costly
 def test_what_is_far_away_costs_little(kitchen: Object) -> None:
     """The same queries before and after ten times as many things stand 20 m away."""
     world = kitchen.world
@@ -260,6 +264,7 @@ def test_verdicts_are_those_of_full_size_images(kitchen: Object) -> None:
     assert same >= 0.99 * asked
 
 
+@pytest.mark.costly
 def test_many_places_of_the_robot(kitchen: Object) -> None:
     world = kitchen.world
     robot, milk = world.robot, world.get_object("milk")

@@ -18,6 +18,8 @@ from pycram.projection import project
 from pycram.world import transaction
 from recorder.records import Keyframe
 from replay.cli.main import main
+from replay.errors import NoSuchName
+from replay.restore.question import BadQuestion
 from replay.restore.verify import verify
 from tests.replay.copies import rewritten_by_mcap
 
@@ -164,7 +166,7 @@ def test_wrong_arguments_say_what_is_wrong(bench: Bench) -> None:
 # --- recordings -------------------------------------------------------------------------------------------------------
 
 
-def told(state: State) -> list[tuple[object, ...]]:
+def believed_in(state: State) -> list[tuple[object, ...]]:
     """What a recording says is believed."""
     return [
         (belief.object, belief.source, belief.position, belief.orientation, belief.sim_step, belief.step)
@@ -219,7 +221,7 @@ def test_a_recording_has_at_each_step_what_was_believed(tmp_path: Path, keyframe
     with replay.open(path) as log:
         assert verify(log).exact
         assert bool(list(log.records(Keyframe))) == (keyframes < 1000)
-        states = [told(log.state_at(step)) for step in range(1, log.final_step() + 1)]
+        states = [believed_in(log.state_at(step)) for step in range(1, log.final_step() + 1)]
         assert [each for each, _ in groupby(states) if each] == [each for each, _ in groupby(expected) if each]
         assert states[-1] == []
 
@@ -232,7 +234,9 @@ def test_a_copy_by_another_program_whose_channels_name_no_world_tells_the_same(t
     copy = rewritten_by_mcap(path, tmp_path / "copy.mcap", bare_channels=True)
     with replay.open(path) as log, replay.open(copy) as other:
         steps = range(1, log.final_step() + 1)
-        assert [told(other.state_at(step)) for step in steps] == [told(log.state_at(step)) for step in steps]
+        assert [believed_in(other.state_at(step)) for step in steps] == [
+            believed_in(log.state_at(step)) for step in steps
+        ]
 
 
 def test_state_prints_what_is_believed_and_how_far_that_is_off(
@@ -250,6 +254,37 @@ def test_state_prints_what_is_believed_and_how_far_that_is_off(
         f"arm believes cup at [1.0000, 0.0000, 0.5000]: seen at step {seen}, at 0.000 s; it is 0.500 m from there"
     )
     assert line.strip() == expected
+
+
+def test_what_is_believed_is_asked_of_a_step_and_compared_between_steps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder.record(path), BulletWorld(name="bench") as world:
+        bench = Bench(world)
+        look(bench.cup)
+        seen = believed("cup").step
+        bench.cup.set_position([1, 0.5, 0.5])
+        look(bench.cup)
+        again = believed("cup").step
+    with replay.open(path) as log:
+        answer = log.ask(again - 1, "believed('cup')")
+        assert (answer.answer, answer.evidence["step"], answer.evidence["away"]) == (True, seen, 0.5)
+        assert answer.evidence["position"] == [1.0, 0.0, 0.5]
+        assert log.ask(again, "believed(cup, robot=arm)").evidence["away"] == 0.0
+        assert log.ask(again, "believed(milk)").answer is False
+        with pytest.raises(NoSuchName, match="did you mean cup"):
+            log.ask(again, "believed(cupp)")
+        for wrong in ("believed()", "believed(1)", "believed(cup, what=milk)", "believed(cup, arm, 3)"):
+            with pytest.raises(BadQuestion, match=r"believed\(what, robot\)"):
+                log.ask(again, wrong)
+    main(["ask", str(path), str(again - 1), "believed('cup')"])
+    assert "believed('cup'): yes" in capsys.readouterr().out.splitlines()
+    main(["diff", str(path), str(seen - 1), str(again)])
+    lines = capsys.readouterr().out.splitlines()
+    assert "bench: where arm believes cup nowhere -> [1, 0.5, 0.5]" in lines
+    main(["diff", str(path), str(seen), str(again)])
+    assert "bench: where arm believes cup [1, 0, 0.5] -> [1, 0.5, 0.5]" in capsys.readouterr().out
 
 
 def test_a_restored_world_has_the_beliefs_of_its_step(tmp_path: Path) -> None:
@@ -285,7 +320,7 @@ def test_a_recording_that_begins_later_knows_what_was_believed_before(tmp_path: 
         assert believed("milk").step == -1
     with replay.open(path) as log:
         assert verify(log).sound
-        assert [(each[0], each[-1]) for each in told(log.state_at(-1))] == [("milk", during), ("cup", -1)]
+        assert [(each[0], each[-1]) for each in believed_in(log.state_at(-1))] == [("milk", during), ("cup", -1)]
 
 
 def test_why_says_what_was_believed_and_what_had_moved_it(tmp_path: Path) -> None:

@@ -1,18 +1,22 @@
 """What `mcap doctor` complains of, found by another reader than PyCRAM's: the records are parsed by the ``mcap`` package.
 
 The messages are those of the official tool (foxglove/mcap, ``go/cli/mcap/cmd/doctor.go``), errors and warnings alike;
-what stands below :meth:`Doctor.beyond` is by the specification of the format, which the tool doesn't look at.
+what stands below :meth:`Doctor.beyond` is by the specification of the format, which that tool doesn't look at (its
+successor, ``rust/cli/src/commands/doctor.rs``, does check the sums of data and summary). Where the tool lets something
+pass, as fields that nobody knows at a record's end, or stops at once, there is a complaint here.
 """
 
 from __future__ import annotations
 
 import io
+import struct
 import zlib
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 import zstandard
-from mcap.data_stream import ReadDataStream
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -44,6 +48,7 @@ _TYPES: Final[dict[int, Any]] = {
     Opcode.FOOTER: Footer,
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
+    Opcode.MESSAGE: Message,
     Opcode.CHUNK: Chunk,
     Opcode.MESSAGE_INDEX: MessageIndex,
     Opcode.CHUNK_INDEX: ChunkIndex,
@@ -84,16 +89,40 @@ class Doctor:
     def all(self, kind: type) -> dict[int, Any]:
         return {at: record for at, (record, _) in self.at.items() if isinstance(record, kind)}
 
-    def examine(self) -> None:
+    def parsed(self, opcode: int, content: bytes) -> Any:
+        """A record of which each byte is accounted for, else None: the package reads what is there of a cut text."""
+        kind = _TYPES[opcode]
+        stream = ReadDataStream(io.BytesIO(content[_HEAD:]))
+        builder = RecordBuilder()
+        try:
+            record = kind.read(stream, len(content) - _HEAD) if kind is Message else kind.read(stream)
+            record.write(builder)
+        except (McapError, UnicodeDecodeError, OverflowError, struct.error) as error:
+            self.complaints.append(f"Failed to parse {kind.__name__}: {error!r}")
+            return None
+        of_fields = len(content) - (4 if kind is Attachment else 0)  # before an attachment's checksum
+        if builder.end()[:of_fields] != content[:of_fields]:
+            self.complaints.append(f"Failed to parse {kind.__name__}: its fields are shorter or longer than the record")
+            return None
+        return record
+
+    def container(self) -> None:
         content = self.content
         self.expect(content.startswith(MAGIC) and content.endswith(MAGIC), "Failed to read next token: bad magic")
         for opcode, start, end in container_records(content, Opcode.FOOTER):
             if end > len(content):
                 self.complaints.append("Failed to read next token: unexpected EOF")
                 break
-            self.expect(opcode in _TYPES, f"record at {start} is of the unknown kind {opcode}, or outside of a chunk")
-            if opcode in _TYPES:
-                self.at[start] = _TYPES[opcode].read(ReadDataStream(io.BytesIO(content[start + _HEAD : end]))), end
+            known = opcode in _TYPES and opcode != Opcode.MESSAGE
+            self.expect(known, f"record at {start} is of the unknown kind {opcode}, or outside of a chunk")
+            record = self.parsed(opcode, content[start:end]) if known else None
+            if record is not None:
+                self.at[start] = record, end
+        for at in self.all(Footer):
+            self.expect(self.at[at][1] + len(MAGIC) == len(content), "Failed to read next token: more than the footer")
+
+    def examine(self) -> None:
+        self.container()
         for kind in (DataEnd, Footer):
             self.expect(self.all(kind), f"File does not contain a {kind.__name__} record")
         indexes: dict[int, dict[int, MessageIndex]] = {}
@@ -143,21 +172,30 @@ class Doctor:
             self.data[type(record)][record.id] = record
 
     def chunk(self, at: int, chunk: Chunk, indexes: dict[int, MessageIndex]) -> None:
+        counts = self.chunks[at] = Counter()
         self.expect(chunk.compression == "zstd", "Unsupported compression format")
-        content = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=1 << 30)
+        try:
+            content = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=1 << 30)
+        except zstandard.ZstdError as error:
+            self.complaints.append(f"Could not decompress: {error}")
+            return
         self.expect(len(content) == chunk.uncompressed_size, "Uncompressed chunk data size != Chunk.uncompressed_size")
         self.expect(zlib.crc32(content) == chunk.uncompressed_crc, "invalid CRC")
         times: list[int] = []
-        counts = self.chunks[at] = Counter()
         entries = {channel: dict(map(reversed, index.records)) for channel, index in indexes.items()}
         content = MAGIC + content
+        end = len(MAGIC)
         for opcode, start, end in container_records(content, Opcode.FOOTER):
-            stream = ReadDataStream(io.BytesIO(content[start + _HEAD : end]))
-            self.expect(opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE), "Illegal record in chunk")
-            if opcode != Opcode.MESSAGE:
-                self.define(_TYPES[opcode].read(stream), in_summary=False)
+            if end > len(content):
+                break
+            legal = opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+            self.expect(legal, "Illegal record in chunk")
+            message = self.parsed(opcode, content[start:end]) if legal else None
+            if message is None:
                 continue
-            message = Message.read(stream, end - start - _HEAD)
+            if opcode != Opcode.MESSAGE:
+                self.define(message, in_summary=False)
+                continue
             known = message.channel_id in self.data[Channel]
             self.expect(known, "Got a Message record for channel before a channel record.")
             in_order = not self.times or message.log_time >= self.times[-1]
@@ -169,6 +207,7 @@ class Doctor:
             times.append(message.log_time)
             self.times.append(message.log_time)
             counts[message.channel_id] += 1
+        self.expect(end == len(content), "Failed to read next token: unexpected end of the chunk")
         self.expect(not any(entries.values()), "MessageIndex entry without a message")
         if times:
             first, last = "Chunk.message_start_time does not match", "Chunk.message_end_time does not match"

@@ -113,7 +113,7 @@ def test_numbers_that_json_lacks_become_strings(capsys: pytest.CaptureFixture[st
     "verb",
     [
         "show 4",
-        *(pytest.param(verb, marks=pytest.mark.slow) for verb in ("info", "log", f"ask|last|stable('{SPOON}')")),
+        *(pytest.param(verb, marks=pytest.mark.costly) for verb in ("info", "log", f"ask|last|stable('{SPOON}')")),
     ],
 )
 def test_a_closed_stdout_ends_without_a_traceback(strange: Path, verb: str) -> None:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import struct
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     AttachmentIndex,
@@ -26,7 +31,7 @@ import recorder
 from pycram.bullet_world import BulletWorld, Object
 from replay.cli.main import main
 from tests.replay import hostile
-from tests.replay.copies import CHUNK, container_records, zeroed
+from tests.replay.copies import CHUNK, MAGIC, container_records, zeroed
 from tests.replay.doctor import diagnosis
 
 if TYPE_CHECKING:
@@ -142,3 +147,57 @@ def test_the_doctor_finds_what_is_wrong_with_an_index_of_messages(place: int, co
 
     file = changed(GOLDEN / "0.1.0.mcap", tmp_path / "x.mcap", change)
     assert any(complaint in each for each in diagnosis(file)), diagnosis(file)
+
+
+def with_chunk(content: bytes, change: Callable[[bytes], bytes], number: int = 0) -> bytes:
+    """The content with something else in a chunk, whose sizes and checksum are right; what follows has moved."""
+    start, end = [extent for opcode, *extent in container_records(content) if opcode == CHUNK][number]
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(content[start + 9 : end])))
+    inside = change(zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=1 << 30))
+    chunk.data, chunk.uncompressed_size = zstandard.ZstdCompressor().compress(inside), len(inside)
+    chunk.uncompressed_crc = zlib.crc32(inside)
+    builder = RecordBuilder()
+    chunk.write(builder)
+    return content[:start] + builder.end() + content[end:]
+
+
+def undecompressible(content: bytes) -> bytes:
+    at = content.index(zstandard.FRAME_HEADER)
+    return zeroed(content, at, at + 4)
+
+
+def longer_header(content: bytes) -> bytes:
+    length = struct.unpack_from("<Q", content, 9)[0]
+    return content[:9] + struct.pack("<Q", length + 1) + content[17 : 17 + length] + b"x" + content[17 + length :]
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda content: content[:-8] + b"junk" + content[-8:], "Failed to read next token: more than the footer"),
+        (lambda content: content.replace(b"pycram", b"pycra\xff", 1), "Failed to parse Header: UnicodeDecodeError"),
+        (longer_header, "Failed to parse Header: its fields are shorter or longer"),
+        (undecompressible, "Could not decompress"),
+        (lambda content: with_chunk(content, lambda inside: inside[:-1]), "unexpected end of the chunk"),
+        (lambda content: with_chunk(content, lambda inside: inside + b"\x05\x00"), "unexpected end of the chunk"),
+        (lambda content: with_chunk(content, lambda inside: inside + b"\x10" + bytes(8)), "Illegal record in chunk"),
+    ],
+)
+def test_the_doctor_finds_what_cannot_be_read(change: Callable[[bytes], bytes], complaint: str, tmp_path: Path) -> None:
+    """Says so, instead of failing itself."""
+    file = changed(GOLDEN / "0.1.0.mcap", tmp_path / "x.mcap", change)
+    assert any(complaint in each for each in diagnosis(file)), diagnosis(file)
+
+
+def test_the_doctor_accepts_statistics_of_what_is_repaired_from_chunks_whose_times_go_back(tmp_path: Path) -> None:
+    """The copy keeps the order of chunks, so that times out of order are told, as a warning; all else is right."""
+
+    def later(inside: bytes) -> bytes:
+        extents = container_records(bytes(MAGIC) + inside)
+        at = next(start for opcode, start, _ in extents if opcode == Opcode.MESSAGE) - MAGIC + 9 + 2 + 4
+        time_ns = struct.unpack_from("<Q", inside, at)[0]
+        return inside[:at] + struct.pack("<Q", time_ns + 10**15) + inside[at + 8 :]
+
+    file = changed(GOLDEN / "0.1.0.mcap", tmp_path / "x.mcap", lambda content: with_chunk(content, later, 3))
+    assert main(["repair", str(file), "-o", str(tmp_path / "sound.mcap")]) == 3
+    assert set(diagnosis(tmp_path / "sound.mcap")) == {"Message.log_time is less than the latest log time"}

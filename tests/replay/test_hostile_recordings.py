@@ -299,6 +299,7 @@ def begin(writer: McapWriter) -> None:
     writer.flush()
 
 
+@pytest.mark.costly
 def test_chunks_inflate_to_no_more_than_recordings_do(tmp_path: Path) -> None:
     """Each is as large as a recorder's; a hundred of them have 100 MB of tasks in a few kB."""
     file = tmp_path / "x.mcap"
@@ -532,9 +533,9 @@ def shared(cases: Iterable[Any]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize(
         ("case", "verbs"),
         [
-            pytest.param(case, EVERY[part::4], id=f"{case}-{part}", marks=[pytest.mark.long] * (part != number % 4))
+            pytest.param(case, EVERY[part::8], id=f"{case}-{part}", marks=[pytest.mark.long] * (part != number % 8))
             for number, case in enumerate(cases)
-            for part in range(4)
+            for part in range(8)
         ],
     )
 
@@ -574,8 +575,15 @@ def test_metadata_of_many_digits_harms_nobody(values: dict[str, str], tmp_path: 
 PLACES: Final = (0, 8, 2**31, 2**62, 2**64 - 1)
 
 
-@pytest.mark.parametrize("kind", [ChunkIndex, AttachmentIndex])
-@pytest.mark.parametrize("field", ["offset", "length"])
+@pytest.mark.parametrize(
+    ("kind", "field"),
+    [
+        (ChunkIndex, "offset"),
+        pytest.param(ChunkIndex, "length", marks=pytest.mark.costly),
+        pytest.param(AttachmentIndex, "offset", marks=pytest.mark.costly),
+        (AttachmentIndex, "length"),
+    ],
+)
 def test_an_index_that_lies_harms_nobody(kind: type[Any], field: str, tmp_path: Path) -> None:
     """The summary's checksum is right."""
     name = {ChunkIndex: {"offset": "chunk_start_offset", "length": "chunk_length"}}.get(kind, {}).get(field, field)

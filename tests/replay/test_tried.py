@@ -114,9 +114,9 @@ def test_why_tells_which_choice_a_transport_could_not_make(
         perform(ActionDesignator(type="transporting", object=milk, target=target))
     assert milk.carrier is table.robot, "taking it is what succeeded"
     assert main(["why", str(file)]) == 0
-    told = capsys.readouterr().out
-    assert "The cause: delivering(" in told, "the part of it that failed"
-    _, _, text = told.partition("What transporting(")
+    printed = capsys.readouterr().out
+    assert "The cause: delivering(" in printed, "the part of it that failed"
+    _, _, text = printed.partition("What transporting(")
     lines = [line.strip() for line in text.partition("\n\n")[0].splitlines()]
     assert any(line.startswith("NoPlace: no place for milk on table: ") and "by reach" in line for line in lines)
     taking = next(number for number, line in enumerate(lines) if ": standing_places(" in line)

@@ -280,7 +280,7 @@ def test_what_a_failed_motion_chose_from_is_told_everywhere(
     assert "its record is a grasp" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_why_writes_pictures(failed_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(failed_log), "--pictures", str(tmp_path / "pictures"), "--json"]) == 0
     explained = json.loads(capsys.readouterr().out)

@@ -83,6 +83,16 @@ def flood(times):
 """
 
 
+#: Takes simulated time, on a path.
+MOTION = """
+from pycram.designator import MotionDesignator
+from pycram.process_module import ProcessModule, execution_environment
+world.set_robot(Object("ur5", "robot", "ur5.urdf", [0, 2, 0.72]))
+with execution_environment("continuous"):
+    ProcessModule.perform(MotionDesignator([("type", "move-arm-joints"), ("ur5-arm", "park")]))
+"""
+
+
 FEW = """
 live_sink.LiveQueue.__init__.__defaults__ = (1_000, 128 << 20)
 """
@@ -159,10 +169,11 @@ def test_a_viewer_gets_everything(
     plan: Callable[..., Plan], serve: Callable[[], Server], tmp_path: Path, until
 ) -> None:
     server = serve()
-    ended = plan("world.simulate(0.5); move(700)", f"connect:{server.url}").end()
-    assert ended.check() > 1000
+    ended = plan(f"world.simulate(0.5); move(500){MOTION}", f"connect:{server.url}").end()
+    assert ended.check() > 800
     assert "missed" not in ended.err
     expected = afterwards(ended.log, tmp_path / "afterwards.rrd")
+    assert any("/paths/" in entity for entity in expected)
     until(lambda: server.rows() == expected, "what is shown live is what is shown afterwards")
 
 
@@ -319,7 +330,9 @@ def test_a_viewer_that_lives_gets_all_of_many_records(
 
 
 @pytest.mark.usefixtures("usual_ports")
-@pytest.mark.parametrize("code", ["", HURRY], ids=["in time", "later than the plan"])
+@pytest.mark.parametrize(
+    "code", [pytest.param("", marks=pytest.mark.costly), HURRY], ids=["in time", "later than the plan"]
+)
 def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Path, code: str) -> None:
     (tmp_path / "plan.py").write_text(SCENE + code)
     mark = uuid.uuid4().hex

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.failures import Displaced, TrackingLost, TrajectoryEnded, UsageError
 from pycram.motions.execution import INSTANT
 from pycram.motions.process_module import ProcessModule
+from pycram.world import carried
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ class SimulatedModule(ProcessModule):
     @staticmethod
     def held(robot: Object, arm: Arm) -> Object | None:
         """Return what a robot holds with the gripper of an arm; None if nothing."""
-        return next((held.body for held in robot.carried if held.carrier_link == arm.tool_frame), None)
+        return carried.attached_to(robot, arm.tool_frame)
 
     @staticmethod
     def description(robot: Object) -> RobotDescription:

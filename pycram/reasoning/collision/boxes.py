@@ -19,7 +19,7 @@ from pycram.models.warming import notable
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pycram.physics.body import Body
     from pycram.physics.engine import Engine
     from pycram.world.object import Object
+    from recorder.geometry import Pose
 
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 _MARGIN: Final = 1.5e-3  # m to each side: the engine's millimetre, and rounding
 _PARALLEL: Final = 1e-5  # added to cosines: parallel edges have no cross product, but rounding gives them one
 _MAX_BOXES: Final = 8  # of a link; more pieces, as of a bowl's wall, get one box for all
+_CORNERS: Final = np.array(list(itertools.product((0.0, 1.0), repeat=3)))  # of a box, in shares of its edges
 
 # Of the cross product of edge i of a box and edge j of another, for 3 * i + j, with k and l the axes after i, m and n
 # those after j: k, l, (k, j), (l, j); and of the four terms of both boxes' sizes along it the edges and the cosines.
@@ -78,11 +80,39 @@ class Boxes:
         """Return them wider by a margin in m to each side."""
         return Boxes(self.links, self.centers, self.axes, self.half_extents + margin)
 
-    def within(self, point: Sequence[float], distance: float) -> list[str]:
-        """Return the links of boxes whose bounds along the world's axes come within a distance in m of a point."""
-        apart = np.abs(self.centers - point) - _world_extents(self.axes, self.half_extents)
-        near: NDArray[np.bool_] = np.all(apart <= distance, axis=1)
-        return list(dict.fromkeys(itertools.compress(self.links, near)))
+    @classmethod
+    def swept(cls, path: Path, poses: Mapping[str, Sequence[Pose]]) -> Boxes:
+        """Return boxes, along the axes of a frame, around all that some links' pieces sweep.
+
+        Args:
+            path: the model's canonical URDF.
+            poses: by link its poses in that frame, so close that it stays within a millimetre between them.
+        """
+        names, low, high = _bounds(path)
+        kept = [number for number, name in enumerate(names) if name in poses]
+        ends = np.empty((len(kept), 2, 3))
+        for row, number in enumerate(kept):
+            frames = np.array([geometry.pose_matrix(pose) for pose in poses[names[number]]])
+            corners = _CORNERS * (high[number] - low[number]) + low[number]
+            swept = corners @ frames[:, :3, :3].transpose(0, 2, 1) + frames[:, None, :3, 3]
+            ends[row] = swept.min(axis=(0, 1)), swept.max(axis=(0, 1))
+        axes = np.repeat(np.eye(3)[None], len(kept), axis=0)
+        links = tuple(names[number] for number in kept)
+        return cls(links, ends.mean(axis=1), axes, (ends[:, 1] - ends[:, 0]) / 2 + _MARGIN)
+
+    def placed(self, pose: Pose) -> Boxes:
+        """Return them with the frame that they are in at a pose."""
+        centers, axes = self.moved(geometry.pose_matrix(pose)[None])
+        return Boxes(self.links, centers, axes, self.half_extents)
+
+    def raised(self, up: float) -> Boxes:
+        """Return a box along the world's axes around all of them, and around what they sweep on a way up, m."""
+        if not self.links:
+            return self
+        extents = _world_extents(self.axes, self.half_extents)
+        low, high = (self.centers - extents).min(axis=0), (self.centers + extents).max(axis=0)
+        high[2] += up
+        return Boxes(self.links[:1], ((low + high) / 2)[None], np.eye(3)[None], ((high - low) / 2)[None])
 
     def moved(self, transforms: Array) -> tuple[Array, Array]:
         """Return centers (n, k, 3), m, and axes (n, k, 3, 3) of the boxes moved by transforms (n, k, 4, 4)."""

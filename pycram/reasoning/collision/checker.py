@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypedDict
 import numpy as np
 
 from pycram.foundation.collision_pair import CollisionPair
-from pycram.reasoning.collision.boxes import concatenate, overlaps
+from pycram.reasoning.collision.boxes import Boxes, concatenate, overlaps
 from pycram.reasoning.collision.moving_links import MovingLinks, joint_counts
 from pycram.reasoning.collision.simulation_clone import clone_of
 from recorder import geometry
@@ -171,6 +171,16 @@ class CollisionChecker:
         placed[:, 3, 3] = 1.0
         return placed @ geometry.pose_matrix(geometry.invert(self._links.base_pose))
 
+    def boxes(self, candidate: Candidate) -> Boxes:
+        """Return the boxes around the robot's links that are checked where they are in a candidate, with its base here.
+
+        What it holds has none.
+        """
+        boxes, links = self._links.boxes, self._links
+        centers, axes = boxes.moved(candidate.transforms[None, links.drivers])
+        own = np.array([name == self.robot.name for name, _ in links.owners], dtype=bool)
+        return Boxes(boxes.links, centers[0], axes[0], boxes.half_extents).subset(own)
+
     def _overlapping(
         self,
         postures: Sequence[Mapping[str, float]],
@@ -259,13 +269,22 @@ class CollisionChecker:
         found = [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
         return sorted(found, key=lambda pair: -pair.depth)
 
-    def self_collisions(self, candidate: Candidate) -> list[CollisionPair]:
-        """Return pairs of the robot's own links, or of what they hold, more than a shoulder apart, that overlap."""
-        depths = {pair: self.depth(candidate, pair) for pair in self.self_pairs([candidate])[0]}
+    def self_collisions(self, candidate: Candidate, pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
+        """Return pairs of the robot's own links, or of what they hold, more than a shoulder apart, that overlap.
+
+        Args:
+            candidate: that was predicted.
+            pairs: its :meth:`self_pairs`, where they are known already.
+        """
+        if pairs is None:
+            (pairs,) = self.self_pairs([candidate])
+        depths = {pair: self.depth(candidate, pair) for pair in pairs}
         return [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
 
     def self_pairs(self, candidates: Sequence[Candidate]) -> list[list[Pair]]:
         """Return for each its own links, and what they hold, more than a shoulder apart, whose boxes overlap."""
+        if not candidates:
+            return []
         found = self._links.self_overlaps(np.array([candidate.transforms for candidate in candidates]))
         return [[(self._own[a], link, self._own[b], other) for (a, link), (b, other) in each] for each in found]
 
@@ -343,8 +362,8 @@ class CollisionChecker:
         Args:
             joints: names of some of those that will be moved, one after the other.
         """
-        urdf, names = self.robot.urdf, tuple(joints)
-        counts = self._clone.cached(self.robot, (joint_counts, names), lambda: joint_counts(urdf, names))
+        names = tuple(joints)
+        counts = joint_counts(self.robot.model.path, names)
         return {link for link, count in counts.items() if count == len(names)}
 
     def constant_links(self, link: str | None) -> set[str]:

@@ -11,11 +11,11 @@ from __future__ import annotations
 import threading
 import weakref
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias, TypeVar, cast, overload
 
 from pycram.models import rigid_parts
 from pycram.physics.engine import Engine
-from pycram.reasoning.collision.boxes import Boxes
+from pycram.reasoning.collision.boxes import Boxes, concatenate, overlaps
 from pycram.world.snapshot import Snapshot, take_snapshot
 from recorder import geometry
 
@@ -23,11 +23,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from pycram.models.rigid_parts import Part
+    from pycram.models.rigid_parts import Part as RigidPart
     from pycram.physics.body import Body
     from pycram.world.attachment import Attachment
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
+
+    #: An object, and its link; "" for all of it.
+    Part: TypeAlias = tuple[Object, str]
 
 T = TypeVar("T")
 
@@ -180,11 +183,20 @@ class PosingClone(SimulationClone):
         """Return the boxes around an object's pieces, as it was synced."""
         return self.cached(body, "boxes", lambda: Boxes.around(body.world.engine, body.handle, body))
 
+    def overlapping(self, boxes: Boxes, bodies: Iterable[Object]) -> dict[Part, Body]:
+        """Return copies of what comes into boxes in the world, in order: of furniture the links, of others all."""
+        others = [(body, self.boxes(body)) for body in bodies]
+        owners = [(body, link if body.is_environment else "") for body, each in others for link in each.links]
+        every = concatenate([each for _, each in others])
+        *_, found = overlaps(boxes.centers[None], boxes.axes[None], boxes.half_extents, every)
+        parts = dict.fromkeys(owners[number] for number in sorted(set(found.tolist())))
+        return {(body, link): self.link(body, link) if link else self.body(body.name) for body, link in parts}
+
 
 class PlacedPart(NamedTuple):
     """A rigid part of furniture, and its body in a clone."""
 
-    part: Part
+    part: RigidPart
     body: Body
 
 
@@ -247,7 +259,7 @@ class PhysicsClone(SimulationClone):
         self._forget_contacts(copy.body, body)
         return copy.body
 
-    def _parts(self, body: Object, divided: Sequence[Part]) -> list[PlacedPart]:
+    def _parts(self, body: Object, divided: Sequence[RigidPart]) -> list[PlacedPart]:
         now, found = take_snapshot(body), []
         for part in divided:
             copy = self._copies.get((body.name, str(part.path))) or self._load(body, str(part.path), part.path)

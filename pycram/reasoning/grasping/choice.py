@@ -119,16 +119,39 @@ def _best_of(
         return GraspPlan(None, None)
     if arm is None:
         solved = solver.search([(grasp.position, None, base) for grasp in grasps])
-    else:
-        targets = [(grasp.position, grasp.orientation, base) for grasp in grasps]
-        solved = solver.closed_form(targets)
-        if not any(solved):  # a search finds what is at the edge of what the arm can: only if there is need
-            solved = solver.search(targets)
+        return _least_touching(grasps, solved, body, robot, solver, arm, choice, base, limit)
+    targets = [(grasp.position, grasp.orientation, base) for grasp in grasps]
+    # a long search finds what is at the edge of what the arm can: only if there is need
+    solved = solver.closed_form(targets) if solver.in_closed_form else solver.search(targets, quick=True)
+    if any(posture.reaches() for postures in solved for posture in postures):
+        quick = not solver.in_closed_form
+        plan = _least_touching(grasps, solved, body, robot, solver, arm, choice, base, limit, quick=quick)
+        if not quick or (plan.grasp is not None and not plan.obstacles and plan.penetrating is None):
+            return plan
+    return _least_touching(grasps, solver.search(targets), body, robot, solver, arm, choice, base, limit)
+
+
+def _least_touching(
+    grasps: Sequence[Grasp],
+    solved: Sequence[Sequence[Posture]],
+    body: Object,
+    robot: Object,
+    solver: Solver,
+    arm: Arm | None,
+    choice: Choice,
+    base: Pose | None,
+    limit: Cost,
+    *,
+    quick: bool = False,
+) -> GraspPlan:
+    """Return the grasp that touches least of those that postures were found for; a quick miss proves nothing."""
     options = []
     for grasp, postures in zip(grasps, solved, strict=True):
         reaching = [posture for posture in postures if posture.reaches()]
         if reaching:
             options.append((grasp, reaching))
+        elif quick:
+            choice.reject(str(grasp), Untried())
         else:  # the closed form doesn't say by how much
             nearest = postures[0] if postures else None
             miss = (nearest.position_error, nearest.turn_error) if nearest else (None, 0.0)

@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from pycram.foundation.collision_pair import CollisionPair
+from pycram.models.files import stored_tree
+from pycram.models.warming import notable
+from pycram.reasoning.collision.boxes import Boxes
 from pycram.reasoning.collision.checker import DEPTH, link_name
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.world.joints import coupled
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from pycram.models.robots.description import Arm, Gripper
     from pycram.physics.body import Body
     from pycram.physics.engine import Engine
-    from pycram.reasoning.collision.simulation_clone import PosingClone
+    from pycram.reasoning.collision.simulation_clone import Part, PosingClone
     from pycram.world.object import Object
-    from recorder.geometry import Pose, Vector
+    from recorder.geometry import Pose
 
     #: Depths in m of what fingers overlap: finger, object, the object's link.
     Depths: TypeAlias = Mapping[tuple[str, Object, str], float]
-    #: An object, and its link; "" for all of it.
-    Part: TypeAlias = tuple[Object, str]
 
 CLEAR: Final = 0.002  # m of air around what is let go of: the engine pads shapes by less
 _SLACK: Final = 5e-4  # m of overlap that is a touch
@@ -39,7 +42,8 @@ _ALONE: Final = 64  # of the way between open and closed, by which each of them 
 _REACH: Final = 0.005  # m to the other finger: hand and object give way by half of that
 _ACROSS: Final = 0.5  # of a unit normal along the way of two jaws
 _AROUND: Final = 0.4  # of fingers around a centre: two of three meet a carton's edges at 60 degrees to y
-_NEAR: Final = 0.25  # m from the tool frame: fingers don't get farther
+_CACHED: Final = 32
+_SWEPT: Final = 8  # steps between open and closed, between which fingers stay within their boxes' margins
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +97,12 @@ def moved(
     clone = clone_of(robot.world, "reach")
     clone.sync()
     there = {**robot.get_joint_positions(), **(posture or {})}
-    frame = robot.urdf.forward_kinematics(there, arm.tool_frame)
-    tool = arm.tool_pose(geometry.multiply(base or robot.get_position_and_orientation(), frame))[0]
-    others = _near(clone, tool, [body for body in robot.world.objects if body not in (robot, release)])
+    if posture is None and base is None:
+        palm = robot.world.engine.link_pose(robot.handle, gripper.palm)
+    else:
+        frame = robot.urdf.forward_kinematics(there, gripper.palm)
+        palm = geometry.multiply(base or robot.get_position_and_orientation(), frame)
+    others = _near(clone, robot, gripper, palm, there, [o for o in robot.world.objects if o not in (robot, release)])
     if not others and release is None:  # in free air, without a copy of the hand
         free, stops = _sweep(lambda _: {}, share_open(robot, gripper), goal)
         return FingerMotion(gripper.at(free), free, _pairs(robot, stops))
@@ -170,7 +177,8 @@ def closed_around(
     try:
         if base is not None:
             engine.set_pose(hand, base)
-        engine.pose_joints(hand, {**robot.get_joint_positions(), **posture})
+        there = {**robot.get_joint_positions(), **posture}
+        engine.pose_joints(hand, there)
         if gripper.suction:
             at_cup = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)
             return Closing({}, 2) if at_cup else None
@@ -193,8 +201,8 @@ def closed_around(
             positions |= {joint: end[joint] for joint in joints}
         engine.pose_joints(hand, coupled(robot, positions))
         sides = _sides(engine, hand, target, arm, len(parts))
-        position = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))[0]
-        others = _near(clone, position, [other for other in robot.world.objects if other not in (robot, body)])
+        rest = [other for other in robot.world.objects if other not in (robot, body)]
+        others = _near(clone, robot, gripper, engine.link_pose(hand, gripper.palm), there, rest)
         depths = _depths(engine, hand, gripper, others)
     finally:
         clone.invalidate(robot.name)
@@ -256,16 +264,62 @@ def _pairs(robot: Object, depths: Depths) -> list[CollisionPair]:
     ]
 
 
-def _near(clone: PosingClone, tool: Vector, bodies: Iterable[Object]) -> Mapping[Part, Body]:
-    """Return copies of what fingers could meet: of furniture the links that are near the tool, of others all."""
-    found: dict[Part, Body] = {}
-    for body in bodies:
-        for link in clone.boxes(body).within(tool, _NEAR):
-            if body.is_environment:
-                found[body, link] = clone.link(body, link)
-            else:
-                found[body, ""] = clone.body(body.name)
-    return found
+def _near(
+    clone: PosingClone,
+    robot: Object,
+    gripper: Gripper,
+    palm: Pose,
+    there: Mapping[str, float],
+    bodies: Sequence[Object],
+) -> Mapping[Part, Body]:
+    """Return copies of what fingers could meet on their way between open and closed.
+
+    Args:
+        clone: where the copies are.
+        robot: the robot.
+        gripper: its gripper.
+        palm: pose of that's palm in the world.
+        there: the robot's joint values, by name.
+        bodies: what is looked at.
+    """
+    path = robot.model.path
+    others = tuple((name, there[name]) for name in _between(path, gripper) if name in there)
+    return clone.overlapping(_swept(path, gripper, others).placed(palm), bodies)
+
+
+@lru_cache(maxsize=_CACHED)
+@notable
+def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
+    """Return the joints between a gripper's palm and its fingers that don't move with it, of a canonical URDF."""
+    urdf = stored_tree(path)
+    to_palm = {joint.name for joint in urdf.chain(urdf.root, gripper.palm)}
+    to_fingers = {joint.name for finger in gripper.fingers for joint in urdf.chain(urdf.root, finger)}
+    leaders = {name: mimic.leader for name, mimic in urdf.mimics.items()}
+    moving = {leaders.get(joint, joint) for joint in gripper.joints}
+    return tuple(sorted(name for name in to_palm ^ to_fingers if leaders.get(name, name) not in moving))
+
+
+@lru_cache(maxsize=_CACHED)
+@notable
+def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) -> Boxes:
+    """Return boxes in the palm's frame around what fingers sweep between open and closed.
+
+    Args:
+        path: the robot's canonical URDF.
+        gripper: its gripper.
+        others: values of further joints between the palm and the fingers.
+    """
+    urdf = stored_tree(path)
+    paths: dict[str, list[Pose]] = {finger: [] for finger in gripper.fingers}
+    for step in range(_SWEPT + 1):
+        given = gripper.at(step / _SWEPT)
+        mimics = [(urdf.mimics[name], value) for name, value in given.items() if name in urdf.mimics]
+        leaders = {each.leader: (value - each.offset) / each.multiplier for each, value in mimics if each.multiplier}
+        at = dict(others) | leaders | given
+        palm_T_root = geometry.invert(urdf.forward_kinematics(at, gripper.palm))
+        for finger, poses in paths.items():
+            poses.append(geometry.multiply(palm_T_root, urdf.forward_kinematics(at, finger)))
+    return Boxes.swept(path, paths)
 
 
 def _sweep(depths: Callable[[float], Depths], start: float, goal: float) -> tuple[float, Depths]:

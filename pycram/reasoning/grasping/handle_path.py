@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.physics.body import Body
     from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.collision.checker import Candidate
+    from pycram.reasoning.collision.checker import Candidate, Pair
     from pycram.reasoning.grasping.handles import Grip, Handle
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
@@ -134,10 +134,10 @@ def plan(
     ends: list[DeadEnd] = []
     try:
         with CollisionChecker(robot, joints, handle.contents, ignored_links=ignored) as checker:
-            search = _Search(robot, arm, handle, values, base, kept, checker)
+            search = _Search(robot, arm, handle, values, base, kept, checker, quick=quick)
             holds = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
             for grip, angles in holds:
-                found = search.path(grip, angles, _MAX_QUICK_PATHS if quick else _MAX_PATHS)
+                found = search.path(grip, angles)
                 name = f"{grip.name}, {'from the front' if len(angles) == 1 else 'turned'}"
                 if isinstance(found, HandlePath):
                     choice.take(name)
@@ -183,8 +183,11 @@ class _Search:
         base: Pose | None,
         kept: dict[str, float],
         checker: CollisionChecker,
+        *,
+        quick: bool,
     ) -> None:
         self._robot, self._arm, self._handle = robot, arm, handle
+        self._quick = quick
         self._values, self._base, self._checker = values, base, checker
         self._clone = clone_of(robot.world, "reach")
         self._solver = Solver(robot, arm.tool_frame)
@@ -210,23 +213,24 @@ class _Search:
         lift = geometry.multiply(geometry.multiply(below, lift), geometry.invert(below))
         return geometry.multiply(self._base or base, lift)
 
-    def path(self, grip: Grip, angles: Sequence[float], tries: int) -> HandlePath | DeadEnd:
-        """Return a path for one place of the gripper on the bar, or the end of the longest; so many are checked."""
+    def path(self, grip: Grip, angles: Sequence[float]) -> HandlePath | DeadEnd:
+        """Return a path for one place of the gripper on the bar, or the end of the longest."""
         layers = self._rigid(grip) if len(angles) == 1 else self._turning(grip, angles)
         edges = [self._edges(before, after) for before, after in itertools.pairwise(layers)]
         free = [np.zeros(len(layer.angles)) for layer in layers]  # infinite where something would be touched
         obstacles: dict[int, list[CollisionPair]] = {}
         nodes: list[int] = []
         checked: set[tuple[int, int]] = set()  # paths have most of their nodes in common
-        for _ in range(tries):
+        for _ in range(_MAX_QUICK_PATHS if self._quick else _MAX_PATHS):
             nodes = self._cheapest(layers, edges, free)
             postures = [self._posture(layers[step].joints[node]) for step, node in enumerate(nodes)]
             unchecked = [step for step, node in enumerate(nodes) if (step, node) not in checked]
             checked.update((step, nodes[step]) for step in unchecked)
             touching = False
             candidates = self._checker.predict([postures[step] for step in unchecked], self._base)
-            for step, candidate in zip(unchecked, candidates, strict=True):
-                pairs = self._touching(candidate, self._values[step])
+            own_pairs = self._checker.self_pairs(candidates)  # all at once: it takes little longer than one
+            for step, candidate, own in zip(unchecked, candidates, own_pairs, strict=True):
+                pairs = self._touching(candidate, own, self._values[step])
                 if pairs:
                     touching = True
                     obstacles.setdefault(step, pairs)
@@ -262,7 +266,10 @@ class _Search:
         seed = None
         for pose in self._poses:
             position, orientation = geometry.multiply(pose, grip.tool(0.0))
-            (found,) = self._solver.search([(position, orientation, self._lifted)], seed=seed)
+            target = position, orientation, self._lifted
+            (found,) = self._solver.closed_form([target], seed)
+            if not found:  # an arm that has none, or can't get there so
+                (found,) = self._solver.search([target], seed=seed)
             rows = [posture.positions for posture in found if posture.reaches()]
             layers.append(self._layer([(row, 0.0) for row in rows]))
             if not rows:
@@ -275,7 +282,7 @@ class _Search:
         tools = [geometry.multiply(pose, grip.tool(angle)) for pose in self._poses for angle in angles]
         targets = [(*tool, self._lifted) for tool in tools]
         found = self._solver.closed_form(targets)
-        if not any(found):  # an arm that has none, or can't get there anyway
+        if not any(found) and not (self._quick and self._solver.in_closed_form):  # it has none, or hardly gets there
             found = self._solver.search(targets, quick=True)
         count = len(angles)
         return [
@@ -329,8 +336,14 @@ class _Search:
         wrapped = (change + math.pi) % (2 * math.pi) - math.pi
         return np.where(self._endless, wrapped, change)
 
-    def _touching(self, candidate: Candidate, value: float) -> list[CollisionPair]:
-        """Return what would touch what while the joint is at a value: also the door or drawer, and what is in it."""
+    def _touching(self, candidate: Candidate, own_pairs: Sequence[Pair], value: float) -> list[CollisionPair]:
+        """Return what would touch what while the joint is at a value: also the door or drawer, and what is in it.
+
+        Args:
+            candidate: the robot's posture.
+            own_pairs: of its links that could touch in it.
+            value: of the joint.
+        """
         robot = self._robot.name
         pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
         for body, link, part, pose in self._moving_along(value) if not pairs else ():
@@ -342,7 +355,7 @@ class _Search:
                     depths[touch.link_a] = max(depths.get(touch.link_a, 0.0), -touch.distance)
             pairs += [CollisionPair(robot, own, body, link, depth) for own, depth in depths.items()]
         pairs.sort(key=lambda pair: -pair.depth)
-        return pairs or self._checker.self_collisions(candidate)
+        return pairs or self._checker.self_collisions(candidate, own_pairs)
 
     def _moving_along(self, value: float) -> Iterator[tuple[str, str, Body, Pose]]:
         """Yield name, link, copy and pose of what the joint moves when it is at a value: links and what they carry."""
@@ -360,7 +373,7 @@ class _Search:
         position, orientation = geometry.multiply(self._poses[step], grip.tool(0.0))
         reached = self._values[step - 1] if step else None
         if not len(layers[step].angles):
-            nearest = self._solver.search([(position, orientation, self._lifted)])[0][0]
+            nearest = self._solver.search([(position, orientation, self._lifted)], quick=self._quick)[0][0]
             miss = nearest.position_error, nearest.turn_error
             return DeadEnd(self._values[step], reached, position, orientation, *miss)
         return DeadEnd(self._values[step], reached, position, orientation, pairs=obstacles.get(step, ()))

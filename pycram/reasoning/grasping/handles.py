@@ -75,12 +75,16 @@ class Handle:
         self.container, self.joint, self.link = container, joint, link
         self._root = container.get_position_and_orientation()
         self._now = container.get_joint_positions()
+        self._poses: dict[tuple[float, str], Pose] = {}  # each is asked for in many postures of an arm
         self.closed = closed_position(container.urdf.joint(joint))
 
     def pose(self, value: float, link: str | None = None) -> Pose:
         """Return the pose of the handle, or of another link, in the world when its joint is at a value."""
-        at = self.container.urdf.forward_kinematics({**self._now, self.joint: value}, link or self.link)
-        return geometry.multiply(self._root, at)
+        key = value, link or self.link
+        if key not in self._poses:
+            at = self.container.urdf.forward_kinematics({**self._now, self.joint: value}, key[1])
+            self._poses[key] = geometry.multiply(self._root, at)
+        return self._poses[key]
 
     @cached_property
     def contents(self) -> Mapping[Object, tuple[str, Pose]]:

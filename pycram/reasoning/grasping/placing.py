@@ -13,7 +13,7 @@ from pycram.reasoning.rejections import OutOfReach, Touching
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.reasoning.choosing import Choice
@@ -48,39 +48,50 @@ def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> 
     clone.sync()
     copy, engine = clone.body(body.name), clone.engine
     x, y, z = target
+    here_T_there = geometry.multiply(((x, y, z - _BELOW), orientation), geometry.invert(clone.state(body).pose))
+    near = clone.overlapping(clone.boxes(body).placed(here_T_there).raised(_BELOW + _ABOVE), others)
 
     def touched(height: float) -> list[CollisionPair]:
         engine.set_pose(copy, ((x, y, height), orientation))
-        pairs = []
-        for other in others:
-            points = engine.closest_points(copy, clone.body(other.name))
-            deepest = min(points, key=lambda point: point.distance, default=None)
-            if deepest is not None and deepest.distance < -_OVERLAP:
-                links = checker.link_name(body, deepest.link_a), checker.link_name(other, deepest.link_b)
-                pairs.append(CollisionPair(body.name, links[0], other.name, links[1], -deepest.distance))
-        return pairs
+        deepest: dict[str, CollisionPair] = {}
+        for (other, link), part in near.items():
+            for point in engine.closest_points(copy, part):
+                known = deepest.get(other.name)
+                if point.distance < -(known.depth if known else _OVERLAP):
+                    links = checker.link_name(body, point.link_a), checker.link_name(other, link or point.link_b)
+                    deepest[other.name] = CollisionPair(body.name, links[0], other.name, links[1], -point.distance)
+        return list(deepest.values())
 
     try:
-        high = z + _ABOVE
-        blockers = touched(high)
-        if blockers:
-            there = [f"{pair.body_link} of {pair.body}" if pair.body_link else pair.body for pair in blockers]
-            reason = f"{' and '.join(there)} {'is' if len(there) == 1 else 'are'} there already"
-            raise PlaceFailed(body.name, target, reason, pairs=blockers)
-        low = high
-        while not touched(low):
-            high, low = low, low - _STEP
-            if low < z - _BELOW:
-                raise PlaceFailed(body.name, target, f"nothing is within {_BELOW} m below that it could stand on")
-        while high - low > _ACCURACY:
-            half = (high + low) / 2
-            if touched(half):
-                low = half
-            else:
-                high = half
+        return x, y, _resting_height(body, target, touched)
     finally:
         clone.invalidate(body.name)
-    return x, y, high
+
+
+def _resting_height(body: Object, target: Sequence[float], touched: Callable[[float], list[CollisionPair]]) -> float:
+    """Return the height at which an object that comes from above touches something; see :func:`set_down`."""
+    z = target[2]
+    high = z + _ABOVE
+    blockers = still = touched(high)
+    while still and high - _STEP >= z:  # what hangs above may leave less room, as in a shelf
+        high -= _STEP
+        still = touched(high)
+    if still:
+        there = [f"{pair.body_link} of {pair.body}" if pair.body_link else pair.body for pair in blockers]
+        reason = f"{' and '.join(there)} {'is' if len(there) == 1 else 'are'} there already"
+        raise PlaceFailed(body.name, target, reason, pairs=blockers)
+    low = high
+    while not touched(low):
+        high, low = low, low - _STEP
+        if low < z - _BELOW:
+            raise PlaceFailed(body.name, target, f"nothing is within {_BELOW} m below that it could stand on")
+    while high - low > _ACCURACY:
+        half = (high + low) / 2
+        if touched(half):
+            low = half
+        else:
+            high = half
+    return high
 
 
 def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | None:

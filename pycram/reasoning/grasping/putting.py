@@ -9,8 +9,10 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from pycram.foundation.collision_pair import CollisionPair
 from pycram.foundation.failures import PlaceFailed
 from pycram.reasoning.collision import checker
+from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import fingers, placing, sides
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
@@ -19,7 +21,6 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from pycram.foundation.collision_pair import CollisionPair
     from pycram.foundation.failures import NoPath
     from pycram.models.robots.description import Arm
     from pycram.reasoning.choosing import Choice
@@ -119,6 +120,8 @@ def placements(
                 continue
             pairs = checker.in_the_way(robot, posture.positions, base)
             if not pairs:
+                pairs = _pressed(robot, arm, body, posture.positions, base)
+            if not pairs:
                 opening = fingers.moved(robot, arm, 1.0, posture=posture.positions, release=body, pose=pose, base=base)
                 if opening.gap >= fingers.CLEAR or not opening.stopped_by:
                     yield Placement(name, pose, tool, posture.positions, opening.positions)
@@ -133,6 +136,27 @@ def placements(
             choice.reject(name, Touching(pairs))
             for pair in pairs:
                 refusals.pairs.setdefault(pair.body, pair)
+
+
+def _pressed(
+    robot: Object, arm: Arm, body: Object, posture: Mapping[str, float], base: Pose | None
+) -> list[CollisionPair]:
+    """Return which links of the arm, but the hand's, would push away what is let go of: a wrist and what it holds meet.
+
+    While it is held that counts for nothing, as it doesn't for other links that are next to each other.
+    """
+    with checker.CollisionChecker(robot, posture) as own:
+        (candidate,) = own.predict([posture], base)
+        points = own.closest_points(candidate, clone_of(robot.world, "reach").body(body.name))
+        hand = own.links_beyond(arm.joints)
+        depths: dict[str, float] = {}
+        for point in points:
+            if point.link_a not in hand and point.distance <= -checker.DEPTH:
+                depths[point.link_a] = max(depths.get(point.link_a, 0.0), -point.distance)
+        return [
+            CollisionPair(body.name, "", robot.name, link, depth, arm.name)
+            for link, depth in sorted(depths.items(), key=lambda each: -each[1])
+        ]
 
 
 def _poses(

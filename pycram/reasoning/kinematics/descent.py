@@ -27,7 +27,7 @@ _ITERATIONS: Final = 40
 _MAX_STEP: Final = 0.5  # rad or m a joint moves in one iteration
 _MAX_ERROR: Final = 0.6  # m or rad of error that are corrected at once
 _STALE: Final = (8, 0.9)  # iterations in which the least error has to fall to this share of itself, or the search ends
-_CLOSE: Final = 0.02  # m or rad of error below which a search is never given up
+_CLOSE: Final = 0.005  # m or rad of error below which a search is never given up
 
 
 def descend(
@@ -54,6 +54,7 @@ def descend(
     size = 3 if turns is None else 6
     damping = _DAMPING * np.eye(size)
     nearest = np.full(int(targets.max(initial=-1)) + 1, np.inf)
+    first = _first_rows(targets)
     for iteration in range(_ITERATIONS):
         postures = found[rows]
         pose, jacobian = chain.forward(postures)
@@ -65,7 +66,6 @@ def descend(
             near &= norms(error[:, 3:]) < 0.5 * TURN_TOLERANCE
         reached[rows] = near
         length = norms(error)
-        first = np.flatnonzero(np.diff(targets[rows], prepend=-1))  # row of each target that is searched for
         ended = (np.logical_or if stop_early else np.logical_and).reduceat(near, first)
         if iteration % _STALE[0] == 0:
             which = targets[rows[first]]
@@ -77,10 +77,15 @@ def descend(
             if not going.any():
                 break
             rows, postures, near, error, length = (part[going] for part in (rows, postures, near, error, length))
-            jacobian = jacobian[going]
+            jacobian, first = jacobian[going], _first_rows(targets[rows])
         step = _step(chain, postures, jacobian[:, :size], error, length[:, None], damping)
         found[rows] = chain.limited(np.where(near[:, None], postures, postures + step))
     return found, reached
+
+
+def _first_rows(targets: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the first row of each target, of which rows have the ascending numbers."""
+    return np.flatnonzero(np.diff(targets, prepend=-1))
 
 
 def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: Array, damping: Array) -> Array:

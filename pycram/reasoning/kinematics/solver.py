@@ -109,11 +109,15 @@ class Solver:
         """Whether the joints are solved in closed form."""
         return bool(self.joints) and self._kinematics.in_closed_form
 
-    def closed_form(self, targets: Sequence[Target]) -> list[list[Posture]]:
-        """Return postures for targets that are found without searching; an empty list proves nothing."""
+    def closed_form(self, targets: Sequence[Target], seed: Mapping[str, float] | None = None) -> list[list[Posture]]:
+        """Return postures for targets that are found without searching, nearest to the seed first, as :meth:`search`.
+
+        An empty list proves nothing.
+        """
         if not self.joints:
             return [[] for _ in targets]
-        return self._kinematics.closed_form([self._in_root(*target) for target in targets], self._now)
+        goals = [self._in_root(*target) for target in targets]
+        return self._kinematics.closed_form(goals, self._now if seed is None else seed)
 
     def _in_root(
         self, position: Sequence[float], orientation: Sequence[float] | None, base: PoseLike | None

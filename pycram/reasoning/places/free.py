@@ -13,6 +13,7 @@ from pycram.foundation.failures import BadArgument, PlaceFailed, UnknownName
 from pycram.models.surfaces import Surface
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.driving import drives
 from pycram.reasoning.grasping import placing
 from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.grasping.sides import yaw_of
@@ -22,7 +23,6 @@ from pycram.reasoning.places.batch import Batch, Spot
 from pycram.reasoning.places.constraints import ConstraintCounts
 from pycram.reasoning.places.grid import Grid, generator, spread
 from pycram.reasoning.places.place import Place, PutDown
-from pycram.reasoning.places.reaching import drives
 from pycram.reasoning.places.surface_maps import EDGE, FINGERS, SearchedSurface, SurfaceMaps
 from pycram.reasoning.queries import polygon
 from pycram.reasoning.queries.query import world_of
@@ -177,7 +177,7 @@ class _Search:
         searched, (grid, scores, _) = left[best], found[best]
         batch.arguments = {**self._arguments, "on": [searched.furniture, searched.surface.name]}
         random = generator(self._seed, "free_places", number, repr(batch.arguments))
-        start = yaw_of(self._body.get_orientation())
+        start = self._maps.heading(searched)
         (_, _, height), _ = searched.pose()
         spots = []
         for cell, (x, y) in spread(grid, scores, _SPOTS, random):

@@ -12,6 +12,7 @@ from pycram.foundation.failures import BadArgument, Blocked, GraspFailed, PlaceF
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import sides
 from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.grasping.handle_path import DeadEnd, plan
@@ -53,8 +54,8 @@ class Goal(Protocol):
     def named(self) -> str:
         """Return what it is called."""
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose] | None:
-        """Return poses, roughly, to one of which the tool would have to get with the robot's base at a pose.
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]] | None:
+        """Return for each stage poses, roughly, to one of which the tool would have to get with the base at a pose.
 
         None stands for too many to say.
         """
@@ -63,15 +64,15 @@ class Goal(Protocol):
         """Return the side that an arm would come from with the robot's base at a pose, "" for none; or why it can't."""
 
 
-def goal_of(robot: Object, target: Target) -> Goal:
-    """Return what a target means for a robot.
+def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
+    """Return what a target means for a robot, which takes objects from a side; None for any.
 
     Raises:
         BadArgument: it is no target, or in another world.
     """
     if isinstance(target, Object):
         world_of(robot, target)
-        return Taking(robot, target)
+        return Taking(robot, target, None if grasp is None else (grasp,))
     if isinstance(target, Pull):
         world_of(robot, target.container)
         target.container.check_link(target.handle)
@@ -101,13 +102,16 @@ def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Po
         tools = [goal.tools(arm, base) for base in bases]
         if any(each is None for each in tools) or not (solver.in_closed_form or len(bases) > _MAX_SINGLE):
             return [True] * len(bases)
-        targets = [(*tool, base) for each, base in zip(tools, bases, strict=True) for tool in each or ()]
+        stages = [(number, stage) for number, each in enumerate(tools) for stage in each or ()]
+        targets = [(*tool, bases[number]) for number, stage in stages for tool in stage]
         if solver.in_closed_form:
             found = [bool(postures) for postures in solver.closed_form(targets)]
         else:
             found = [postures[0].reaches() for postures in solver.search(targets, quick=True)]
-        owners = np.repeat(np.arange(len(bases)), [len(each or ()) for each in tools])
-        within |= np.bincount(owners, weights=found, minlength=len(bases)) > 0
+        owners = np.repeat(np.arange(len(stages)), [len(stage) for _, stage in stages])
+        passed = np.bincount(owners, weights=found, minlength=len(stages)) > 0
+        missed = np.bincount([number for number, _ in stages], weights=~passed, minlength=len(bases))
+        within |= missed == 0
     promises: list[bool] = within.tolist()
     return promises
 
@@ -123,11 +127,6 @@ def description_of(argument: str, robot: object) -> RobotDescription:
     return robot.description
 
 
-def drives(robot: Object) -> bool:
-    """Return whether a robot's base drives."""
-    return robot.description is None or robot.description.drives
-
-
 def held(robot: Object, arm: Arm | None = None) -> list[Object]:
     """Return what a robot carries, directly and through other things; with an arm, what hangs on its tool frame."""
     found = [each.body for each in robot.carried if arm is None or each.carrier_link == arm.tool_frame]
@@ -141,10 +140,15 @@ class Taking:
 
     Attributes:
         body: the object.
+
+    Args:
+        robot: who takes it.
+        body: the object.
+        grasps: the sides that are allowed; None for all.
     """
 
-    def __init__(self, robot: Object, body: Object) -> None:
-        self._robot, self.body = robot, body
+    def __init__(self, robot: Object, body: Object, grasps: Sequence[str] | None = None) -> None:
+        self._robot, self.body, self._grasps = robot, body, grasps
 
     @property
     def position(self) -> Vector:
@@ -155,9 +159,9 @@ class Taking:
         """Return its name."""
         return self.body.name
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  whichever arm
-        """Return the tool in its middle, from all sides."""
-        return [(self.position, grasp_orientation(side, self._robot, base)) for side in GRASPS]
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  whichever arm
+        """Return the tool in its middle, from all sides that are allowed."""
+        return [[(self.position, grasp_orientation(side, self._robot, base)) for side in self._grasps or GRASPS]]
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return the side of the first grasp that would hold it."""
@@ -168,14 +172,14 @@ class Taking:
             return unfit
         solver = Solver(self._robot, arm.tool_frame)  # most places are out of reach: that is quickly known
         grasps = [
-            *candidates(self.body, self._robot, arm, base=base),
-            *candidates(self.body, self._robot, arm, base=base, off_center=True),
+            *candidates(self.body, self._robot, arm, self._grasps, base=base),
+            *candidates(self.body, self._robot, arm, self._grasps, base=base, off_center=True),
         ]
         near = solver.search([(grasp.position, grasp.orientation, base) for grasp in grasps], quick=True)
         if not any(postures[0].reaches() for postures in near):
             return OutOfReach(min((postures[0].position_error for postures in near), default=None))
         failures: list[PlanFailure] = []
-        for grasp, *_ in ways_to_hold(self._robot, arm, self.body, None, failures, UNRECORDED, base):
+        for grasp, *_ in ways_to_hold(self._robot, arm, self.body, self._grasps, failures, UNRECORDED, base):
             return grasp.name
         return _rejection(failures[0])
 
@@ -201,17 +205,17 @@ class Putting:
         in_hand = held(self._robot, arm)
         return in_hand[0] if in_hand and self._target.body in (None, in_hand[0]) else None
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:  # noqa: ARG002  wherever it stands
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  wherever it stands
         """Return where the tool would be that holds the object there, turned about the vertical."""
         body = self._held(arm)
         if body is None:
-            return []
+            return [[]]
         tool = arm.tool_pose(self._robot.get_link_position_and_orientation(arm.tool_frame))
         body_T_tool = geometry.multiply(geometry.invert(body.get_position_and_orientation()), tool)
         turns = [geometry.from_rpy(0.0, 0.0, sides.yaw(body) + math.pi / 3 * step) for step in range(_TURNS)]
         if self._target.orientation is not None:
             turns = [self._target.orientation]
-        return [geometry.multiply((self._target.position, turn), body_T_tool) for turn in turns]
+        return [[geometry.multiply((self._target.position, turn), body_T_tool) for turn in turns]]
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the arm can put down there what it holds."""
@@ -246,12 +250,20 @@ class Pulling:
         """Return the handle's name."""
         return self._target.handle
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Pose]:
-        """Return the tool at the handle when it is opened or closed, turned about its bar."""
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:
+        """Return the tool at the handle as it is, and when it is opened or closed, turned about its bar."""
         target = self._target
-        handle = Handle(target.container, target.joint, target.handle)
+        handle = self._handle()
         grip = handle.grips(self._robot, arm.gripper, base)[0]
-        return [geometry.multiply(handle.pose(target.to), grip.tool(angle)) for angle in ANGLES[::2]]
+        values = target.container.get_joint_position(target.joint), target.to
+        return [[geometry.multiply(handle.pose(value), grip.tool(angle)) for angle in ANGLES[::2]] for value in values]
+
+    def _handle(self) -> Handle:
+        """Return the handle, with the furniture as it is now."""
+        target = self._target
+        clone = clone_of(self._robot.world, "reach")
+        joint, link = target.joint, target.handle
+        return clone.cached(target.container, (Handle, joint, link), lambda: Handle(target.container, joint, link))
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the arm can hold the handle all the way."""

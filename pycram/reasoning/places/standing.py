@@ -7,22 +7,24 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation import checks
-from pycram.foundation.failures import MissingPart
+from pycram.foundation.failures import MissingPart, UnknownName
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.driving import drives
+from pycram.reasoning.grasping.sides import GRASPS
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.batch import Batch, Spot
 from pycram.reasoning.places.constraints import ConstraintCounts
 from pycram.reasoning.places.grid import Grid, generator, spread
 from pycram.reasoning.places.place import Place
-from pycram.reasoning.places.reaching import drives
 from pycram.reasoning.places.seeing import seen_share
 from pycram.reasoning.places.standing_maps import StandingMaps
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE
 from pycram.reasoning.rejections import OutOfReach, Touching, Unseen, Untried
 from pycram.scheduling.future import unwrap
+from pycram.world.trajectory import BaseFrame
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -60,6 +62,7 @@ def standing_places(
     see: Object | None = None,
     near: Sequence[float] | None = None,
     avoid: Sequence[Sequence[float]] = (),
+    grasp: str | None = None,
     seed: int | None = None,
 ) -> Iterator[Place]:
     """Return places where a robot can stand, arms as they are now, best first, each checked when its turn comes.
@@ -76,11 +79,12 @@ def standing_places(
         see: what its camera shall see from there.
         near: xyz or xy of a point that it shall be near, m: at most 1.5 m away.
         avoid: positions xyz or xy of places that are left out, with what is right beside them, m.
+        grasp: the side from which objects are taken, "front", "top", "left" or "right"; any by default.
         seed: of the places; the run's by default.
 
     Raises:
         BadArgument: an impossible value.
-        UnknownName: the robot has no such arm.
+        UnknownName: the robot has no such arm, or there is no such side.
         MissingPart: it has no arm, or no camera, that is needed.
         NoPlace: when the first is asked for: there is none.
     """
@@ -96,8 +100,11 @@ def standing_places(
         if description.camera is None:
             raise MissingPart(robot.name, "camera")
     points = [None if near is None else _point("near", near), *(_point("avoid", each) for each in avoid)]
-    goals = [reaching.goal_of(robot, target) for target in targets]
-    return _Search(robot, goals, chosen, both, see, points[0], [each for each in points[1:] if each], seed).places()
+    if grasp is not None and grasp not in GRASPS:
+        raise UnknownName("side", grasp, "a grasp", GRASPS)
+    goals = [reaching.goal_of(robot, target, grasp) for target in targets]
+    avoided = [each for each in points[1:] if each]
+    return _Search(robot, goals, chosen, both, see, points[0], avoided, grasp, seed).places()
 
 
 def _point(name: str, given: Sequence[float]) -> Vector:
@@ -116,6 +123,7 @@ class _Search:
         see: Object | None,
         near: Vector | None,
         avoid: Sequence[Vector],
+        grasp: str | None,
         seed: int | None,
     ) -> None:
         self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
@@ -133,6 +141,7 @@ class _Search:
             **({"see": see} if see is not None else {}),
             **({"near": near} if near is not None else {}),
             **({"avoid": list(avoid)} if avoid else {}),
+            **({"grasp": grasp} if grasp is not None else {}),
         }
 
     def places(self) -> Iterator[Place]:
@@ -177,11 +186,10 @@ class _Search:
             spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
         if drives(robot):
             random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
-            upright = geometry.product(geometry.from_rpy(0.0, 0.0, -geometry.to_rpy(turn)[2]), turn)
+            base = BaseFrame.of(here)
             for cell, (x, y) in spread(grid, scores, _SPOTS[vain], random):
                 yaw = round(float(yaws[cell] + random.uniform(-_JITTER[vain], _JITTER[vain])), 4)
-                pose = (x, y, here[0][2]), geometry.product(geometry.from_rpy(0.0, 0.0, yaw), upright)
-                spots.append(Spot(f"[{x:.2f}, {y:.2f}]", pose, yaw, float(scores[cell])))
+                spots.append(Spot(f"[{x:.2f}, {y:.2f}]", base.pose((x, y, yaw)), yaw, float(scores[cell])))
         return batch.draw(grid, scores, spots)
 
     # --- one place after the other -----------------------------------------------------------------------------------

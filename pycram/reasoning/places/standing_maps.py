@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.driving import drives
 from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.grid import Grid
 from pycram.reasoning.places.outline import room, surroundings
-from pycram.reasoning.places.reaching import drives
 from recorder import geometry
 
 if TYPE_CHECKING:

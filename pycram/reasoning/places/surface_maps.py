@@ -11,13 +11,15 @@ import numpy as np
 
 from pycram.models.visual import pieces_of
 from pycram.reasoning.collision.boxes import concatenate
+from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.driving import drives
+from pycram.reasoning.grasping.sides import yaw_of
 from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.grid import Grid
 from pycram.reasoning.places.outline import room
-from pycram.reasoning.places.reaching import drives
 from pycram.reasoning.queries import polygon
 from recorder import geometry
 
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 
     from pycram.models.robots.description import Arm
     from pycram.models.surfaces import Surface
+    from pycram.reasoning.collision.boxes import Boxes
     from pycram.reasoning.queries.polygon import Polygon
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
@@ -37,6 +40,8 @@ if TYPE_CHECKING:
 EDGE: Final = 0.01  # m from an object to the edge of what it stands on
 FINGERS: Final = 0.025  # m from an object to others: a finger fits between
 _RESOLUTION: Final = 0.025  # m
+_FINEST: Final = 0.005  # m, where a surface is hardly wider than the object
+_CELLS: Final = 3  # across the strip of a surface in which the object's middle may be
 _ABOVE: Final = 0.003  # m above a surface from which on something stands in the way; the surface's own boxes are wider
 _NEAR: Final = 0.15  # m at which a place near a point counts half
 _FAR: Final = 1.0  # m from a point or an object at which a place isn't near it, or beside it, any more
@@ -116,10 +121,12 @@ class SurfaceMaps:
         outline = searched.outline()
         (_, _, height), _ = searched.pose()
         corners = np.array(outline)
-        grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, _RESOLUTION)
-        centers = grid.centers()
         stands = self.corners(self._turn)
         inner, outer = maps.radii(stands[:, :2])
+        strip = polygon.narrowest(outline)[0] - 2 * (inner + EDGE)
+        resolution = min(max(strip / _CELLS, _FINEST), _RESOLUTION)
+        grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, resolution)
+        centers = grid.centers()
         fits = float(np.ptp(stands[:, 2])) <= searched.surface.clearance
         factors = [
             ("clearance", np.full(len(centers), float(fits))),
@@ -136,6 +143,12 @@ class SurfaceMaps:
             factors.append(("reach", self._reach(grid)))
         factors.append(("tried", maps.away(centers, done, _APART)))
         return grid, factors
+
+    def heading(self, searched: SearchedSurface) -> float:
+        """Return a natural yaw of the object on a surface, rad: as it is now, or along what is hardly wider than it."""
+        width, along = polygon.narrowest(searched.outline())
+        _, outer = maps.radii(self.corners(self._turn)[:, :2])
+        return along if width < 2 * (outer + EDGE) else yaw_of(self._body.get_orientation())
 
     def corners(self, turn: Quaternion) -> Array:
         """Return the object's corners (n, 3) from its origin when it is turned, m."""
@@ -154,13 +167,16 @@ class SurfaceMaps:
         return np.where(margins < inner, 0.0, 0.3 + 0.7 * ramp)
 
     def obstacles(self, searched: SearchedSurface) -> maps.Footprints:
-        """Return what stands on a surface, or hangs above it as low as the object is high."""
+        """Return what stands on a surface, or hangs above it as low as the object is high.
+
+        So do robots that are bolted down; others drive away.
+        """
         clone = clone_of(self._body.world, "reach")
-        robots = {self._robot, *(reaching.held(self._robot) if self._robot else ())}
-        others = [each for each in self._body.world.objects if each not in self._own and each not in robots]
+        carried = reaching.held(self._robot) if self._robot else ()
+        others = [each for each in self._body.world.objects if each not in self._own and each not in carried]
         (_, _, height), _ = searched.pose()
         size = float(np.ptp(self.corners(self._turn)[:, 2]))
-        boxes = concatenate([clone.boxes(each) for each in others if not each.is_robot])
+        boxes = concatenate([_parked(each) if each.is_robot else clone.boxes(each) for each in others])
         return maps.Footprints(boxes, height + _ABOVE, height + size)
 
     def _beside(self, centers: Array, searched: SearchedSurface) -> Array:
@@ -213,3 +229,17 @@ class SurfaceMaps:
     def _lift(self) -> float:
         """Return how far above what it stands on an object is taken, roughly: at half of its height, m."""
         return float(np.ptp(self._corners[:, 2])) / 2
+
+
+def _parked(robot: Object) -> Boxes:
+    """Return boxes around a robot that is bolted down, arms parked: where it is when it has put something down.
+
+    One that drives is somewhere else then, as far as is known here: it has none.
+    """
+    arms = robot.description.arms.values() if robot.description and not drives(robot) else ()
+    park = {joint: value for arm in arms if "park" in arm.poses for joint, value in arm.posture("park").items()}
+    if not park:
+        return concatenate([])
+    with CollisionChecker(robot, park, all_links=True) as checker:
+        (candidate,) = checker.predict([park])
+        return checker.boxes(candidate)

@@ -58,6 +58,15 @@ def margin(polygon: Polygon, point: Sequence[float]) -> float:
     return min(_side(a, b, (x, y)) / max(math.dist(a, b), 1e-9) for a, b in sides)
 
 
+def narrowest(polygon: Polygon) -> tuple[float, float]:
+    """Return the width of a convex polygon where that is least, m, and the direction of the side along it, rad."""
+    sides = itertools.pairwise([*polygon, polygon[0]])
+    return min(
+        (max(_side(a, b, corner) for corner in polygon) / math.dist(a, b), math.atan2(b[1] - a[1], b[0] - a[0]))
+        for a, b in sides
+    )
+
+
 def _side(a: Point, b: Point, point: Point) -> float:
     """Return a number above 0 if a point lies left of the line from a to b."""
     return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])

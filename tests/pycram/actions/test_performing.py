@@ -10,9 +10,10 @@ from pycram import tasks
 from pycram.actions import ActionFailed, action, perform, projecting, replaced
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator, ObjectDesignator
-from pycram.failures import GraspFailed, MissingPart, PlanFailure, ReasoningError, UnknownName
+from pycram.failures import BadArgument, GraspFailed, MissingPart, PlanFailure, ReasoningError, UnknownName
 from pycram.knowledge import learn
 from pycram.language import par
+from pycram.process_module import ProcessModule
 from recorder.tasks.node import walk
 
 if TYPE_CHECKING:
@@ -151,10 +152,44 @@ def test_an_error_of_the_program_is_no_reason_to_try_the_next_choice() -> None:
 
 def test_users_put_their_own_action_in_the_place_of_another() -> None:
     mine = Counting("six")
-    with replaced("picking-up", mine.count, choices=mine.numbers):
-        assert perform(ActionDesignator(type="picking-up")) == "six m"
+
+    def take(object: Any, arm: str | None = None, grasp: str | None = None, number: str = "") -> str:  # noqa: A002
+        return f"{object.name}: {mine.count(number, unit=str(arm))}"
+
+    with replaced("picking-up", take, choices=mine.numbers):
+        cup = BulletWorld.current_bullet_world.get_object("cup")
+        assert perform(ActionDesignator(type="picking-up", object=cup, arm="left")) == "cup: six left"
     with pytest.raises(DesignatorError, match="unknown slot number"):
         perform(ActionDesignator(type="picking-up", object="cup", number="six"))
+
+
+def test_what_replaces_an_action_takes_its_slots() -> None:
+    """Others may give it any of them: they would fail in the middle of a plan."""
+
+    def take(object: Any, arm: str | None = None) -> None:  # noqa: A002
+        """Takes no grasp."""
+
+    with pytest.raises(BadArgument, match=r"takes the slots of picking-up, also grasp"), replaced("picking-up", take):
+        pytest.fail("it was replaced")
+    with pytest.raises(DesignatorError, match="one of front, top, left, right"):  # as before
+        perform(ActionDesignator(type="picking-up", object="cup", grasp="below"))
+
+
+def test_a_choice_of_a_slot_that_there_is_not_is_an_error() -> None:
+    counting = Counting("one")
+
+    def wrong() -> Iterator[Mapping[str, Any]]:
+        yield {"nunber": "one"}
+
+    with replaced("counting", counting.count, choices=wrong), pytest.raises(DesignatorError) as raised:
+        perform(ActionDesignator(type="counting"))
+    assert "a choice has the unknown slot nunber; did you mean number?" in str(raised.value)
+    assert counting.tried == []
+
+
+def test_a_process_module_says_what_performs_an_action() -> None:
+    with pytest.raises(DesignatorError, match=r"is performed by pycram\.actions\.perform, not by ProcessModule"):
+        ProcessModule.perform(ActionDesignator(type="picking-up", object="cup"))
 
 
 def test_resolvers_of_users_are_asked_first() -> None:
@@ -332,9 +367,9 @@ def test_slots_and_texts_are_those_of_the_function() -> None:
     counting = Counting()
     with replaced("counting", counting.count), pytest.raises(DesignatorError) as raised:
         perform(ActionDesignator(type="counting", size=1))
-    told = str(raised.value)
-    assert "number (optional): What is counted up to\n" in told
-    assert "unit (optional): Of what\n" in told
+    message = str(raised.value)
+    assert "number (optional): What is counted up to\n" in message
+    assert "unit (optional): Of what\n" in message
 
 
 def test_an_action_has_a_name() -> None:

@@ -35,7 +35,7 @@ print([(body.name, body.get_position_and_orientation(), body.get_joint_positions
 """
 
 
-@seeded("random kitchens that are sound", KITCHENS, 10)
+@seeded("random kitchens that are sound", KITCHENS, 5)
 def test_a_random_kitchen_is_at_rest_and_nothing_is_in_anything(seeds: range) -> None:
     for seed in seeds:
         scene = build(draw(seed))

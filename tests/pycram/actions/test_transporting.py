@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram import bullet_world_reasoning as btr, tasks
-from pycram.actions import ActionFailed, perform, projecting
+from pycram.actions import ActionFailed, perform, projecting, replaced
+from pycram.actions.placing import placing as put_down
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, LocationDesignator, MotionDesignator
 from pycram.failures import MissingPart, NoPlace, NotDrivable, PlaceFailed, PlanFailure, ReasoningError, UnknownName
@@ -58,6 +59,43 @@ def test_what_lies_in_a_closed_drawer_is_fetched_by_opening_it(shared_scene: Bul
     assert kitchen.get_joint_position("sink_area_left_upper_drawer_main_joint") > 0.1
 
 
+def test_what_was_opened_for_a_thing_is_closed_when_it_is_brought_unless_that_is_not_wanted(
+    shared_scene: BulletWorld,
+) -> None:
+    know(shared_scene)
+    spoon, kitchen = shared_scene.get_object("spoon"), shared_scene.get_object("kitchen")
+    joint = "sink_area_left_upper_drawer_main_joint"
+    saved = shared_scene.save()
+    transport("spoon", "island")
+    assert stands_on(spoon, kitchen, "island")
+    assert kitchen.get_joint_position(joint) < 0.02
+    shared_scene.restore(saved)
+    transport("spoon", "island", close=False)
+    assert kitchen.get_joint_position(joint) > 0.1
+
+
+def test_what_falls_when_it_is_put_down_is_taken_again(shared_scene: BulletWorld) -> None:
+    know(shared_scene)
+    milk, kitchen = shared_scene.get_object("milk"), shared_scene.get_object("kitchen")
+    was = milk.get_position_and_orientation()
+    dropped: list[object] = []
+
+    def clumsy(object: Object, target: object, orientation: object = None) -> object:  # noqa: A002
+        if not dropped:
+            dropped.append(target)
+            shared_scene.robot.detach(object)
+            object.set_position_and_orientation(*was)
+            raise PlaceFailed(object.name, object.get_position(), "it leans")
+        return put_down(object, target, orientation)
+
+    with replaced("placing", clumsy):
+        transport("milk", LocationDesignator(on="island"))
+    assert stands_on(milk, kitchen, "island")
+    taken = tasks.tree().find(kind="action", name="fetching")[-2:]
+    assert len(dropped) == 1
+    assert all(each.status is tasks.State.SUCCEEDED for each in taken)
+
+
 def test_an_imagined_transport_comes_true_and_is_the_same_again(shared_scene: BulletWorld) -> None:
     know(shared_scene)
     saved = shared_scene.save()
@@ -103,6 +141,8 @@ def test_what_has_no_place_at_the_target_is_not_taken(shared_scene: BulletWorld)
     assert raised.value.last == "near"
     with pytest.raises(NoPlace, match="fridge, which is closed: open it first"):
         transport("milk", LocationDesignator(in_="fridge"))
+    with pytest.raises(NoPlace, match="sink left upper drawer, which is closed: open it first"):
+        transport("spoon", list(shared_scene.get_object("spoon").get_position()))  # where it is
     with pytest.raises(PlaceFailed, match="nothing is within"):
         transport("milk", [-0.7, 1.0, 1.4])
     assert shared_scene.save().command == before

@@ -56,7 +56,7 @@ def colored(count: int) -> None:
             s(cup.set_color, races.RED)
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_a_plan_without_a_race_is_said_to_have_none(tmp_path: Path) -> None:
     result = explore(partial(colored, 3), 12, folder=tmp_path)
     assert result.alike

@@ -186,7 +186,7 @@ TRACED = modules("pycram/language", "pycram/scheduling", "recorder/tracing/span.
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "every", [41, pytest.param(13, marks=pytest.mark.slow), pytest.param(1, marks=[pytest.mark.slow, pytest.mark.long])]
+    "every", [41, pytest.param(13, marks=pytest.mark.costly), pytest.param(1, marks=pytest.mark.long)]
 )
 def test_ctrl_c_at_any_line_of_the_language_leaves_nothing_behind(every: int) -> None:
     ended = 0

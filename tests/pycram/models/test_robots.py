@@ -63,7 +63,7 @@ def kinematic_error(robot: Object, numbers: random.Random) -> tuple[float, float
     return far, turned
 
 
-@seeded("robots of example-robot-data", range(len(ROBOTS)), 1, always=8)
+@seeded("robots of example-robot-data", range(len(ROBOTS)), 1, always=4)
 def test_robots_load_hold_still_and_are_where_their_files_say(
     world: BulletWorld, seeds: range, record_property: Callable[[str, object], None]
 ) -> None:

@@ -71,7 +71,7 @@ def test_the_base_drives_around_what_stands_there(shared_scene: BulletWorld, sin
         perform(type="moving", target=[1.2, 0.7, 0])
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_what_is_picked_up_is_carried_in_the_hand_and_placed(shared_scene: BulletWorld, sink: MemorySink) -> None:
     robot, milk = shared_scene.robot, shared_scene.get_object("milk")
     perform(type="pick-up", object=milk, arm="left")
@@ -144,7 +144,7 @@ def test_fingers_close_as_far_as_they_get_and_what_is_let_go_falls(shared_scene:
     assert milk.get_position()[2] < high - 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_what_is_moved_while_the_hand_comes_is_not_grasped_blindly(shared_scene: BulletWorld) -> None:
     robot, milk = shared_scene.robot, shared_scene.get_object("milk")
     begun, stood = shared_scene.sim_step, milk.get_position()
@@ -277,7 +277,7 @@ def set_joint(world: BulletWorld, begun: int, joint: str, value: float) -> None:
     world.robot.set_joint_position(joint, value)
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_an_arm_that_was_moved_while_its_gripper_opened_goes_on_from_there(shared_scene: BulletWorld) -> None:
     milk, lift = shared_scene.get_object("milk"), "l_shoulder_lift_joint"
     moved = shared_scene.robot.get_joint_position(lift) - 0.2

@@ -131,7 +131,9 @@ def deepest(robot: Object, planned: Planned, rate: float) -> float:
     for time in times:
         row, _ = trajectory.at(time)
         if trajectory.joints:
-            robot.set_joint_positions(dict(zip(trajectory.joints, row, strict=True)))
+            limits = map(robot.joint_limits, trajectory.joints)  # between its rows it may leave them by 1e-3
+            values = [min(max(value, low), high) for value, (low, high) in zip(row, limits, strict=True)]
+            robot.set_joint_positions(dict(zip(trajectory.joints, values, strict=True)))
         else:
             turn = geometry.product(geometry.from_rpy(0, 0, row[2] - geometry.to_rpy(start[1])[2]), start[1])
             robot.set_position_and_orientation([row[0], row[1], start[0][2]], turn)

@@ -24,7 +24,7 @@ from tests.pycram.planning.conftest import RIGHT
 if TYPE_CHECKING:
     from pycram.world.trajectory import Trajectory
 
-DEMO = Path(__file__).parents[3] / "demos" / "set_the_table.py"
+PLAN = Path(__file__).parents[3] / "demos" / "fails_to_reach.py"
 ENDLESS = np.full(3, math.inf)
 RATES = Rates(-ENDLESS, ENDLESS, np.eye(3), np.array([1.0, 2.0, 0.1]), np.array([4.0, 2.0, 0.5]))
 ROW = st.lists(st.floats(-2, 2), min_size=3, max_size=3)
@@ -148,7 +148,7 @@ def test_a_robot_without_velocity_limits_gets_defaults_and_says_so_once(world: B
 def test_a_plan_of_instant_motions_loads_neither_ompl_nor_toppra(tmp_path: Path) -> None:
     plan = (
         "import runpy, sys\n"
-        f"sys.argv = ['pycram', 'run', {str(DEMO)!r}, '--log', {str(tmp_path / 'demo.mcap')!r}]\n"
+        f"sys.argv = ['pycram', 'run', {str(PLAN)!r}, '--log', {str(tmp_path / 'demo.mcap')!r}]\n"
         "try: runpy.run_module('pycram', run_name='__main__')\n"
         "except SystemExit: pass\n"
         "print({'ompl', 'toppra', 'matplotlib'} & set(sys.modules), 'pybullet' in sys.modules)\n"

@@ -143,7 +143,9 @@ def hits_itself(clone: SimulationClone, robot: Object, joints: list[str], moving
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(100, 130))])
+@pytest.mark.parametrize(
+    "seed", [3, *range(100, 106), *(pytest.param(seed, marks=pytest.mark.costly) for seed in range(106, 130))]
+)
 def test_the_posture_that_touches_least_is_found(kitchen: BulletWorld, seed: int) -> None:
     robot = kitchen.robot
     things = clutter(kitchen, seed)

@@ -155,6 +155,69 @@ def test_what_is_too_high_for_a_shelf_is_told_so(room: BulletWorld, table: Objec
         kitchen.remove()
 
 
+def test_a_shelf_that_leaves_a_finger_above_a_thing_has_places_for_it(room: BulletWorld, table: Object) -> None:
+    kitchen = Object("kitchen", "environment", "kitchen.urdf", [10, 0, 0])
+    milk = room.get_object("milk")
+    saved = room.save()
+    try:
+        fridge = kitchen.container("fridge")
+        kitchen.set_joint_position(fridge.joint, fridge.open)
+        shelf = kitchen.surface("fridge shelf 2")
+        low, high = milk.get_AABB()
+        assert 0.0 < shelf.clearance - (high[2] - low[2]) < 0.03
+        (x, y, z), _ = kitchen.surface_pose(shelf)
+        for place in some(3, free_places(milk, on=[(kitchen, shelf)], seed=0)):
+            milk.set_position_and_orientation(place.position, place.orientation)
+            low, high = milk.get_AABB()
+            assert low[2] == pytest.approx(z, abs=5e-3)
+            assert max(abs(high[0] - x), abs(low[0] - x)) < shelf.size[0] / 2
+            assert max(abs(high[1] - y), abs(low[1] - y)) < shelf.size[1] / 2
+    finally:
+        room.restore(saved)
+        kitchen.remove()
+
+
+@pytest.mark.parametrize("angle", [0, 25, 60])
+def test_a_board_hardly_wider_than_a_thing_has_places_along_it(room: BulletWorld, table: Object, angle: int) -> None:
+    milk = room.get_object("milk")
+    low, high = milk.get_AABB()
+    half = min(high[0] - low[0], high[1] - low[1]) / 2 + 0.014  # a centimetre to each side, and a little
+    turn = geometry.from_rpy(0.0, 0.0, math.radians(angle))
+    corners = tuple(
+        geometry.rotate(turn, (x, y, 0.0))[:2] for x, y in ((-0.3, -half), (0.3, -half), (0.3, half), (-0.3, half))
+    )
+    board = replace(table.surface("table"), name="board", position=(0.3, -0.4, 0.72), outline=corners)
+    places = some(2, free_places(milk, on=[(table, board)], seed=0))
+    assert len(places) == 2
+    for place in places:
+        _, across, _ = geometry.transform(geometry.invert((table.surface_pose(board)[0], turn)), place.position)
+        assert abs(across) < 0.005
+        turned = geometry.to_rpy(place.orientation)[2] - math.radians(angle)
+        assert abs(math.sin(2 * turned)) < 1e-3, "a quarter turn is as good"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["panda", "ur5"])
+def test_a_thing_stands_neither_at_the_foot_of_an_arm_nor_where_it_is_parked(
+    room: BulletWorld, table: Object, robot: str
+) -> None:
+    """Who reaches there isn't asked: the arm is in the way of whoever it is."""
+    arm = Object(robot, "robot", f"{robot}.urdf", [0, -0.3, TOP])
+    bowl = room.get_object("bowl")
+    was = bowl.get_position_and_orientation()
+    now, park = arm.get_joint_positions(), arm.description.arm(robot).posture("park")
+    try:
+        for seed in range(2):
+            for place in some(4, free_places(bowl, on=on(table), near=[0.05, -0.3], seed=seed)):
+                arm.set_joint_positions(park)
+                bowl.set_position_and_orientation(place.position, place.orientation)
+                assert apart(bowl, arm) > FINGER
+                arm.set_joint_positions({name: now[name] for name in park})
+    finally:
+        arm.remove()
+        bowl.set_position_and_orientation(*was)
+
+
 def test_a_place_on_record_has_its_map_and_what_was_rejected(
     room: BulletWorld, table: Object, sink: MemorySink
 ) -> None:

@@ -50,7 +50,7 @@ def perform(**slots: object) -> object:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "degrees"),
-    [pytest.param(*case, marks=[] if case in QUICK else [pytest.mark.slow]) for case in CASES],
+    [pytest.param(*case, marks=[] if case in QUICK else [pytest.mark.costly]) for case in CASES],
 )
 def test_both_fingers_are_at_what_was_picked_up(kitchen: BulletWorld, kind: str, degrees: int) -> None:
     robot = kitchen.robot

@@ -87,7 +87,11 @@ def ask(world: BulletWorld, seed: int, count: int) -> list[object]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "robot"),
-    [(1, False), (3, True), *(pytest.param(seed, bool(seed % 2), marks=pytest.mark.long) for seed in (2, 4, 5))],
+    [
+        pytest.param(1, False, marks=pytest.mark.costly),
+        (3, True),
+        *(pytest.param(seed, bool(seed % 2), marks=pytest.mark.long) for seed in (2, 4, 5)),
+    ],
 )
 def test_a_world_evolves_bit_for_bit_as_without_queries(seed: int, robot: bool) -> None:
     futures = []

@@ -155,7 +155,7 @@ def build() -> BulletWorld:
     return world
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_queries_leave_no_trace_now_or_later() -> None:
     """A world that was asked goes on, bit for bit, as one that wasn't."""
     outcomes = []

@@ -78,7 +78,7 @@ def test_every_pose_that_some_posture_has_is_reached(robot: Object, link: str) -
     assert geometry.angle(there[1], turn) < math.radians(2)
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 @pytest.mark.parametrize("link", [LEFT, pytest.param(RIGHT, marks=pytest.mark.long)])
 def test_spheres_around_the_shoulder_against_dense_sampling(robot: Object, link: str) -> None:
     arm = arm_of(robot, link)

@@ -68,7 +68,7 @@ def test_what_an_arm_would_do_from_elsewhere_is_what_it_does_there(scene: Bullet
     assert 3 <= reached < 10
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_the_robot_fits_where_it_is_offered_to_stand_and_not_where_it_is_said_to_collide(
     scene: BulletWorld, sink: MemorySink
 ) -> None:

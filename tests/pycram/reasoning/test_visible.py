@@ -157,7 +157,7 @@ def milk_and_plate() -> Iterator[tuple[Object, Object]]:
         assert world.robot is None
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.floats(-0.95, -0.06), min_size=2, max_size=4, unique=True).map(sorted),

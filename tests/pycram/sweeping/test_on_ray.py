@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pycram
+import pycram.sweeping
 from recorder.records import Run
 from replay.recording import Recording
+from replay.runs.rows import read_rows
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -75,3 +77,33 @@ def test_a_node_is_lost_in_the_middle(tmp_path: Path) -> None:
     # those that were going on in the lost node were begun again, and no other
     assert RUNS <= len(list(marks.iterdir())) <= RUNS + 2
     assert not list(folder.glob(".*.mcap.part"))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("url", "says"),
+    [
+        ("memory://runs", "is gone with its process; name a folder of files"),
+        ("s3://bucket/runs", "s3fs"),
+        ("nothing://runs", "not known"),
+    ],
+)
+def test_urls_to_which_nothing_can_be_written_are_refused(tmp_path: Path, url: str, says: str) -> None:
+    plan = tmp_path / "plan.py"
+    plan.write_text("print(1)")
+    with pytest.raises(pycram.sweeping.SweepRefused, match=says):
+        pycram.sweep(plan, 1, url, ray="")
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # Ray's own
+def test_a_url_of_files(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.py"
+    plan.write_text(PLAN)
+    url = f"file://{tmp_path}/runs"
+    result = pycram.sweep(plan, 3, url, set={"marks": [str(tmp_path)]}, ray="", cores=1)
+    assert (result.done, result.failed, result.stopped) == (3, 0, "")
+    for file in sorted((tmp_path / "runs").glob("0*.mcap")):  # the run's own process has written its rows
+        rows = read_rows(file, file.stat())
+        assert rows is not None
+        assert rows["runs"]["number"].to_pylist() == [int(file.name[:5])]

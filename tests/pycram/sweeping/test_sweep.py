@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +16,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pycram
+import recorder
+from pycram.bullet_world import BulletWorld
 from pycram.cli import main as pycram_command
 from pycram.failures import UsageError
 from pycram.sweeping import Outcome, Sweep, SweepRefused
 from pycram.sweeping.values import Variations
-from recorder.records import Run
+from recorder.records import Mutation, Run
 from replay.recording import Recording
 from replay.restore.verify import verify
 from replay.retrace.retrace import retrace
@@ -31,6 +34,7 @@ PLAN = """
 import os, random, signal, time
 from pathlib import Path
 import pycram
+import recorder
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import seq
@@ -160,6 +164,20 @@ def test_projections_lie_beside_their_runs(tmp_path: Path) -> None:
         assert retrace(log).difference is None
 
 
+@pytest.mark.slow
+def test_a_run_begins_anew_whatever_its_process_did_before(tmp_path: Path) -> None:
+    with recorder.record(tmp_path / "before.mcap"), BulletWorld():
+        pass
+    plan = tmp_path / "plan.py"
+    plan.write_text("from pycram.bullet_world import BulletWorld\nwith BulletWorld():\n    pass\n")
+    pycram.sweep(plan, 2, tmp_path / "runs")
+    for file in recordings(tmp_path / "runs"):
+        with Recording(file) as log:
+            assert next(each.number for each in log.records(Run)) == 1
+            opened = next(each for each in log.records(Mutation) if each.WhichOneof("command") == "open_world")
+            assert opened.world == "world_1"
+
+
 def test_what_a_run_draws_depends_on_seed_and_number_only() -> None:
     few = Variations({"a": [1, 2], "b": ["x", "y", "z"]}, {"c": "uniform(0, 1)"})
     more = Variations({"a": [1, 2], "b": ["x", "y", "z"]}, {"d": "integers(1, 6)", "c": "uniform(0, 1)"})
@@ -237,6 +255,45 @@ def test_two_sweeps_into_one_folder(plan: Path, tmp_path: Path) -> None:
         pycram.sweep(plan, 1, folder)
 
 
+def test_a_url_is_no_folder_of_this_machine(plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match="a URL is for a Ray cluster"):
+        pycram.sweep(plan, 1, "s3://bucket/runs")
+    assert not (tmp_path / "s3:").exists()
+
+
+@pytest.mark.slow
+def test_a_process_with_threads_and_worlds_as_a_notebook_sweeps_in_another_one(plan: Path, tmp_path: Path) -> None:
+    ended = threading.Event()
+    thread = threading.Thread(target=ended.wait)
+    thread.start()
+    folder = tmp_path / "runs"
+    values = {"what": ["fine", "fails"], "x": [0.25]}
+
+    def stop(result: Sweep, _: Outcome | None) -> None:
+        if result.done == 2:
+            raise KeyboardInterrupt
+
+    try:
+        with BulletWorld(name="mine") as world:
+            interrupted = pycram.sweep(plan, 60, folder, set=values, progress=stop)
+            rest = pycram.sweep(plan, 6, folder, set=values)
+            assert not world.objects
+    finally:
+        ended.set()
+        thread.join()
+    assert (interrupted.interrupted, interrupted.done) == (True, 2)
+    assert rest.before >= 2
+    assert rest.before + rest.done == 6
+    files = recordings(folder)[:6]
+    assert [ends(file)[1].succeeded for file in files] == [True, False] * 3
+    assert [ends(file)[0].sweep.number for file in files] == list(range(6))
+    assert not list(folder.glob(".*"))
+    assert len(list(folder.glob("models-*"))) == 1
+    with Recording(files[2]) as log:
+        assert [each.world for each in log.lifetimes] == ["world_1"], "it begins without the worlds of the caller"
+
+
 # --- what is missing --------------------------------------------------------------------------------------------------
 
 
@@ -293,7 +350,9 @@ def test_a_run_whose_process_is_killed_is_tried_once_more(plan: Path, tmp_path: 
     assert ended.failure.type == "RunLost"
     assert "its process was ended by SIGKILL, at each of 2 attempts" in ended.failure.message
     assert {each.name for each in began.parameters} == {"what", "marks"}
-    with Recording(lost.with_name(f"{lost.name}.killed")) as log:  # what it had done until then
+    killed = lost.with_name(f"{lost.name}.killed")
+    assert ended.failure.message.endswith(f"what it had recorded is in {killed.name}")
+    with Recording(killed) as log:  # what it had done until then
         assert any(record.HasField("set_color") for record in log.records("mutation"))
 
 
@@ -308,7 +367,7 @@ def test_a_run_that_hangs_is_ended(plan: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_run_that_takes_too_much_memory_fails(plan: Path, tmp_path: Path) -> None:
-    pycram.sweep(plan, 2, tmp_path / "runs", set={"what": ["fine", "takes all memory"]}, memory=2 << 30)
+    pycram.sweep(plan, 2, tmp_path / "runs", set={"what": ["fine", "takes all memory"]}, memory=1 << 30)
     fine, much = recordings(tmp_path / "runs")
     assert ends(fine)[1].succeeded
     assert ends(much)[1].failure.type == "MemoryError"

@@ -61,6 +61,30 @@ with recorder.record(sys.argv[1]) as recording:
 """
 
 
+# Prints how often Python had something to tell of itself (imports, files) while the file was there, and empty.
+WATCHED = """
+import os, sys
+import recorder
+empty = 0
+def look(*_):
+    global empty
+    try:
+        empty += not os.stat(sys.argv[1]).st_size
+    except OSError:
+        pass
+sys.addaudithook(look)
+with recorder.record(sys.argv[1]):
+    print(empty)
+"""
+
+
+def test_a_file_is_empty_for_no_longer_than_it_takes_to_open_it(tmp_path: Path) -> None:
+    """What takes time is done before: 25 ms in which a killed process would leave a file that doesn't open."""
+    command = [sys.executable, "-c", WATCHED, str(tmp_path / "x.mcap")]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert int(ended.stdout) < 5
+
+
 def kill_at_random(file: Path, seed: int, rng: random.Random) -> tuple[list[tuple[str, int, int, int]], int, int]:
     """Kills a process; returns its lines, when that was, and how long its threads had waited for a processor by then."""
     victim = subprocess.Popen([sys.executable, "-c", VICTIM, str(file), str(seed)], stdout=subprocess.PIPE)

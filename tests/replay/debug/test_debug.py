@@ -252,14 +252,17 @@ def test_what_an_expression_changes_is_undone(plan_log: Path, debug: Debug) -> N
 
 def test_a_plan_that_parts_from_its_recording_stops_there(plan_log: Path, tmp_path: Path, debug: Debug) -> None:
     other = tmp_path / "plan.py"
-    other.write_text(TEXT.replace("level.set_value(total)", "level.set_value(total + 1)"))
+    setting = "level.set_value(total + os.path.isfile(__file__))"
+    other.write_text(TEXT.replace("level.set_value(total)", setting).replace("import random", "import os, random"))
     with replay.open(plan_log) as log:
         changed = next(each.seq for each in log if getattr(each, "after_json", "") == "3")
     _, parted, variable, further, back = debug(
         plan_log, "c", "p total", "s", f"g {changed - 2}", options=("--plan", str(other))
     )
     assert f"*** the plan parts from its recording after step {changed - 1}: " in parted
-    assert f"plan.py:{line('level.set_value(total)')}" in parted
+    number = line("level.set_value(total)")
+    assert f"plan.py:{number} where step {changed} has" in parted
+    assert f"; plan.py:{number} reads a file: os.path.isfile()" in parted
     assert variable == "3\n"
     assert further.startswith(f"*** the plan comes to step {changed - 1}: ")
     assert at(back) == changed - 2
@@ -293,7 +296,7 @@ def forked(plan_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.mark.parametrize("checkpoints", [True, False])
+@pytest.mark.parametrize("checkpoints", [True, pytest.param(False, marks=pytest.mark.costly)])
 def test_a_fork_is_debugged_with_its_changes(forked: Path, debug: Debug, *, checkpoints: bool) -> None:
     with replay.open(forked) as log:
         start, last = log[0], len(log) - 1

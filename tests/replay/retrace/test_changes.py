@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder.records import Fluent, Mutation, Output, Query
+from recorder.records import Fluent, Mutation, Output, Query, Task
 from replay.cli.main import main
 from replay.errors import NoSuchName, ReplayError
 from replay.explain.compare_runs import differing
@@ -22,7 +22,7 @@ from tests.replay.retrace.bits import assert_same_bits
 from tests.replay.retrace.test_retrace import record
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from replay.recording import Recording
     from replay.retrace.fork import Fork
@@ -253,3 +253,16 @@ def test_a_control_that_comes_out_differently_is_told(tmp_path: Path, capsys: py
     assert facts["succeeded"]
     assert not facts["control"]["identical"]
     assert facts["control"]["difference"]["line"] == f"{file}:5"
+
+
+@pytest.mark.parametrize("nested", [lambda outcome: outcome, lambda outcome: [outcome, {"best": outcome}]])
+def test_where_projections_are_recorded_is_no_difference_wherever_a_task_returns_them(
+    nested: Callable[[dict[str, object]], object],
+) -> None:
+    def returns(file: str, **more: object) -> Task:
+        outcome = {"succeeded": True, "duration": 0.2, "recording": file, **more}
+        return Task(kind="function", name="think", result_json=json.dumps(nested(outcome)))
+
+    assert not differing(returns("a.projection-1.mcap"), returns("b.projection-1.mcap"))
+    assert differing(returns("a.mcap", result=1), returns("a.mcap", result=2))
+    assert differing(*(Task(result_json=json.dumps({"recording": each})) for each in "ab")), "the plan's own"

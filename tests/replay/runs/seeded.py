@@ -114,7 +114,7 @@ class Moving(ProcessModule):
             slots["object"].set_position(slots["to"])
         if slots.get("drops"):
             raise Dropped(f"{slots['object'].name} fell at {slots['object'].get_position()}")
-        return slots["object"].name
+        return slots["object"].name if "object" in slots else None
 
 
 def resolve(designator: MotionDesignator) -> list[dict[str, object]] | None:

@@ -43,14 +43,14 @@ def test_the_runs_that_end_otherwise_are_named(runs: Path, changed: Path, capsys
     mended = sorted(name for name in before if after[name] and not before[name])
     assert mended
     assert main(["diff", str(runs), str(changed), "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["paired"] == len(before)
-    assert told["mended"] == [[name, name] for name in mended]
-    assert told["broken"] == []
-    assert told["second"]["succeeded"] == told["first"]["succeeded"] + len(mended)
-    assert told["effect"] == pytest.approx(len(mended) / len(before))
-    assert told["interval"][0] < told["effect"] < told["interval"][1]
-    (cause,) = [each for each in told["causes"] if each["first"] != each["second"]]
+    comparison = json.loads(capsys.readouterr().out)
+    assert comparison["paired"] == len(before)
+    assert comparison["mended"] == [[name, name] for name in mended]
+    assert comparison["broken"] == []
+    assert comparison["second"]["succeeded"] == comparison["first"]["succeeded"] + len(mended)
+    assert comparison["effect"] == pytest.approx(len(mended) / len(before))
+    assert comparison["interval"][0] < comparison["effect"] < comparison["interval"][1]
+    (cause,) = [each for each in comparison["causes"] if each["first"] != each["second"]]
     assert cause["second"] == cause["first"] - len(mended)
     assert main(["diff", str(changed), str(runs)]) == 1
     text = capsys.readouterr().out

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from mcap.reader import make_reader
 
 import replay
 from recorder.records import Mutation, Query, Task
@@ -19,6 +20,7 @@ from replay.runs.folder import Folder, NotRead
 from replay.runs.rows import write_rows
 from replay.runs.runs import Refused, Runs
 from tests.replay.runs.conftest import COUNT
+from tests.replay.test_newer import forge
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -81,9 +83,9 @@ def test_only_new_and_changed_recordings_are_read(runs: Path) -> None:
     (runs / names[3]).unlink()
     assert read(runs) == [1]
     with Runs(runs) as tables:
-        told = dict(tables.sql("SELECT run, seed FROM runs").rows())
-    assert set(told) == set(names) - {names[3]}
-    assert told[names[1]] == told[names[2]] == "2", "the new content counts"
+        found = dict(tables.sql("SELECT run, seed FROM runs").rows())
+    assert set(found) == set(names) - {names[3]}
+    assert found[names[1]] == found[names[2]] == "2", "the new content counts"
 
 
 def test_rows_of_the_runs_own_process_are_those_of_its_file(runs: Path) -> None:
@@ -182,12 +184,35 @@ def test_what_is_no_run_is_named_and_left_out(runs: Path, capsys: pytest.Capture
     shutil.copy2(GOLDEN, runs / "other.mcap")
     assert main(["stats", str(runs), "--json"]) == 3
     out, err = capsys.readouterr()
-    told = json.loads(out)
-    assert len(told["runs"]) == COUNT
-    assert [each["name"] for each in told["skipped"]] == ["bad.mcap", "notes.mcap"]
-    assert sum(told["others"].values()) == 1, "the recording of another plan is counted"
+    found = json.loads(out)
+    assert len(found["runs"]) == COUNT
+    assert [each["name"] for each in found["skipped"]] == ["bad.mcap", "notes.mcap"]
+    assert sum(found["others"].values()) == 1, "the recording of another plan is counted"
     assert "bad.mcap" in err
     assert "notes.mcap: is no MCAP file" in err
+
+
+def test_newer_recordings_links_and_damaged_attachments(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second, *rest = sorted(runs.glob("0*.mcap"))
+    for file in rest:
+        file.unlink()
+    forge(runs / "newer.mcap")
+    (runs / "linked.mcap").symlink_to(shutil.copy2(first, runs.parent / "elsewhere"))
+    (runs / "dangling.mcap").symlink_to(runs / "nowhere")
+    (runs / "loop.mcap").symlink_to(runs / "loop.mcap")
+    with second.open("r+b") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        attached = summary.attachment_indexes[0]
+        file.seek(attached.offset + attached.length - 12)  # in its content, which ends before a checksum
+        file.write(b"bent")
+    assert main(["stats", str(runs), "--json"]) == 3
+    found = json.loads(capsys.readouterr().out)
+    assert found["runs"] == [first.name, "linked.mcap"]
+    reasons = {each["name"]: each["reason"] for each in found["skipped"]}
+    assert set(reasons) == {second.name, "dangling.mcap", "loop.mcap", "newer.mcap"}
+    assert f"{attached.name} is damaged (its checksum differs)" in reasons[second.name]
+    assert "written by PyCRAM 9.0.0, which is newer than this one" in reasons["newer.mcap"]
 
 
 @pytest.mark.parametrize(
