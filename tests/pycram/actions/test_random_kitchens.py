@@ -7,23 +7,31 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from typing import TYPE_CHECKING
 
 import pytest
 
+import recorder
+from replay.cli.main import main
 from tests.measures import REPO, seeded
 from tests.pycram.actions import brute_force
 from tests.pycram.actions.transports import transport
 from tests.random_kitchens import build, draw, rests, stands_on_island, touching
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.pycram.actions.transports import Mode
 
 KITCHENS = range(200)
 KNOWN = json.loads(brute_force.RESULTS.read_text(encoding="utf-8"))
 WAYS = {int(seed): way for seed, way in KNOWN["ways"].items()}
+FAILING = sorted(
+    {seed for seed, way in WAYS.items() if way is None} | {int(seed) for seed in KNOWN["missed"]["unprojected"]}
+)
 FOUND = [seed for seed, way in WAYS.items() if way is not None]
 INSIDE = 0.003  # m that nothing is deeper in something else
 
@@ -107,10 +115,30 @@ def test_nine_of_ten_transports_that_are_possible_succeed(mode: Mode) -> None:
     assert len(missed) <= 0.1 * possible
 
 
+def _first_and_long(seeds: list[int]) -> list[object]:
+    return [*seeds[:1], *(pytest.param(seed, marks=pytest.mark.long) for seed in seeds[1:])]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed", [seed if number == 0 else pytest.param(seed, marks=pytest.mark.long) for number, seed in enumerate(FOUND)]
-)
+@pytest.mark.parametrize("seed", _first_and_long(FAILING))
+def test_a_failed_transport_is_explained_by_the_choice_that_could_not_be_made(
+    seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log):
+        assert not transport(seed, "unprojected").succeeded
+    assert main(["why", str(log)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    tried = lines[lines.index("What transporting(object=thing, target=island) action tried") + 1 :]
+    tried = [line.strip() for line in tried[: tried.index("")]]
+    assert tried[-1].startswith(("nothing else could be chosen: ", "the budget"))
+    reasons = tried[1:-1:2]
+    assert reasons
+    assert all(re.match(r"of \d+ places .*\d|\w+: .+|the same", reason) for reason in reasons), reasons
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", _first_and_long(FOUND))
 def test_a_way_that_was_found_is_one(seed: int) -> None:
     scene = build(draw(seed))
     with scene.world:
