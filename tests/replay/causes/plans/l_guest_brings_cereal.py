@@ -4,7 +4,7 @@ from household import kitchen, perform
 
 from pycram.event import Event
 
-world = kitchen(bottle=[1.45, 0.8, 0.98], cereal=[1.5, 1.3, 0.98])
+world = kitchen(bottle=[1.45, 0.8, 0.98], cereal=[1.5, 1.1, 0.98])
 bottle, cereal = world.get_object("bottle"), world.get_object("cereal")
 guest = Event("guest", "door")
 
