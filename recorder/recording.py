@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
     from recorder.tracing.journal import Sink
 
+_MAX_ERRORS: Final = 1000  # in the traceback of what ends the plan or a thread: where what led to it stands together
+
 
 @dataclass(frozen=True, slots=True)
 class Recording:
@@ -230,7 +232,7 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
         try:
             if not ended and args.exc_value is not None and not isinstance(args.exc_value, SystemExit):
                 name = escaped((args.thread or threading.current_thread()).name)
-                failed = failure_with_frames(args.exc_value)
+                failed = failure_with_frames(args.exc_value, errors=_MAX_ERRORS)
                 with suppress(OSError):  # the next record raises it
                     log.append(Run(phase=Run.THREAD_FAILED, name=title, thread=name, failure=failed))
         finally:
@@ -264,7 +266,7 @@ def _append_end(log: Journal, title: str, start: int, error: BaseException | Non
         duration_ns=time.perf_counter_ns() - start,
     )
     if error is not None and not succeeded:
-        end.failure.CopyFrom(failure_with_frames(error))
+        end.failure.CopyFrom(failure_with_frames(error, errors=_MAX_ERRORS))
         if isinstance(error, KeyboardInterrupt):
             end.interrupted_by, end.checkpoint = interrupted_by(), interrupted_at()
     try:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import functools
-import traceback
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.error_families import PlanFailure, PycramError, UsageError, slots_of
 from pycram.foundation.names import export
 from recorder.records import format_error
+from recorder.records.traceback_text import format_traceback
 from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 #: A message, its data and a traceback show at most this many failed blocks within each other, and then what failed in
 #: the innermost: each of them has a record of its own, and those of blocks nested deeper would take minutes to write.
 MAX_LEVELS: Final = 8
+#: Of what failed in blocks within more others they show so many, and count the rest.
+MAX_LEAVES: Final = 8
+
+_MAX_FRAMES: Final = 1000  # of each of several failures in a traceback
 
 
 class BlockClosed(UsageError):
@@ -102,11 +106,11 @@ class BranchesFailed(PlanFailure):
             for slot in slots_of(first):
                 if isinstance(self, slot.__objclass__):
                     slot.__set__(self, slot.__get__(first))
-        leaves, causes = tuple(_leaves(members)), members
+        leaves, causes, left_out = tuple(_leaves(members)), members, 0
         levels = 1 + max((f._levels for f in members if isinstance(f, BranchesFailed)), default=0)  # noqa: SLF001  as self
         if levels > MAX_LEVELS:
-            levels, causes = 1, leaves
-        fields.update(block=block, failures=members, _leaves=leaves, _causes=causes, _levels=levels)
+            levels, causes, left_out = 1, leaves[:MAX_LEAVES], max(0, len(leaves) - MAX_LEAVES)
+        fields.update(block=block, failures=members, _leaves=leaves, _causes=causes, _levels=levels, _left_out=left_out)
         self.__cause__ = causes[0] if len(causes) == 1 else Tracebacks(causes)
 
     _leaves: tuple[PlanFailure, ...]
@@ -114,6 +118,8 @@ class BranchesFailed(PlanFailure):
     """What its message shows: its failures, or its leaves where these are blocks within too many others."""
     _levels: int
     """Number of blocks within each other that its message shows."""
+    _left_out: int
+    """Number of leaves that its message doesn't show."""
 
     @property
     def block(self) -> str:
@@ -142,7 +148,9 @@ class BranchesFailed(PlanFailure):
         return BranchesFailed, (self.block, self.failures)
 
     def __str__(self) -> str:
-        texts = (str(f) if isinstance(f, BranchesFailed) else format_error(f) for f in self._causes)
+        texts = [str(f) if isinstance(f, BranchesFailed) else format_error(f) for f in self._causes]
+        if self._left_out:
+            texts.append(f"and {self._left_out} more")
         return f"{self.block} failed: {'; '.join(texts)}"
 
 
@@ -178,7 +186,7 @@ class Tracebacks(PycramError):
         lines = []
         for number, failure in enumerate(self.failures, 1):
             lines.append(f"{number} of {len(self.failures)}")
-            lines += ["  | " + line for line in "".join(traceback.format_exception(failure)).splitlines()]
+            lines += ["  | " + line for line in format_traceback(failure, frames=_MAX_FRAMES).splitlines()]
         return "\n".join(lines)
 
 

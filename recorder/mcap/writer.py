@@ -5,7 +5,8 @@ package's own writer takes an object and a dozen calls for each message, three t
 makes two or three messages.
 
 Every message is in a chunk, every chunk is compressed with Zstandard and has a CRC and message indexes, the summary
-indexes all, and all bytes before it have a CRC too.
+indexes all, and all bytes before it have a CRC too. Chunks of records that are all alike would inflate to so much more
+than the file that readers would take it for a bomb: some of them aren't compressed.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
     from typing import BinaryIO
 
 MAGIC: Final = b"\x89MCAP0\r\n"
+#: Bytes of all chunks to those of the file: no recording has more, and nobody reads more. Usually it is 3 to 13.
+MAX_RATIO: Final = 32
+FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
 _MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length of what follows, channel, sequence, log and publish time
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE_HEAD: Final = 9  # opcode and length
@@ -58,6 +62,7 @@ class McapWriter:
         self._compressor = zstandard.ZstdCompressor(level=1)  # chunks are small: higher levels only take longer
         self._chunk: list[bytes] = []
         self._chunk_size = 0
+        self._inflated = 0  # bytes of the chunks
         self._entries: defaultdict[int, list[int]] = defaultdict(list)  # log time and offset of a channel's messages
         self._first_ns = self._last_ns = 0
         self._schemas: list[Schema] = []
@@ -151,10 +156,14 @@ class McapWriter:
 
     def _end_chunk(self) -> None:
         content = b"".join(self._chunk)
+        compression, data = "zstd", self._compressor.compress(content)
+        self._inflated += len(content)
+        if self._inflated > max(FREE, MAX_RATIO * (self._at + len(data))):
+            compression, data = "", content
         first_ns, last_ns = (self._first_ns, self._last_ns) if self._entries else (0, 0)
         chunk = Chunk(
-            compression="zstd",
-            data=self._compressor.compress(content),
+            compression=compression,
+            data=data,
             message_start_time=first_ns,
             message_end_time=last_ns,
             uncompressed_crc=zlib.crc32(content),
@@ -176,8 +185,8 @@ class McapWriter:
             ChunkIndex(
                 chunk_length=len(packed),
                 chunk_start_offset=at,
-                compression="zstd",
-                compressed_size=len(chunk.data),
+                compression=compression,
+                compressed_size=len(data),
                 message_end_time=last_ns,
                 message_index_length=end - at - len(packed),
                 message_index_offsets=offsets,

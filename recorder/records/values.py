@@ -9,20 +9,17 @@ from __future__ import annotations
 import json
 import math
 import re
-import traceback
 from collections.abc import Callable, Mapping, Set as AbstractSet
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from recorder.records.log_pb2 import Argument, Failure
+from recorder.records.traceback_text import MAX_ERRORS, format_traceback
 from recorder.secrets import LEFT_OUT, is_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from types import TracebackType
 
-#: A longer traceback has its innermost frames, of each error in it: a failure through many blocks is recorded by each.
-MAX_FRAMES: Final = 32
 MAX_NESTING: Final = 100
 """Levels of lists and dictionaries in each other, in a recorded value; what is deeper is recorded as its text."""
 MAX_DIGITS: Final = 300
@@ -175,30 +172,19 @@ def format_error(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def failure(error: BaseException, *, trace: bool = True) -> Failure:
-    """An exception as a record carries it: type, message, its ``data`` if any, and traceback, which takes longest."""
+def failure(error: BaseException, *, trace: bool = True, errors: int = MAX_ERRORS) -> Failure:
+    """An exception as a record carries it: type, message, its ``data`` if any, and traceback with so many errors."""
     data = getattr(error, "data", None)
-    lines: list[str] = []
+    text = ""
     if trace:
         with suppress(Exception):  # of the error's own methods
-            innermost = _innermost(error.__traceback__)
-            lines = traceback.format_exception(type(error), error, innermost, limit=-MAX_FRAMES)  # limits the causes'
+            text = format_traceback(error, errors=errors)
     return Failure(
         type=escaped(type(error).__qualname__),
         message=escaped(_message(error)),
         data=arguments(data) if isinstance(data, Mapping) else [],
-        traceback=escaped("".join(lines)),
+        traceback=escaped(text),
     )
-
-
-def _innermost(trace: TracebackType | None) -> TracebackType | None:
-    """The end of a traceback; traceback's own limit looks up each frame's line, which takes 200 times as long."""
-    ahead, frames = trace, 0
-    while ahead is not None:
-        ahead, frames = ahead.tb_next, frames + 1
-        if trace is not None and frames > MAX_FRAMES:
-            trace = trace.tb_next
-    return trace
 
 
 def format_failure(failure: Failure) -> str:

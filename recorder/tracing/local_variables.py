@@ -15,6 +15,7 @@ from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import StackFrame, Variable, escaped, failure
+from recorder.records.traceback_text import MAX_ERRORS
 from recorder.secrets import LEFT_OUT, is_secret
 from recorder.tracing import journal
 from recorder.tracing.call_stack import is_plan, plan_frame
@@ -46,9 +47,9 @@ _BRACKETS: Final[Mapping[type, tuple[str, str]]] = {
 }
 
 
-def failure_with_frames(error: BaseException) -> Failure:
-    """An error as a record carries it, with the plan's frames if they are recorded."""
-    record = failure(error)
+def failure_with_frames(error: BaseException, *, errors: int = MAX_ERRORS) -> Failure:
+    """An error as :func:`failure` has it, with the plan's frames if they are recorded."""
+    record = failure(error, errors=errors)
     if journal.keeps_local_variables():
         with suppress(Exception):  # of an error's own methods
             record.frames.extend(_new_frames(error))

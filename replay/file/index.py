@@ -16,6 +16,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, MetadataIndex, Schema, Statistics
 
+from recorder.mcap.writer import FREE, MAX_RATIO
 from replay.errors import LogClosed
 from replay.file.arrangement import Arrangement
 from replay.file.mcap_format import (
@@ -42,8 +43,6 @@ if TYPE_CHECKING:
     from recorder.records import Record
 
 _BLOCK: Final = 1 << 20  # bytes that are read at once
-MAX_RATIO: Final = 32  # of bytes of all chunks to those of the file; recordings come to 3 to 13
-FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
 _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
 
 

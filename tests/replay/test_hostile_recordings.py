@@ -25,7 +25,7 @@ import replay
 import replay.cli.info
 import replay.cli.repair
 from pycram.models import store
-from recorder.mcap.writer import McapWriter
+from recorder.mcap.writer import FREE, MAX_RATIO, McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, BodyState, Grid, Keyframe, Mutation, Picture, Query, Run, Task
 from recorder.records.values import MAX_DIGITS, MAX_NESTING
@@ -33,7 +33,6 @@ from recorder.viewer.query_picture import MAX_PIXELS
 from replay.cli.main import main
 from replay.explain.task_tree import MAX_DEPTH
 from replay.file.chunks import MAX_STEP
-from replay.file.index import FREE, MAX_RATIO
 from replay.file.mcap_format import MAX_INFLATED
 from replay.file.payloads import MAX_PARTS
 from replay.state.fold import FAR

@@ -27,7 +27,11 @@ from mcap.records import (
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 import recorder
+import replay
 from pycram.bullet_world import BulletWorld, Object
+from recorder.mcap.writer import FREE, MAX_RATIO
+from recorder.records import Task
+from recorder.tracing.span import span
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,6 +65,26 @@ def test_messages_and_attachments_agree_with_the_statistics(tmp_path: Path) -> N
     assert topics["/run"] == 2
     assert len(names) == len(set(names)) == statistics.attachment_count
     assert any(name.endswith("/bowl.urdf") for name in names)
+
+
+def test_what_is_alike_inflates_to_no_more_than_readers_take(tmp_path: Path) -> None:
+    """Costmaps of zeros take 20 times as much as the bound on what readers inflate, if all chunks are compressed."""
+    file = tmp_path / "x.mcap"
+    costmap = [[0.0] * 200 for _ in range(200)]
+    with recorder.record(file):
+        for _ in range(80):
+            with span("action", "looking at the map", {"costmap": costmap}):
+                pass
+    with file.open("rb") as stream:
+        chunks = [each for each in StreamReader(stream, emit_chunks=True).records if isinstance(each, Chunk)]
+    inflated = sum(chunk.uncompressed_size for chunk in chunks)
+    assert inflated > 2 * FREE
+    assert inflated <= MAX_RATIO * file.stat().st_size
+    assert file.stat().st_size < inflated / 8  # most are compressed
+    with replay.open(file) as log:
+        assert log.complete
+        assert len(log) == 162
+        assert sum(record.phase == Task.FINISHED for record in log.records(Task)) == 80
 
 
 def record_at(content: bytes, offset: int) -> object:

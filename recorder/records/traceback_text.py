@@ -1,0 +1,140 @@
+"""Tracebacks as text, word for word as Python prints them; what is too long is left out, and counted.
+
+All tasks that an error ends have it on record, with its causes. So a place in the code is formatted once, for all
+errors and records, and a text is put together from these.
+"""
+
+from __future__ import annotations
+
+import traceback
+from itertools import groupby
+from traceback import TracebackException
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import CodeType, TracebackType
+
+MAX_FRAMES: Final = 32
+"""Innermost frames of each error in a text; a longer traceback is an error's that came through many blocks."""
+MAX_ERRORS: Final = 16
+"""The first and last errors in a text; a longer chain of causes is that of nested tasks, which have the others."""
+
+_FIRST: Final = 4  # of those: the causes of all
+_REPEATED: Final = 3  # times that Python prints the same line; then it counts
+_MAX_CACHED: Final = 4096  # texts of frames
+_CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
+_CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
+_SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)  # to their messages Python adds something
+
+_texts: Final[dict[tuple[int, int, int], tuple[CodeType, str]]] = {}  # with the code, as its address is in the key
+
+
+def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: int = MAX_ERRORS) -> str:
+    """Return an error with its causes as text.
+
+    Args:
+        error: The error.
+        frames: The innermost ones of each error that are there.
+        errors: The first and last ones of the chain of causes that are there.
+    """
+    chain = _chain(error)
+    left_out = len(chain) - errors
+    parts = [f"{link}{_part(each, frames)}" for link, each in chain[:_FIRST]]
+    if left_out > 0:
+        del chain[_FIRST : _FIRST + left_out]
+    for link, each in chain[_FIRST:]:
+        count = f"  [{left_out} errors between these: the tasks that they ended have them]\n\n" if left_out > 0 else ""
+        parts.append(f"{link}{count}{_part(each, frames)}")
+        left_out = 0
+    return "".join(parts)
+
+
+def _chain(error: BaseException) -> list[tuple[str, BaseException]]:
+    """An error after those that led to it, each with how it came of the one before; a group's stand in its text."""
+    chain: list[tuple[str, BaseException]] = []
+    seen = {id(error)}
+    while not isinstance(error, BaseExceptionGroup):
+        cause, context = error.__cause__, error.__context__
+        if cause is not None and id(cause) not in seen:
+            link, earlier = _CAUSE, cause
+        elif context is not None and id(context) not in seen and not error.__suppress_context__:
+            link, earlier = _CONTEXT, context
+        else:
+            break
+        chain.append((link, error))
+        seen.add(id(earlier))
+        error = earlier
+    chain.append(("", error))
+    return chain[::-1]
+
+
+def _part(error: BaseException, frames: int) -> str:
+    """One error: its frames, its type and message."""
+    innermost = _innermost(error.__traceback__, frames)
+    if isinstance(error, BaseExceptionGroup):
+        return "".join(traceback.format_exception(type(error), error, innermost, limit=-frames))
+    title = "" if innermost is None else "Traceback (most recent call last):\n"
+    return "".join((title, *_stack(innermost), *_message(error)))
+
+
+def _innermost(trace: TracebackType | None, frames: int) -> TracebackType | None:
+    """The end of a traceback."""
+    ahead, passed = trace, 0
+    while ahead is not None:
+        ahead, passed = ahead.tb_next, passed + 1
+        if trace is not None and passed > frames:
+            trace = trace.tb_next
+    return trace
+
+
+def _stack(trace: TracebackType | None) -> Iterator[str]:
+    """The frames of a traceback."""
+    for _, group in groupby(_entries(trace), _place):
+        same = list(group)
+        yield from map(_frame, same[:_REPEATED])
+        if (more := len(same) - _REPEATED) > 0:
+            yield f"  [Previous line repeated {more} more time{'s' if more > 1 else ''}]\n"
+
+
+def _entries(trace: TracebackType | None) -> Iterator[TracebackType]:
+    while trace is not None:
+        yield trace
+        trace = trace.tb_next
+
+
+def _place(entry: TracebackType) -> tuple[str, int, str]:
+    code = entry.tb_frame.f_code
+    return code.co_filename, entry.tb_lineno, code.co_name
+
+
+def _frame(entry: TracebackType) -> str:
+    """One frame of a traceback: where, and the line. Looking that up and parsing it takes 100 times as long as this."""
+    code = entry.tb_frame.f_code
+    key = id(code), entry.tb_lasti, entry.tb_lineno
+    known = _texts.get(key)
+    if known is None:
+        if len(_texts) >= _MAX_CACHED:
+            _texts.clear()
+        known = _texts[key] = code, "".join(traceback.format_tb(entry, limit=1))
+    return known[1]
+
+
+def _message(error: BaseException) -> Iterator[str]:
+    """An error's type and message, and its notes."""
+    kind, notes = type(error), getattr(error, "__notes__", None)
+    if isinstance(error, _SPECIAL) or not isinstance(notes, list | None):
+        yield from TracebackException(kind, error, error.__traceback__, limit=0).format_exception_only()
+        return
+    module = "" if kind.__module__ in {"builtins", "__main__"} else f"{kind.__module__}."
+    name, text = f"{module}{kind.__qualname__}", _text(error, "exception")
+    yield f"{name}: {text}\n" if text else f"{name}\n"
+    for note in notes or ():
+        yield from (f"{line}\n" for line in _text(note, "note").split("\n"))
+
+
+def _text(value: object, what: str) -> str:
+    try:
+        return str(value)
+    except Exception:  # noqa: BLE001  the value's own __str__
+        return f"<{what} str() failed>"
