@@ -301,8 +301,7 @@ class _Projection:
             self.child.kill()
             return self._died(f"took longer than {limit:g} s")
         if not self.child.received:
-            signalled, code = self.child.signal, os.waitstatus_to_exitcode(self.child.status)
-            return self._died(f"was ended by {signalled}" if signalled else f"ended its process with exit code {code}")
+            return self._died(self.child.how)
         try:
             succeeded, result, failure, steps, state, unsent = _Unpickler(BytesIO(self.child.received)).load()
         except Exception as error:  # noqa: BLE001  of a class that the action has made, say

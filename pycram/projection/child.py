@@ -82,6 +82,12 @@ class Child:
         """The name of the signal that has ended it; "" if none has."""
         return signal.Signals(os.WTERMSIG(self.status)).name if os.WIFSIGNALED(self.status) else ""
 
+    @property
+    def how(self) -> str:
+        """How it ended, in words."""
+        code = os.waitstatus_to_exitcode(self.status)
+        return f"was ended by {self.signal}" if self.signal else f"ended with exit code {code}"
+
     def _reap(self) -> None:
         os.close(self._reading)
         _, self.status = os.waitpid(self.pid, 0)
@@ -91,6 +97,17 @@ class Child:
 def usable_cores() -> int:
     """Return how many children of this process can run at once."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def has_children() -> bool:
+    """Return whether this process has any children, such as a copy of it couldn't wait for."""
+    if not hasattr(os, "waitid"):
+        return False
+    try:
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # takes none of them
+    except ChildProcessError:
+        return False
+    return True
 
 
 def wait(children: Sequence[Child], timeout: float | None) -> None:

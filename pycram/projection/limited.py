@@ -59,8 +59,7 @@ class LimitedChild:
     @property
     def how(self) -> str:
         """How its process ended, in words."""
-        signalled, code = self.child.signal, os.waitstatus_to_exitcode(self.child.status)
-        return f"its process was ended by {signalled}" if signalled else f"its process ended with {code}"
+        return f"its process {self.child.how}"
 
 
 def _from_start(answer: Callable[[], bytes]) -> bytes:

@@ -14,7 +14,7 @@ import warnings
 import weakref
 from typing import TYPE_CHECKING, Final
 
-from recorder.tracing import journal, process_identity
+from recorder.tracing import file_positions, journal, process_identity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -63,6 +63,9 @@ def _fork(fork: Callable[[], int]) -> int:
         warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12's, of threads: ours are parked
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
         try:
-            return fork()
+            child = fork()
+            if not child:
+                file_positions.have_own()
+            return child
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)

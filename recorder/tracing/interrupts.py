@@ -183,13 +183,20 @@ def _take() -> list[tuple[int, signal.Handlers]]:
 
 def _on_termination(number: int, frame: FrameType | None) -> None:
     global _terminated  # noqa: PLW0603  as above
-    if os.getpid() != _owner:
-        signal.signal(number, signal.SIG_DFL)
-        os.kill(os.getpid(), number)
-        return
     _terminated = number
     interrupt = signal.getsignal(_SIGINT)
     (interrupt if callable(interrupt) else signal.default_int_handler)(_SIGINT, frame)
+
+
+def _in_child() -> None:
+    """Let a forked process die of such a signal, also where it waits in code that calls no handler, as pools' do."""
+    for number in _TERMINATING:
+        if signal.getsignal(number) is _on_termination:
+            signal.signal(number, signal.SIG_DFL)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_in_child)
 
 
 def _ignore(number: int, frame: FrameType | None) -> None:

@@ -246,6 +246,8 @@ def _number(text: str) -> int:
 
 
 def _is_statement(text: str) -> bool:
+    if not text:
+        return False
     try:
         compile(text, "<prompt>", "eval")
     except SyntaxError:

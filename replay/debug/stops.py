@@ -14,10 +14,10 @@ import signal
 import socket
 import sys
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from pycram.projection import obstacle
-from pycram.projection.child import Child, die_with
+from pycram.projection.child import Child, die_with, has_children
 from pycram.scheduling.locks import is_held
 from recorder.records import Task
 from recorder.tracing import forking, interrupts, journal
@@ -41,13 +41,16 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
     from replay.retrace.guide import Difference
 
-_NOT_COPIED: Final = "that can't be looked at in this thread of the plan's own"
-
 
 def _refuse(error: Exception) -> NoReturn:
     sys.stderr.write(f"a change of the fork can't be made again: {error}\n")
     sys.stderr.flush()
     os._exit(1)
+
+
+def _can_be_copied() -> bool:
+    """Whether a copy would do what this process does: threads, and processes that are waited for, it would lack."""
+    return not obstacle() and not has_children()
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +245,7 @@ class StoppingSink(NullSink):
 
     def _check_point(self) -> None:
         self._last_checkpoint = self._guide.recorded_ns
-        if obstacle():
+        if not _can_be_copied():
             return
         if not self._went_on_in_child():
             self._channel.send({"step": self._step, "reason": "waits"})
@@ -270,7 +273,7 @@ class StoppingSink(NullSink):
 
     def _stop(self, reason: str, *, between: bool = False) -> None:
         found = None if self._difference is None else asdict(self._difference)
-        can_wait = reason != "parted" and not between and self._spacing is not None and not obstacle()
+        can_wait = reason != "parted" and not between and self._spacing is not None and _can_be_copied()
         self._channel.send(
             {
                 "step": self._step,
@@ -329,7 +332,9 @@ class StoppingSink(NullSink):
                 child.kill()
                 return {"interrupted": True}
             child.read()
-        answer: Message = json.loads(child.received or json.dumps({"error": _NOT_COPIED}))
+        if not child.received:
+            return {"error": f"that can't be looked at: the copy of the plan in which it was done {child.how}"}
+        answer: Message = json.loads(child.received)
         return answer
 
     def _stack(self) -> list[frames.PlanFrame]:

@@ -146,6 +146,15 @@ def test_what_ends_the_copy_is_an_outcome(cup: Object) -> None:
     assert project(cup.get_position).succeeded
 
 
+def test_what_the_copy_reads_is_still_to_be_read_here(cup: Object, tmp_path: Path) -> None:
+    file = tmp_path / "goals"
+    file.write_text("".join(f"{number}\n" for number in range(10_000)))
+    with file.open() as goals:
+        assert next(goals) == "0\n"
+        assert project(lambda: [*goals][-1]).result == "9999\n"
+        assert [*goals] == [f"{number}\n" for number in range(1, 10_000)]
+
+
 def test_a_process_that_an_action_forks_ends_with_the_copy_and_keeps_nobody_waiting(
     cup: Object, tmp_path: Path
 ) -> None:

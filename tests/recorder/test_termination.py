@@ -163,6 +163,17 @@ def test_a_forked_child_dies_of_the_signal(tmp_path: Path) -> None:
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
 
 
+@NUMBERS
+def test_a_forked_child_needs_no_handler_to_die(tmp_path: Path, number: signal.Signals) -> None:
+    """A worker of a pool that begins to wait for a lock as it is terminated would call none, and never end."""
+    with recorder.record(tmp_path / "x.mcap"):
+        child = os.fork()
+        if child == 0:
+            os._exit(signal.getsignal(number) is signal.SIG_DFL)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
+        assert callable(signal.getsignal(number))
+
+
 def interrupted(file: Path, ended: list[BaseException]) -> None:
     try:
         with recorder.record(file, overwrite=True):

@@ -250,6 +250,56 @@ def test_what_an_expression_changes_is_undone(plan_log: Path, debug: Debug) -> N
     assert at(on) == last
 
 
+def test_an_expression_that_ends_its_process_ends_not_the_plan(plan_log: Path, debug: Debug) -> None:
+    _, left, killed, nothing, value = debug(
+        plan_log, "p __import__('os')._exit(3)", "__import__('os').kill(__import__('os').getpid(), 9)", "p", "p total",
+        step="last",
+    )  # fmt: skip
+    assert left.endswith("the copy of the plan in which it was done ended with exit code 3\n")
+    assert killed.endswith("the copy of the plan in which it was done was ended by SIGKILL\n")
+    assert "SyntaxError" in nothing
+    assert value == "3\n"
+
+
+SHARED = {
+    "a file that is read bit by bit": """
+with open(__file__.replace("plan.py", "way.txt")) as way:
+    for number, line in enumerate(way):
+        if not number % 200:
+            cup.set_position([0, 0, float(line)])
+""",
+    "a process that is waited for": """
+child = os.fork()
+if not child:
+    os._exit(3)
+for z in range(4):
+    cup.set_position([0, 0, z])
+cup.set_position([os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), 0, 0])
+""",
+    "projections, several at once": """
+outcomes = project_all([(cup.set_position, [0, 0, z]) for z in range(4)], until="all")
+cup.set_position([sum(each.succeeded for each in outcomes), 0, 0])
+""",
+}
+
+
+@pytest.mark.parametrize("text", SHARED.values(), ids=SHARED)
+def test_what_copies_would_share_is_the_same_on_each_way_there(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "plan.py"
+    scene = """import os
+from pycram.bullet_world import BulletWorld, Object
+from pycram.projection import project_all
+cup = Object("cup", "cup", "cup.stl", world=BulletWorld())
+"""
+    file.write_text(scene + text)
+    (tmp_path / "way.txt").write_text("".join(f"{number / 1000:.12f}\n" for number in range(2000)))
+    with replay.open(record(file)) as log, GuidedPlan(log) as plan:
+        last = len(log) - 1
+        for step in range(last + 1):
+            plan.go(step)
+            assert plan.go(last).reason == "step", plan.parted
+
+
 def test_a_plan_that_parts_from_its_recording_stops_there(plan_log: Path, tmp_path: Path, debug: Debug) -> None:
     other = tmp_path / "plan.py"
     setting = "level.set_value(total + os.path.isfile(__file__))"
