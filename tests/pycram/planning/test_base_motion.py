@@ -66,6 +66,14 @@ def test_it_drives_around_what_is_in_the_way(robot: Object, tmp_path: Path, sink
 
 
 @pytest.mark.slow
+def test_it_drives_a_long_way_round_where_there_is_no_short_one(robot: Object, tmp_path: Path) -> None:
+    Object("wall", "environment", box(tmp_path, "wall", (0.1, 12.0, 1.0)), [1.5, 0, 0.5])
+    planned = base_motion(robot, AHEAD, UPRIGHT)
+    assert 6.0 < sideways(planned) < 9.0
+    assert deepest(robot, planned, 20) < 5e-3
+
+
+@pytest.mark.slow
 def test_arms_that_stand_out_and_what_they_hold_have_to_pass(robot: Object, tmp_path: Path) -> None:
     for side in (-1.45, 1.45):
         wall = Object(f"wall{side}", "environment", box(tmp_path, "wall", (0.2, 1.0, 2.0)), [1.5, side, 1.0])
