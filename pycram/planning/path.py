@@ -90,7 +90,7 @@ class Path:
 def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
     """Return a path on which nothing is touched that isn't touched at its ends.
 
-    It keeps away from things where it can; half of the budget is for that.
+    It keeps away from things and stays near where it can; half of the budget is for that.
 
     Raises:
         NoPath: None was found within the budget.
@@ -98,34 +98,25 @@ def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])
     reached = [query.start]  # and what each search reached
-    for clearance.strict in (True, False):
+    rooms = (True, query.space, MAX_CHECKS // 2), (False, query.wider or query.space, MAX_CHECKS)
+    for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
         if touch is None:
             choice.take(STRAIGHT, checks=clearance.checks)
             return Path(STRAIGHT, 0, len(reached) - 1, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
         choice.reject(STRAIGHT, Touching([touch]))
-        for space, budget in _rooms(query, strict=clearance.strict):
-            found = _searched(query, clearance, space, budget, reached)
-            if found is not None:
-                attempts = len(reached) - 1
-                knots = _timed(query, clearance, found, fine)
-                choice.take(RRT_CONNECT, checks=clearance.checks, attempts=attempts)
-                return Path(RRT_CONNECT, query.drawn_seed(attempts), attempts, found, knots)
+        found = _searched(query, clearance, space, budget, reached)
+        if found is not None:
+            attempts = len(reached) - 1
+            knots = _timed(query, clearance, found, fine)
+            choice.take(RRT_CONNECT, checks=clearance.checks, attempts=attempts)
+            return Path(RRT_CONNECT, query.drawn_seed(attempts), attempts, found, knots)
     distances = query.space.distance(np.array(reached), query.goal)
     nearest = reached[int(np.argmin(distances))]
     pairs = clearance.worst(_MAX_PAIRS)
     distance = float(distances.min())
     choice.reject(RRT_CONNECT, Unreached(clearance.checks, distance, pairs))
     raise NoPath(query.mover, query.named(query.goal), clearance.checks, query.named(nearest), distance, pairs)
-
-
-def _rooms(query: Query, *, strict: bool) -> list[tuple[Space, int]]:
-    """Return where a path is searched in turn, each with the number of checks, of all, up to which it is."""
-    if not strict:
-        return [(query.wider or query.space, MAX_CHECKS)]
-    if query.wider is None:
-        return [(query.space, MAX_CHECKS // 2)]
-    return [(query.space, MAX_CHECKS // 4), (query.wider, MAX_CHECKS // 2)]
 
 
 def _searched(query: Query, clearance: Clearance, space: Space, budget: int, reached: list[Array]) -> Array | None:
