@@ -113,7 +113,7 @@ def test_among_hundreds_of_things_the_budget_holds_and_a_drawer_in_the_way_is_na
     robot: Object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(path, "MAX_CHECKS", 1000)
-    for number in range(200):
+    for number in range(500):
         x, y = 0.2 * (number % 25) - 1.0, 2.5 + 0.2 * (number // 25)
         Object(f"thing{number}", "thing", box(tmp_path, "thing", (0.05, 0.05, 0.05)), [x, y, 0.025])
     kitchen = Object("kitchen", "environment", "kitchen.urdf")
