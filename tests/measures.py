@@ -3,13 +3,14 @@
 A measure is a test over seeds, cut into batches by :func:`seeded`; other long tests are measures of one case. With
 ``--resume FILE`` each case that ends is written down at once. Cases that passed are left out when the command is given
 again, as long as the code is the same, and the end of each run is a table of all of them. Numbers that a case gives to
-``record_property`` are summed up there.
+``record_property`` are summed up there; of lists of numbers it has median and 95th percentile.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import platform
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -19,6 +20,10 @@ import pytest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
+    from typing import TypeAlias
+
+    #: Of one case: a number that is summed up, or one for each of many things.
+    Figure: TypeAlias = float | list[float]
 
 REPO: Final = Path(__file__).parent.parent
 _FOLDERS: Final = ("pycram", "recorder", "replay", "resources", "demos", "tests")
@@ -30,7 +35,7 @@ def seeded(name: str, seeds: range, size: int, always: int = 1) -> Callable[[Cal
     """Make a measure of a test that takes ``seeds``, a range of them.
 
     Args:
-        name: what the table calls it.
+        name: what the table calls it; ``{parameter}`` in it stands for that of a case, for a row each.
         seeds: all of them.
         size: how many are one case; a run that is ended loses one case at most.
         always: how many cases are the slice that ``make test`` runs, at most 20 s of it.
@@ -88,14 +93,28 @@ def table(results: Iterable[dict[str, Any]]) -> Iterator[str]:
     yield f"{'measure':{width}}  cases  failed  seconds"
     for name, cases in sorted(measures.items()):
         failed = sum(result["outcome"] != _PASSED for result in cases)
-        sums: Counter[str] = Counter()
-        for result in cases:
-            sums.update(result["figures"])
-        figures = ", ".join(f"{value:g} {what}" for what, value in sums.items())
+        figures = ", ".join(_figures(result["figures"] for result in cases))
         line = (
             f"{name:{width}}  {len(cases):5}  {failed:6}  {sum(result['seconds'] for result in cases):7.0f}  {figures}"
         )
         yield line.rstrip()
+
+
+def _figures(cases: Iterable[dict[str, Figure]]) -> Iterator[str]:
+    sums: Counter[str] = Counter()
+    samples: defaultdict[str, list[float]] = defaultdict(list)
+    for figures in cases:
+        for what, value in figures.items():
+            if isinstance(value, list):
+                samples[what] += value
+            else:
+                sums[what] += value
+    yield from (f"{value:g} {what}" for what, value in sums.items())
+    for what, values in samples.items():
+        if values:
+            ranked = sorted(values)
+            middle, most = (ranked[math.ceil(share * len(ranked)) - 1] for share in (0.5, 0.95))
+            yield f"{what}: median {middle:.3g}, p95 {most:.3g}"
 
 
 class Resuming:
@@ -121,8 +140,9 @@ class Resuming:
             items[:] = [item for item in items if item not in done]
         for item in items:
             mark = item.get_closest_marker("measure")
+            name = mark.args[0].format(**item.callspec.params) if mark else item.originalname  # type: ignore[attr-defined]
             # where it is read again: also by the process that only hands tests to others
-            item.user_properties.append(("measure", mark.args[0] if mark else item.originalname))  # type: ignore[attr-defined]
+            item.user_properties.append(("measure", name))
 
     def pytest_sessionstart(self) -> None:
         """End a line that was cut off by a kill, so that the next one can be read."""
@@ -140,7 +160,7 @@ class Resuming:
             del self.running[report.nodeid]
             properties = dict(report.user_properties)
             name = properties.pop("measure")
-            figures = {what: value for what, value in properties.items() if isinstance(value, int | float)}
+            figures = {what: value for what, value in properties.items() if isinstance(value, int | float | list)}
             line = {"code": self.code, "measure": name, "case": report.nodeid, "figures": figures} | result
             self.file.parent.mkdir(exist_ok=True)
             with self.file.open("a", encoding="utf-8") as file:

@@ -22,8 +22,9 @@ from pathlib import Path
 import pytest
 from tests.measures import seeded
 
-@seeded("even numbers", range(10), 2)
-def test_even(seeds, record_property):
+@pytest.mark.parametrize("kind", ["even"])
+@seeded("{kind} numbers", range(10), 2)
+def test_even(seeds, kind, record_property):
     record_property("numbers", len(seeds))
     assert 4 not in seeds or Path("mended").exists()
 
@@ -71,6 +72,12 @@ def test_a_run_that_was_ended_goes_on(tmp_path: Path) -> None:
     fourth = run("measure or long", "-n", "2")
     assert fourth.returncode == 0, "there was nothing left to do"
     assert row(fourth, "even numbers")[:2] == ["5", "0"]
+
+
+def test_the_table_sums_numbers_up_and_ranks_lists_of_them() -> None:
+    figures = ({"solved": 3, "s": [0.1, 9.0, *[1.0] * 16]}, {"solved": 2, "s": [2.0, 0.2]}, {})
+    results = [{"measure": "paths", "outcome": "passed", "seconds": 1.0, "figures": each} for each in figures]
+    assert list(measures.table(results))[1] == "paths      3       0        3  5 solved, s: median 1, p95 2"
 
 
 def test_what_other_code_did_does_not_count(tmp_path: Path) -> None:

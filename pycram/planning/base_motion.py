@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _ROOM: Final = 3.0  # m around start and goal that a path may go
+_WIDER: Final = 9.0  # m likewise, if there is none: to the next door
 _TURN: Final = 0.5  # m for a radian of turn, as the outline of a robot moves
 _STEP: Final = 0.06  # m between poses that are checked while a path is searched
 
@@ -81,12 +82,17 @@ def base_motion(
             if touched := clearance.touched:
                 choice.reject(path.STRAIGHT, Touching(touched))
                 raise InCollision(target, turn, list(dict.fromkeys(pair.body for pair in touched)), touched)
-            room = np.array([_ROOM, _ROOM, np.pi])
-            low, high = np.minimum(begin, end) - room, np.maximum(begin, end) + room
-            space = Space(low, high, np.array([1.0, 1.0, _TURN]), _STEP)
-            query = path.Query("base", BASE_COORDINATES, space, begin, end, base_rates(robot), seed)
+            space, wider = (_space(begin, end, room) for room in (_ROOM, _WIDER))
+            query = path.Query("base", BASE_COORDINATES, space, begin, end, base_rates(robot), seed, wider)
             found = path.find(query, clearance, choice)
     return Planned(trajectory_of((), found.knots), search_record(found, clearance.checks, found.way_points))
+
+
+def _space(begin: Array, end: Array, room: float) -> Space:
+    """Return the space of x, y and yaw that is some room (m) around both ends."""
+    around = np.array([room, room, np.pi])
+    low, high = np.minimum(begin, end) - around, np.maximum(begin, end) + around
+    return Space(low, high, np.array([1.0, 1.0, _TURN]), _STEP)
 
 
 def _row(pose: Pose) -> tuple[float, float, float]:

@@ -45,6 +45,7 @@ class Query:
         goal: (d,) where it is to end.
         rates: how fast it may be.
         seed: of the search; the run's by default.
+        wider: where it is searched if no path is found in that space; None if there is no more.
     """
 
     mover: str
@@ -54,6 +55,7 @@ class Query:
     goal: Array
     rates: Rates
     seed: int | None
+    wider: Space | None = None
 
     def drawn_seed(self, attempt: int) -> int:
         """Return the seed of an attempt, 1 to 2**31: it depends on the run's seed and the query, not on others."""
@@ -88,32 +90,27 @@ class Path:
 def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
     """Return a path on which nothing is touched that isn't touched at its ends.
 
-    It keeps away from things where it can; half of the budget is for that.
+    It keeps away from things and stays near where it can; half of the budget is for that.
 
     Raises:
         NoPath: None was found within the budget.
     """
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])
-    reached = [query.start]
-    attempts = 0
-    for clearance.strict, budget in ((True, MAX_CHECKS // 2), (False, MAX_CHECKS)):
+    reached = [query.start]  # and what each search reached
+    rooms = (True, query.space, MAX_CHECKS // 2), (False, query.wider or query.space, MAX_CHECKS)
+    for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
         if touch is None:
             choice.take(STRAIGHT, checks=clearance.checks)
-            return Path(STRAIGHT, 0, attempts, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
+            return Path(STRAIGHT, 0, len(reached) - 1, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
         choice.reject(STRAIGHT, Touching([touch]))
-        for share in _STEPS:
-            attempts += 1
-            seed = query.drawn_seed(attempts)
-            found, nearest = _searched(query, clearance, share, seed, budget)
-            reached.append(nearest)
-            if found is None:
-                break
-            if clearance.free(query.space.along(found, fine)):
-                knots = _timed(query, clearance, found, fine)
-                choice.take(RRT_CONNECT, checks=clearance.checks, attempts=attempts)
-                return Path(RRT_CONNECT, seed, attempts, found, knots)
+        found = _searched(query, clearance, space, budget, reached)
+        if found is not None:
+            attempts = len(reached) - 1
+            knots = _timed(query, clearance, found, fine)
+            choice.take(RRT_CONNECT, checks=clearance.checks, attempts=attempts)
+            return Path(RRT_CONNECT, query.drawn_seed(attempts), attempts, found, knots)
     distances = query.space.distance(np.array(reached), query.goal)
     nearest = reached[int(np.argmin(distances))]
     pairs = clearance.worst(_MAX_PAIRS)
@@ -122,19 +119,25 @@ def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
     raise NoPath(query.mover, query.named(query.goal), clearance.checks, query.named(nearest), distance, pairs)
 
 
-def _searched(query: Query, clearance: Clearance, share: float, seed: int, budget: int) -> tuple[Array | None, Array]:
+def _searched(query: Query, clearance: Clearance, space: Space, budget: int, reached: list[Array]) -> Array | None:
+    """Return a path (n, d) that touches nothing, None if none was found; add what each search reached."""
     from pycram.planning import rrt_connect  # noqa: PLC0415  OMPL takes as long to load as a plan without motion runs
 
-    return rrt_connect.search(
-        query.space,
-        query.start,
-        query.goal,
-        clearance,
-        step=query.space.step * share,
-        fine=query.space.step * _FINE,
-        seed=seed,
-        max_checks=budget,
-    )
+    for share in _STEPS:
+        found, nearest = rrt_connect.search(
+            space,
+            query.start,
+            query.goal,
+            clearance,
+            step=space.step * share,
+            fine=space.step * _FINE,
+            seed=query.drawn_seed(len(reached)),
+            max_checks=budget,
+        )
+        reached.append(nearest)
+        if found is None or clearance.free(space.along(found, space.step * _FINE)):
+            return found
+    return None
 
 
 def _timed(query: Query, clearance: Clearance, path: Array, fine: float) -> Knots:

@@ -7,8 +7,12 @@ import random
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pycram.bullet_world import Object
-from pycram.planning import Planned, base_motion, joint_motion
+from pycram.planning import Planned, base_motion, joint_motion, timing
+from pycram.planning.planned import given
+from pycram.planning.rates import base_rates, joint_rates
 from pycram.reasoning.collision import checker
 from pycram.reasoning.kinematics import solver
 from recorder import geometry
@@ -16,14 +20,13 @@ from tests.pycram.motions import household
 from tests.pycram.motions.household import HOUSEHOLD, PLACES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pycram.bullet_world import BulletWorld
     from recorder.geometry import Pose
 
 KINDS = ("arm", "arm with a thing", "base")
 _CLUTTER = ("milk", "bowl", "breakfast_cereal", "cup", "bottle", "pot", "glass", "apple")
-_DEEP = 5e-3  # m
 
 
 @dataclass(frozen=True)
@@ -36,10 +39,18 @@ class Query:
     start_pose: Pose | None = None
     goal_pose: Pose | None = None
 
-    def plan(self, robot: Object) -> Planned:
+    @property
+    def ends(self) -> tuple[list[float], list[float]]:
+        """Coordinates of start and goal: joint values, or x, y and yaw of the base."""
+        if self.start_pose is None or self.goal_pose is None:
+            return list(self.start.values()), list(self.goal.values())
+        start, goal = ([*at[:2], geometry.to_rpy(turn)[2]] for at, turn in (self.start_pose, self.goal_pose))
+        return start, goal
+
+    def plan(self, robot: Object, seed: int | None = None) -> Planned:
         if self.goal_pose is not None:
-            return base_motion(robot, *self.goal_pose)
-        return joint_motion(robot, self.goal)
+            return base_motion(robot, *self.goal_pose, seed=seed)
+        return joint_motion(robot, self.goal, seed=seed)
 
 
 def scenes(robot: str) -> Iterator[BulletWorld]:
@@ -79,6 +90,13 @@ def query(world: BulletWorld, place: household.Place, seed: int) -> Query:
     start, goal = (_free_posture(robot, arm, place, dice) for _ in range(2))
     robot.set_joint_positions(start)
     return Query(kind, start, goal)
+
+
+def along(robot: Object, query: Query, way_points: Sequence[Sequence[float]]) -> Planned:
+    """Returns a motion along way points, at each of which it rests."""
+    path, joints = np.array(way_points), tuple(query.goal)
+    rates = joint_rates(robot, joints) if joints else base_rates(robot)
+    return given(joints, timing.stopping(path, rates), path)
 
 
 def end(world: BulletWorld) -> None:

@@ -66,6 +66,14 @@ def test_it_drives_around_what_is_in_the_way(robot: Object, tmp_path: Path, sink
 
 
 @pytest.mark.slow
+def test_it_drives_a_long_way_round_where_there_is_no_short_one(robot: Object, tmp_path: Path) -> None:
+    Object("wall", "environment", box(tmp_path, "wall", (0.1, 12.0, 1.0)), [1.5, 0, 0.5])
+    planned = base_motion(robot, AHEAD, UPRIGHT)
+    assert 6.0 < sideways(planned) < 9.0
+    assert deepest(robot, planned, 20) < 5e-3
+
+
+@pytest.mark.slow
 def test_arms_that_stand_out_and_what_they_hold_have_to_pass(robot: Object, tmp_path: Path) -> None:
     for side in (-1.45, 1.45):
         wall = Object(f"wall{side}", "environment", box(tmp_path, "wall", (0.2, 1.0, 2.0)), [1.5, side, 1.0])
@@ -105,7 +113,7 @@ def test_among_hundreds_of_things_the_budget_holds_and_a_drawer_in_the_way_is_na
     robot: Object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(path, "MAX_CHECKS", 1000)
-    for number in range(200):
+    for number in range(500):
         x, y = 0.2 * (number % 25) - 1.0, 2.5 + 0.2 * (number // 25)
         Object(f"thing{number}", "thing", box(tmp_path, "thing", (0.05, 0.05, 0.05)), [x, y, 0.025])
     kitchen = Object("kitchen", "environment", "kitchen.urdf")
