@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
@@ -32,6 +36,25 @@ def test_corners_may_be_repeated_and_lie_inside() -> None:
 def test_what_is_flat_has_no_hull(count: int) -> None:
     corners = np.column_stack([np.random.default_rng(0).random((count, 2)), np.full(count, 0.7)])
     assert convex_hull(corners) is None
+
+
+@pytest.mark.slow
+def test_surfaces_and_grasps_of_household_things_are_found_without_loading_scipy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYCRAM_CACHE", str(tmp_path / "cache"))
+    program = """
+import sys
+from pycram.models import load
+from pycram.models.convex_pieces import solids_of
+from pycram.models.furniture.of_model import furniture_of
+print(len(furniture_of(load.load("kitchen.urdf")).surfaces), len(solids_of(load.load("milk.stl").path).links))
+print("scipy" in sys.modules)
+"""
+    repo = Path(__file__).parents[3]
+    for loaded in (True, False):  # at first the mesh is converted
+        ended = subprocess.run([sys.executable, "-c", program], cwd=repo, capture_output=True, text=True, check=True)
+        assert ended.stdout == f"43 3\n{loaded}\n"
 
 
 def _distinct(planes: np.ndarray) -> list[list[float]]:
