@@ -105,7 +105,7 @@ def pieces(path: Path, poses: Mapping[str, Pose]) -> Sequence[Piece]:
         hull = convex_hull(placed)
         if hull is None:  # it is flat: nothing stands on it safely
             continue
-        planes = np.unique(hull.planes.round(_SAME_PLANE), axis=0)
+        planes = np.array(sorted(set(map(tuple, hull.planes.round(_SAME_PLANE).tolist()))))
         low, high = placed.min(axis=0), placed.max(axis=0)
         found.append(Piece(link, hull.corners, planes, low, high))
     return found
