@@ -21,6 +21,8 @@
 
 from typing import TYPE_CHECKING, Any
 
+import recorder  # noqa: F401  before numpy: it limits threads
+
 if TYPE_CHECKING:
     from pycram.plan_parameters import UnknownParameter, parameters
     from pycram.sweeping import sweep

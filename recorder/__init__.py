@@ -5,12 +5,17 @@ Importing this package costs nothing: the file format and the viewer are loaded 
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 from recorder.errors import RecordingError
 
 if TYPE_CHECKING:
     from recorder.recording import Recording, record
+
+# Before numpy is loaded, and unless it is set. Matrices here are small: threads save nothing on them, but spin for some
+# 20 ms after each product that they share, which took a third of the processor time of a plan that thinks.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __all__ = ["Recording", "RecordingError", "record"]
 

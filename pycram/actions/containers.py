@@ -17,11 +17,11 @@ from pycram.motions.designator import MotionDesignator
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.places import Pull, standing_places
-from pycram.reasoning.queries.polygon import convex_hull, margin
 from pycram.world import carried
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
+from recorder.geometry.polygon import convex_hull, margin
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -13,20 +13,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models import visual
-from pycram.models.lazy_module import LazyModule
+from pycram.models.convex_hull import convex_hull
 from pycram.models.warming import notable
-from recorder.packages import needed
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-    from scipy import spatial
 
     Array = NDArray[np.float64]
-else:
-    with needed():
-        spatial = LazyModule("scipy.spatial")
 
 _PLANE_DECIMALS: Final = 9  # to which triangles of one face have the same plane
 
@@ -74,10 +69,8 @@ def _planes(corners: Array) -> Array:
     box = np.column_stack(
         [np.vstack([np.eye(3), -np.eye(3)]), np.concatenate([corners.max(axis=0), -corners.min(axis=0)])]
     )
-    try:
-        hull = spatial.ConvexHull(corners).equations
-    except spatial.QhullError:  # it is flat
+    hull = convex_hull(corners)
+    if hull is None:  # it is flat
         return box
-    hull[:, 3] *= -1.0
-    planes: Array = np.unique(np.vstack([box, hull]).round(_PLANE_DECIMALS), axis=0)
+    planes: Array = np.unique(np.vstack([box, hull.planes * [1.0, 1.0, 1.0, -1.0]]).round(_PLANE_DECIMALS), axis=0)
     return planes

@@ -115,15 +115,11 @@ class Urdf:
             UrdfError: a link doesn't exist, or the tip is no descendant of the base.
         """
         self.parent_joint(base_link)
-        joints: list[Joint] = []
-        link = tip_link
-        while link != base_link:
-            joint = self.parent_joint(link)
-            if joint is None:
-                raise UrdfError(self.name, f"link {tip_link} doesn't hang on {base_link}")
-            joints.append(joint)
-            link = joint.parent
-        return tuple(reversed(joints))
+        self.parent_joint(tip_link)
+        above, below = self._above[base_link], self._above[tip_link]
+        if below[: len(above)] != above:
+            raise UrdfError(self.name, f"link {tip_link} doesn't hang on {base_link}")
+        return below[len(above) :]
 
     def forward_kinematics(self, positions: Mapping[str, float], link: str) -> Pose:
         """Pose of a link in the root link, from joint values in rad or m by name; by default 0.
@@ -193,6 +189,15 @@ class Urdf:
                 above = self.joints[leader].mimic
                 mimic = above and Mimic(above.leader, multiplier * above.multiplier, multiplier * above.offset + offset)
         return MappingProxyType(found)
+
+    @cached_property
+    def _above(self) -> dict[str, tuple[Joint, ...]]:
+        """The joints from the root to each link."""
+        above: dict[str, tuple[Joint, ...]] = {self.root: ()}
+        for link in self.links[1:]:  # parents come before their children
+            joint = self._parents[link]
+            above[link] = (*above[joint.parent], joint)
+        return above
 
     @cached_property
     def _parents(self) -> dict[str, Joint]:

@@ -7,6 +7,7 @@ is free (nearly) everywhere keeps its shape; any other is divided into rectangle
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -15,6 +16,7 @@ import numpy as np
 
 from pycram.models.furniture.pieces import vertical_extents
 from pycram.models.furniture.rectangles import divide
+from recorder.geometry import polygon
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -69,12 +71,13 @@ def faces(every: Sequence[Piece]) -> Iterator[Face]:
     Args:
         every: the pieces of the model.
     """
+    bounds = np.array([(piece.low, piece.high) for piece in every]).reshape(-1, 2, 3)
     by_link: dict[str, list[Piece]] = {}
     for piece in every:
         by_link.setdefault(piece.link, []).append(piece)
     for parts in by_link.values():
         for tops in _levels(parts):
-            yield from _faces_of(tops, every)
+            yield from _faces_of(tops, every, bounds)
 
 
 def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
@@ -93,8 +96,14 @@ def _is_level(piece: Piece) -> bool:
     return bool(piece.planes[:, 2].max() >= _LEVEL) and bool((piece.high - piece.low)[:2].min() > 0)
 
 
-def _faces_of(tops: Sequence[Piece], every: Sequence[Piece]) -> Iterator[Face]:
-    """Yield the faces that pieces of one height make."""
+def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array) -> Iterator[Face]:
+    """Yield the faces that pieces of one height make.
+
+    Args:
+        tops: the pieces.
+        every: the pieces of the model.
+        bounds: (k, 2, 3) their lowest and highest corners, m.
+    """
     height = max(float(piece.high[2]) for piece in tops)
     yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
     cosine, sine = math.cos(yaw), math.sin(yaw)
@@ -103,13 +112,12 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece]) -> Iterator[Face]:
     if (np.ptp(edges @ turn, axis=0) < SIDE).any():
         return
     hull = _hull(edges @ turn)
-    low, high = edges.min(axis=0), edges.max(axis=0)
-    above = [
-        piece
-        for piece in every
-        if piece.high[2] > height + _ROUGH and (piece.high[:2] > low).all() and (piece.low[:2] < high).all()
-    ]
-    rows, columns = (_lines([*tops, *above], turn, axis, *bounds) for axis, bounds in enumerate(_bounds(hull)))
+    if _area(hull) < AREA:
+        return
+    around = (bounds[:, 0, :2] < edges.max(axis=0)) & (bounds[:, 1, :2] > edges.min(axis=0))
+    over = around.all(axis=1) & (bounds[:, 1, 2] > height + _ROUGH)
+    above = list(itertools.compress(every, over))
+    rows, columns = _lines([*tops, *above], turn, hull)
     middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in (rows, columns)), indexing="ij"), axis=-1)
     standing, clearance = _free(tops, above, height, middles @ turn.T)
     cells = np.outer(np.diff(rows), np.diff(columns))
@@ -148,11 +156,6 @@ def _rectangles(free: NDArray[np.bool_], rows: Array, columns: Array) -> Iterato
         yield np.array([[a, c], [b, c], [b, d], [a, d]]), within
 
 
-def _bounds(corners: Array) -> list[tuple[float, float]]:
-    """Return the least and the greatest of each coordinate of corners (n, 2)."""
-    return [(float(low), float(high)) for low, high in zip(corners.min(axis=0), corners.max(axis=0), strict=True)]
-
-
 def _yaw(piece: Piece) -> float:
     """Return the direction of the sides of a piece: that of the grid, from -45 to 45 degrees in rad."""
     x, y = piece.planes[np.abs(piece.planes[:, 2]) < _ALONG, :2].T
@@ -164,37 +167,39 @@ def _yaw(piece: Piece) -> float:
     return float(nearest) if abs(nearest) > _ALONG else 0.0
 
 
-def _lines(parts: Sequence[Piece], turn: Array, axis: int, low: float, high: float) -> Array:
+def _lines(parts: Sequence[Piece], turn: Array, hull: Array) -> list[Array]:
+    """Return the lines of the grid over a hull along both axes, m."""
+    corners = np.concatenate([piece.corners for piece in parts])[:, :2] @ turn
+    normals = np.abs(np.concatenate([piece.planes for piece in parts])[:, :2] @ turn)
+    fine = bool(((normals > _ALONG) & (normals < 1 - _ALONG)).any())
+    bounds = zip(hull.min(axis=0).tolist(), hull.max(axis=0).tolist(), strict=True)
+    return [_between(own, *ends, fine=fine) for own, ends in zip(corners.T, bounds, strict=True)]
+
+
+def _between(edges: Array, low: float, high: float, *, fine: bool) -> Array:
     """Return the lines of the grid along an axis, between two of them, m."""
-    fine = False
-    edges = [np.array([low, high])]
-    for piece in parts:
-        own = piece.corners[:, :2] @ turn[:, axis]
-        edges.append(own)
-        normals = np.abs(piece.planes[:, :2] @ turn)
-        fine |= bool(((normals > _ALONG) & (normals < 1 - _ALONG)).any())
-    at = np.unique(np.concatenate(edges))
-    at = at[(at >= low) & (at <= high)]
-    kept: Array = at[np.concatenate([[True], np.diff(at) > _GAP])]
-    kept[-1] = high
+    at = _apart(np.array([low, high, *edges[(edges >= low) & (edges <= high)]]))
+    at[-1] = high
     if not fine:
-        return kept
+        return at
     regular = np.linspace(low, high, max(int((high - low) / _FINE), 1) + 1)
-    if len(kept) >= len(regular):
-        return regular
-    both = np.unique(np.concatenate([kept, regular]))
-    thinned: Array = both[np.concatenate([[True], np.diff(both) > _GAP])]
-    return thinned
+    return regular if len(at) >= len(regular) else _apart(np.concatenate([at, regular]))
+
+
+def _apart(values: Array) -> Array:
+    """Return values in order, without those that are hardly greater than the one before."""
+    ordered = np.unique(values)
+    kept: Array = ordered[np.concatenate([[True], np.diff(ordered) > _GAP])]
+    return kept
 
 
 def _hull(corners: Array) -> Array:
     """Return the corners of the convex hull of points (n, 2), counter-clockwise."""
-    from scipy.spatial import ConvexHull  # noqa: PLC0415  see pieces.py
-
-    hull: Array = corners[ConvexHull(corners).vertices]
+    rounded = polygon.convex_hull(corners)
+    hull: Array = corners[[np.abs(corners - corner).sum(axis=1).argmin() for corner in rounded]]
     return hull
 
 
-def _area(polygon: Array) -> float:
-    x, y = polygon.T
-    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
+def _area(outline: Array) -> float:
+    x, y = outline.T
+    return float(abs(x[:-1] @ y[1:] - y[:-1] @ x[1:] + x[-1] * y[0] - y[-1] * x[0]) / 2)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.furniture.faces import Face, faces
+from pycram.models.furniture.faces import AREA, Face, faces
 from pycram.models.furniture.naming import distinct, readable
 from pycram.models.furniture.pieces import first_met, pieces
 from pycram.models.surfaces import (
@@ -27,6 +27,7 @@ from pycram.models.surfaces import (
     closed_position,
     open_position,
 )
+from pycram.models.visual import piece_bounds
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pycram.models.furniture.pieces import Piece
+    from pycram.models.visual import Ends
     from recorder.geometry import Pose
     from recorder.geometry.joints import Joint
     from recorder.geometry.urdf import Urdf
@@ -64,12 +66,23 @@ def find(path: Path, urdf: Urdf) -> Furniture:
     """
     closed = {name: closed_position(urdf.joints[name]) for name in urdf.movable}
     poses = urdf.link_poses(closed)
-    every = pieces(path, poses)
-    if not every:
-        return Furniture()
-    floor = min(float(piece.low[2]) for piece in every)
+    every = pieces(path, poses) if _is_wide(path, poses) else []
+    floor = min((float(piece.low[2]) for piece in every), default=0.0)
     offered = [face for face in faces(every) if _is_usable(face, floor, every)]
     return _Search(urdf, poses, every, offered).furniture()
+
+
+def _is_wide(path: Path, poses: Mapping[str, Pose]) -> bool:
+    """Whether a link is wide enough to have a face; most things aren't that robots carry."""
+    boxes: dict[str, list[Ends]] = {}
+    for link, ends in piece_bounds(path):
+        boxes.setdefault(link, []).append(ends)
+    for link, each in boxes.items():
+        low, high = np.array(each).transpose(1, 2, 0)
+        width, depth, _ = np.abs(geometry.to_matrix(poses[link][1])) @ (high.max(axis=1) - low.min(axis=1))
+        if width * depth >= AREA:
+            return True
+    return False
 
 
 def _is_usable(face: Face, floor: float, every: Sequence[Piece]) -> bool:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.models.convex_hull import convex_hull
 from pycram.models.visual import pieces_of
 from recorder import geometry
 
@@ -97,17 +98,14 @@ def pieces(path: Path, poses: Mapping[str, Pose]) -> Sequence[Piece]:
         path: the URDF.
         poses: of its links in the root link.
     """
-    from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415  takes long, and few plans ask for furniture
-
     found = []
     for link, corners in pieces_of(path):
         position, orientation = poses[link]
         placed = corners @ geometry.to_matrix(orientation).T + position
-        try:
-            hull = ConvexHull(placed)
-        except QhullError:  # it is flat: nothing stands on it safely
+        hull = convex_hull(placed)
+        if hull is None:  # it is flat: nothing stands on it safely
             continue
-        planes = np.unique(hull.equations.round(_SAME_PLANE), axis=0)
+        planes = np.array(sorted(set(map(tuple, hull.planes.round(_SAME_PLANE).tolist()))))
         low, high = placed.min(axis=0), placed.max(axis=0)
-        found.append(Piece(link, placed[hull.vertices], planes, low, high))
+        found.append(Piece(link, hull.corners, planes, low, high))
     return found

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.foundation.collision_pair import CollisionPair
-from pycram.models.visual import shapes_of
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.simulation_clone import clone_of
@@ -201,8 +200,6 @@ class _Search:
         self._kept = kept
         self._links = set(carried.moved_links(robot.urdf, arm.joints))
         self._hand = checker.links_beyond(arm.joints)
-        solid = shapes_of(handle.container.model.path, "collision").links
-        self._moved = [link for link in carried.moved_links(handle.container.urdf, [handle.joint]) if link in solid]
 
     def _base_lifted(self, torso: str, height: float) -> Pose:
         """Return where the base would stand if the arm came there by the base, with the torso as it is."""
@@ -360,7 +357,7 @@ class _Search:
     def _moving_along(self, value: float) -> Iterator[tuple[str, str, Body, Pose]]:
         """Yield name, link, copy and pose of what the joint moves when it is at a value: links and what they carry."""
         container = self._handle.container
-        for link in self._moved:
+        for link in self._handle.moved:
             yield container.name, link, self._clone.link(container, link), self._handle.pose(value, link)
         for body, (link, pose) in self._handle.contents.items():
             at = geometry.multiply(self._handle.pose(value, link), pose)

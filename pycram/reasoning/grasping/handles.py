@@ -87,6 +87,12 @@ class Handle:
         return self._poses[key]
 
     @cached_property
+    def moved(self) -> Sequence[str]:
+        """The links with shapes that the joint moves."""
+        solid = shapes_of(self.container.model.path, "collision").links
+        return [link for link in carried.moved_links(self.container.urdf, [self.joint]) if link in solid]
+
+    @cached_property
     def contents(self) -> Mapping[Object, tuple[str, Pose]]:
         """What lies in or on what the joint moves, and moves along: the link that carries each, and its pose there."""
         carrying = carried.supported_bodies(self.container, carried.moved_links(self.container.urdf, [self.joint]))

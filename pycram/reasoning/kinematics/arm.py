@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 THRESHOLD: Final = 1e-3  # m between tool and target that count as reached (thesis 4.4.5)
 _TURN_THRESHOLD: Final = math.radians(2)  # between orientations that count as the same
 _BATCHES: Final = (4, 28)  # starting postures: a few first, as most targets are easy
-_CHUNK: Final = 16  # targets that are solved at once
+_CHUNK: Final = 32  # targets that are solved at once
 _MAX_COMPARED: Final = 60  # misses of the closed form
 _MAX_STARTS: Final = 6  # misses of the closed form that are searched from
 _DIFFERENT: Final = 0.35  # rad or m in some joint between postures that count as two

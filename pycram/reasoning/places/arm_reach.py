@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _POSTURES: Final = 60_000
+_PARTS: Final = 30  # of them, one after the other: so many as a processor's cache holds
 _LEVEL: Final = math.sin(math.radians(30))  # of the tool's axis along the vertical
 _DOWN: Final = -math.cos(math.radians(30))
 _CELL: Final = 0.08  # m of distance and height
@@ -49,7 +50,7 @@ class ArmReach:
         random = np.random.default_rng(0)
         postures = chain.lower + random.random((_POSTURES, len(arm.joints))) * (chain.upper - chain.lower)
         base_T_root = geometry.pose_matrix(urdf.forward_kinematics({}, arm.base_link))
-        tools = chain.poses(postures)
+        tools = np.concatenate([chain.poses(some) for some in np.array_split(postures, _PARTS)])
         turns = base_T_root[:3, :3] @ tools[:, :3, :3]
         points = tools[:, :3, 3] @ base_T_root[:3, :3].T
         across = turns[:, 2, 0]

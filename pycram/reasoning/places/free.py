@@ -24,11 +24,11 @@ from pycram.reasoning.places.constraints import ConstraintCounts
 from pycram.reasoning.places.grid import Grid, generator, spread
 from pycram.reasoning.places.place import Place, PutDown
 from pycram.reasoning.places.surface_maps import EDGE, FINGERS, SearchedSurface, SurfaceMaps
-from pycram.reasoning.queries import polygon
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
 from pycram.scheduling.future import unwrap
 from recorder import geometry
+from recorder.geometry import polygon
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.models.robots.description import Arm
-    from pycram.reasoning.queries.polygon import Polygon
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
+    from recorder.geometry.polygon import Polygon
 
     Array = NDArray[np.float64]
 

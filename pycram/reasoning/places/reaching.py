@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from pycram.foundation import checks
+from pycram.foundation.collision_pair import CollisionPair
 from pycram.foundation.failures import BadArgument, Blocked, GraspFailed, PlaceFailed, PlanFailure, Unreachable
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
+from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import sides
@@ -24,6 +26,7 @@ from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.places.place import Pull, PutDown
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unfit
+from pycram.world import carried
 from pycram.world.object import Object
 from recorder import geometry
 
@@ -257,6 +260,27 @@ class Pulling:
         grip = handle.grips(self._robot, arm.gripper, base)[0]
         values = target.container.get_joint_position(target.joint), target.to
         return [[geometry.multiply(handle.pose(value), grip.tool(angle)) for angle in ANGLES[::2]] for value in values]
+
+    def struck(self, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[Touching | None]:
+        """Return what of the robot, but of these arms, is where the drawer or door ends, with its base at poses."""
+        robot, container, handle = self._robot, self._target.container, self._handle()
+        clone = clone_of(robot.world, "reach")
+        moving = set(carried.moved_links(robot.urdf, [joint for arm in arms for joint in arm.joints]))
+        found: list[Touching | None] = []
+        with CollisionChecker(robot, (), all_links=True) as tried:
+            parts = [(link, clone.link(container, link)) for link in handle.moved]
+            for link, part in parts:
+                clone.engine.set_pose(part, handle.pose(self._target.to, link))
+            for candidate in tried.predict_at(bases):
+                pairs = [
+                    CollisionPair(robot.name, touch.link_a, container.name, link, -touch.distance)
+                    for link, part in parts
+                    for touch in tried.closest_points(candidate, part)
+                    if touch.distance <= -DEPTH and touch.link_a not in moving
+                ]
+                found.append(Touching(pairs) if pairs else None)
+        clone.invalidate(container.name)
+        return found
 
     def _handle(self) -> Handle:
         """Return the handle, with the furniture as it is now."""

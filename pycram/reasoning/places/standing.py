@@ -233,13 +233,20 @@ class _Search:
     def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
         """Return which constraint excludes each place at first sight, of all at once; None for those that may do."""
         found = self._collisions(spots)
-        for goal in self._goals:
+        for goal, look in itertools.product(self._goals, (self._struck, self._out_of_reach)):
             left = [number for number, excluded in enumerate(found) if excluded is None]
-            bases = [spots[number].pose for number in left]
-            for number, promises in zip(left, reaching.promising(self._robot, goal, self._arms, bases), strict=True):
-                if not promises:
-                    found[number] = f"reach {goal.named()}", OutOfReach(None)
+            for number, reason in zip(left, look(goal, [spots[each].pose for each in left]), strict=True):
+                if reason is not None:
+                    found[number] = f"reach {goal.named()}", reason
         return found
+
+    def _struck(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
+        """Return for each place what a drawer or door would hit there, where that is what is to be reached."""
+        return goal.struck(self._arms, bases) if isinstance(goal, reaching.Pulling) else [None] * len(bases)
+
+    def _out_of_reach(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
+        promises = reaching.promising(self._robot, goal, self._arms, bases)
+        return [None if promising else OutOfReach(None) for promising in promises]
 
     def _collisions(self, spots: Sequence[Spot]) -> list[tuple[str, Rejection] | None]:
         """Return for each place what the robot would touch there; None for nothing, and where it stands."""

@@ -20,8 +20,8 @@ from pycram.reasoning.places import maps, reaching
 from pycram.reasoning.places.arm_reach import arm_reach
 from pycram.reasoning.places.grid import Grid
 from pycram.reasoning.places.outline import room
-from pycram.reasoning.queries import polygon
 from recorder import geometry
+from recorder.geometry import polygon
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.models.surfaces import Surface
     from pycram.reasoning.collision.boxes import Boxes
-    from pycram.reasoning.queries.polygon import Polygon
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
+    from recorder.geometry.polygon import Polygon
 
     Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models.visual import shapes_of
-from pycram.reasoning.queries import polygon
 from recorder import geometry
+from recorder.geometry import polygon
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

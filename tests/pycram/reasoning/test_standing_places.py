@@ -16,9 +16,10 @@ from pycram.failures import BadArgument, MissingPart, NoPlace, UnknownName
 from pycram.process_module import ProcessModule
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
+from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import choice, fingers
 from pycram.reasoning.grasping.taking import ways_to_hold
-from pycram.reasoning.places import Pull, free_places, standing_places
+from pycram.reasoning.places import Pull, free_places, reaching, standing_places
 from pycram.world.snapshot import take_snapshot
 from recorder import geometry
 from recorder.records import Query, argument_values
@@ -130,6 +131,23 @@ def test_from_a_place_that_is_offered_a_drawer_is_opened(scene: BulletWorld) -> 
         distance=0.3,
     )
     assert kitchen.get_joint_position(drawer.joint) == pytest.approx(0.3, abs=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sink left bottom drawer", "oven right drawer", "fridge"])
+def test_what_a_drawer_or_door_is_said_to_strike_at_first_sight_no_arm_opens_from_there(
+    scene: BulletWorld, name: str
+) -> None:
+    robot, kitchen = scene.robot, scene.get_object("kitchen")
+    opened = kitchen.container(name)
+    goal = reaching.Pulling(robot, Pull(kitchen, opened.joint, opened.handle, opened.open))
+    arms = list(robot.description.arms.values())
+    x, y, _ = goal.position
+    bases = [((x + dx - 1.2, y + dy - 1.0, 0.0), turn) for (dx, dy, _), turn in random_bases(25, 3)]
+    clone_of(scene, "reach").sync()
+    struck = [base for base, touching in zip(bases, goal.struck(arms, bases), strict=True) if touching is not None]
+    assert not any(isinstance(goal.reached(arm, base), str) for base in struck for arm in arms)
+    assert 3 <= len(struck) < len(bases)
 
 
 @pytest.mark.slow
