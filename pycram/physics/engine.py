@@ -447,14 +447,14 @@ class Engine:
         """End the client; a second call does nothing."""
         if self._client >= 0:
             client, self._client = self._client, -1
-            if bullet.isConnected(client):
+            if bullet.isConnected(physicsClientId=client):
                 with silenced(1) if self._window else nullcontext():
-                    bullet.disconnect(client)
+                    bullet.disconnect(physicsClientId=client)
 
     @property
     def connected(self) -> bool:
         """Whether the client is connected; a window may have been closed by hand."""
-        return self._client >= 0 and bool(bullet.isConnected(self._client))
+        return self._client >= 0 and bool(bullet.isConnected(physicsClientId=self._client))
 
     def pump(self) -> None:
         """Let a window handle its events."""

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.models import store, warming
+from pycram.physics.head_start import HeadStart
 from pycram.projection.child import usable_cores
 from pycram.projection.limited import Several
 from pycram.sweeping.one_run import Outcome, hooks, run_once
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from pycram.sweeping.one_run import Spec
 
 _ATTEMPTS: Final = 2
+_COMPARED: Final = 2  # runs, to see in what they begin alike
 
 
 class _Job(NamedTuple):
@@ -57,7 +59,8 @@ class Local:
         self._spec = spec
         self._several: Several[_Job] = Several(cores or usable_cores(), spec.limit)
         self._models = SharedModels.of(Path(spec.folder) / models) if models else None
-        self._warm = False
+        self._calls: list[str] = []  # of runs, as they have noted them
+        self._start: HeadStart | None = None
         store.folder()  # all share it
         hooks()
         versions()
@@ -69,7 +72,9 @@ class Local:
         return None if self._models is None else {"file": self._models.file, "sha256": self._models.sha256}
 
     def close(self) -> None:
-        """Do nothing: no run goes on when the iteration over them has ended."""
+        """End the head start of runs; none of them goes on when the iteration over them has ended."""
+        if self._start is not None:
+            self._start.close()
 
     def run(self, numbers: Iterable[int]) -> Generator[Outcome, None, None]:
         """Make runs; yield their outcomes as they end. None goes on when the iteration has ended."""
@@ -90,8 +95,8 @@ class Local:
 
     def _answer_of(self, job: _Job) -> Callable[[], bytes]:
         began = time.monotonic()  # of its time limit, which a process can't begin later than it counts
-        noting = not self._warm
-        return partial(run_once, self._spec, job.number, job.attempt, self._models, began, noting=noting, lost=job.lost)
+        start = self._start
+        return partial(run_once, self._spec, job.number, job.attempt, self._models, began, start=start, lost=job.lost)
 
     def _again(self, job: _Job, process: LimitedChild) -> _Job | None:
         """Return what is to be done about a run that hasn't ended by itself; None if it has, or nothing can be."""
@@ -118,9 +123,17 @@ class Local:
             return Outcome(job.number, self._spec.name(job.number), succeeded=False, unrecorded=process.how)
         answer = json.loads(process.child.received)
         outcome = Outcome(**answer["outcome"])
-        if answer["notes"] is not None and not self._warm:
-            warming.warm(answer["notes"])
-            self._warm = True
+        if answer["noted"] is not None and self._start is None:
+            self._prepare(*answer["noted"])
         if self._models is None and not outcome.unrecorded:
             self._models = share_models(Path(self._spec.folder) / outcome.name)
         return outcome
+
+    def _prepare(self, notes: str, calls: str) -> None:
+        """Do what runs had better find done."""
+        if not self._calls:
+            warming.warm(notes)
+        self._calls.append(calls)
+        if len(self._calls) == _COMPARED:
+            self._start = HeadStart(*self._calls)
+            self._calls.clear()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from contextlib import ExitStack, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib.metadata import entry_points
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram import running
 from pycram.failures import PlanFailure
 from pycram.models import warming
+from pycram.physics import head_start
 from pycram.projection.child import limit_memory
 from pycram.seeding import MAX_SEED
 from pycram.sweeping.folder import name_of
@@ -27,8 +28,9 @@ from recorder.records import Query, Run, Task, format_failure
 from recorder.tracing.journal import NullSink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
+    from pycram.physics.head_start import HeadStart
     from recorder.mcap.shared_models import SharedModels
     from recorder.records import Record
     from recorder.tracing.journal import Sink
@@ -138,7 +140,7 @@ def run_once(
     models: SharedModels | None,
     began: float,
     *,
-    noting: bool = False,
+    start: HeadStart | None = None,
     lost: str = "",
 ) -> bytes:
     """Run the plan once, in a child of the sweep; return the outcome, and what the next runs had better find done.
@@ -149,7 +151,7 @@ def run_once(
         attempt: Which one it is, from 1.
         models: Files that the recording refers to.
         began: When that was, by the system's monotonic clock, in s.
-        noting: Whether the next runs could still find something done.
+        start: What the engine has done already; None if what would be good to have done is to be noted.
         lost: Why the run's process ended each time; then only that is recorded.
     """
     process, plan, part = os.getpid(), Path(spec.plan), spec.part(number)
@@ -178,8 +180,8 @@ def run_once(
         sinks[0].path = Path(spec.folder) / spec.name(number)  # beside which projections are recorded
         return sinks[0]
 
-    with redirected(sink_of), ExitStack() as within:
-        notes = within.enter_context(warming.noted()) if noting and not lost else None
+    prepared = nullcontext() if lost else _noted() if start is None else start.taken()
+    with redirected(sink_of), prepared as noted:
         if lost:
             _record_loss(spec, values, seed, lost)
         else:
@@ -198,7 +200,7 @@ def run_once(
     if sink is None or sink.lost or sink.end is None:
         part.unlink(missing_ok=True)
         why = "".join(refused) if sink is None else sink.lost
-        return _answer(Outcome(number, name, succeeded=False, unrecorded=why or "its end is missing"), None)
+        return _answer(Outcome(number, name, succeeded=False, unrecorded=why or "its end is missing"))
     path = part.replace(Path(spec.folder) / name)
     failure = "" if sink.end.succeeded else format_failure(sink.end.failure)
     remark = _call_hooks(path)
@@ -212,7 +214,7 @@ def run_once(
         lost=bool(lost),
         remark=remark,
     )
-    return _answer(outcome, notes)
+    return _answer(outcome, noted)
 
 
 def _record_loss(spec: Spec, values: Mapping[str, Any], seed: int, cause: str) -> None:
@@ -233,8 +235,14 @@ def _record_loss(spec: Spec, values: Mapping[str, Any], seed: int, cause: str) -
         raise RunLost(cause)
 
 
-def _answer(outcome: Outcome, notes: warming.Notes | None) -> bytes:
-    return json.dumps({"outcome": asdict(outcome), "notes": None if notes is None else notes.text()}).encode()
+@contextmanager
+def _noted() -> Iterator[tuple[warming.Notes, head_start.Notes]]:
+    with warming.noted() as notes, head_start.noted() as calls:
+        yield notes, calls
+
+
+def _answer(outcome: Outcome, noted: tuple[warming.Notes, head_start.Notes] | None = None) -> bytes:
+    return json.dumps({"outcome": asdict(outcome), "noted": noted and [each.text() for each in noted]}).encode()
 
 
 @cache
