@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,6 +51,7 @@ def main(
         changes: the fields of what was changed after its steps, where the recorded run is a fork.
         moved: the folder that the plan's recorded source was written to, and the one that it came from.
     """
+    gc.freeze()  # to collect garbage is to write to all that is looked through: copies would no longer share it
     os.setsid()  # Ctrl-C at the prompt isn't the plan's
     die_with(parent)
     clock = StandingClock()
