@@ -9,7 +9,6 @@ import shlex
 import subprocess
 import sys
 import threading
-import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from recorder import Recording
 
 _PAGE = "serve"  # of --rerun
+_MOST = 1000  # frames of an error, and errors in a chain, that are printed
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
@@ -117,6 +117,7 @@ def _report(error: BaseException) -> int:
     """Print how a plan ended, and return the exit code."""
     from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
     from recorder.records import format_error  # noqa: PLC0415  heavy
+    from recorder.records.traceback_text import format_traceback  # noqa: PLC0415  heavy
 
     match error:
         case RecordingError() | NotInstalled():
@@ -133,7 +134,7 @@ def _report(error: BaseException) -> int:
         case KeyboardInterrupt():
             tell("\npycram: interrupted")
             return INTERRUPTED
-    tell("".join(traceback.format_exception(error)).rstrip())
+    tell(format_traceback(error, frames=_MOST, errors=_MOST).rstrip())
     kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
     how = "failed" if isinstance(error, PlanFailure) else kind
     tell(f"\npycram: the plan {how}: {format_error(error)}")

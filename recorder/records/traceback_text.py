@@ -21,6 +21,7 @@ MAX_ERRORS: Final = 16
 """The first and last errors in a text; a longer chain of causes is that of nested tasks, which have the others."""
 
 _FIRST: Final = 4  # of those: the causes of all
+_FEW: Final = 64  # errors in each other, or that led to one, that Python looks at all to print one of them
 _REPEATED: Final = 3  # times that Python prints the same line; then it counts
 _MAX_CACHED: Final = 4096  # texts of frames
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
@@ -51,10 +52,10 @@ def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: 
 
 
 def _chain(error: BaseException) -> list[tuple[str, BaseException]]:
-    """An error after those that led to it, each with how it came of the one before; a group's stand in its text."""
+    """An error after those that led to it, each with how it came of the one before; a small group has its own."""
     chain: list[tuple[str, BaseException]] = []
     seen = {id(error)}
-    while not isinstance(error, BaseExceptionGroup):
+    while not _is_small_group(error):
         cause, context = error.__cause__, error.__context__
         if cause is not None and id(cause) not in seen:
             link, earlier = _CAUSE, cause
@@ -72,10 +73,26 @@ def _chain(error: BaseException) -> list[tuple[str, BaseException]]:
 def _part(error: BaseException, frames: int) -> str:
     """One error: its frames, its type and message."""
     innermost = _innermost(error.__traceback__, frames)
-    if isinstance(error, BaseExceptionGroup):
+    if _is_small_group(error):
         return "".join(traceback.format_exception(type(error), error, innermost, limit=-frames))
     title = "" if innermost is None else "Traceback (most recent call last):\n"
     return "".join((title, *_stack(innermost), *_message(error)))
+
+
+def _is_small_group(error: BaseException) -> bool:
+    """Whether it is a group that Python prints with its members; another is printed as if it had none."""
+    return isinstance(error, BaseExceptionGroup) and _are_few(error)
+
+
+def _are_few(error: BaseException) -> bool:
+    """Whether Python would look at few errors to print one: for groups in each other it takes the square of them."""
+    errors = [error]
+    for each in errors:
+        members = each.exceptions if isinstance(each, BaseExceptionGroup) else ()
+        errors += [other for other in (each.__cause__, each.__context__, *members) if other is not None]
+        if len(errors) > _FEW:
+            return False
+    return True
 
 
 def _innermost(trace: TracebackType | None, frames: int) -> TracebackType | None:
@@ -123,13 +140,13 @@ def _frame(entry: TracebackType) -> str:
 def _message(error: BaseException) -> Iterator[str]:
     """An error's type and message, and its notes."""
     kind, notes = type(error), getattr(error, "__notes__", None)
-    if isinstance(error, _SPECIAL) or not isinstance(notes, list | None):
+    if (isinstance(error, _SPECIAL) or not isinstance(notes, list | None)) and _are_few(error):
         yield from TracebackException(kind, error, error.__traceback__, limit=0).format_exception_only()
         return
     module = "" if kind.__module__ in {"builtins", "__main__"} else f"{kind.__module__}."
     name, text = f"{module}{kind.__qualname__}", _text(error, "exception")
     yield f"{name}: {text}\n" if text else f"{name}\n"
-    for note in notes or ():
+    for note in notes if isinstance(notes, list) else ():
         yield from (f"{line}\n" for line in _text(note, "note").split("\n"))
 
 

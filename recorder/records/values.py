@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MAX_NESTING: Final = 100
 """Levels of lists and dictionaries in each other, in a recorded value; what is deeper is recorded as its text."""
+MAX_CHARACTERS: Final = 8 << 20
+"""Of a value; a longer one isn't recorded, as readers take a record of many MiB for damaged."""
 MAX_DIGITS: Final = 300
 """Of a whole number, which a float still holds then; what has longer ones is recorded as its text."""
 _BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')  # a text that has no end takes all
@@ -86,10 +88,12 @@ def to_json(value: object) -> str:
     """Any value as one line of JSON; floats keep all their bits.
 
     Arrays become lists, recordable objects what their ``__record__`` returns, anything unknown ``{"repr": ...}``, and
-    what raises errors ``{"untold": type, "because": ...}``: recording never breaks a plan.
+    what raises errors or is too long ``{"untold": type, "because": ...}``: recording never breaks a plan.
     """
     try:
         text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
+        if len(text) > MAX_CHARACTERS:
+            raise ValueError(f"it has {len(text)} characters")  # noqa: TRY301  told as any other
         text.encode()  # a lone surrogate can't be
     except UnicodeEncodeError:
         return json.dumps(_plain(value), separators=(",", ":"))

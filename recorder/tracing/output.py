@@ -168,10 +168,11 @@ class RecordedStream:
             self._record(line, origin)
         if lines and rest:
             origin = _Origin.here()
-        while len(rest := _visible(rest)) > MAX_CHARACTERS:
-            self._record(rest[:MAX_CHARACTERS], origin)
-            rest = rest[MAX_CHARACTERS:]
-        if rest:
+        rest = _visible(rest)
+        whole = max(0, len(rest) - 1) // MAX_CHARACTERS * MAX_CHARACTERS
+        if whole:
+            self._record(rest[:whole], origin)
+        if rest := _visible(rest[whole:]):
             self._begun[key] = rest, origin
 
     def _record(self, line: str, origin: _Origin) -> None:

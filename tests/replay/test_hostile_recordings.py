@@ -28,7 +28,7 @@ from pycram.models import store
 from recorder.mcap.writer import FREE, MAX_RATIO, McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, BodyState, Grid, Keyframe, Mutation, Picture, Query, Run, Task
-from recorder.records.values import MAX_DIGITS, MAX_NESTING
+from recorder.records.values import MAX_CHARACTERS, MAX_DIGITS, MAX_NESTING
 from recorder.viewer.query_picture import MAX_PIXELS
 from replay.cli.main import main
 from replay.explain.task_tree import MAX_DEPTH
@@ -672,6 +672,7 @@ def test_the_bounds_are_those_of_the_page() -> None:
         f"{MAX_DEPTH:,} |",
         f"2^{MAX_PIXELS.bit_length() - 1}",
         f"more than {MAX_DIGITS} digits",
+        f"more than 2^{MAX_CHARACTERS.bit_length() - 1} characters",
         f"more than {MAX_NESTING} deep",
     ):
         assert bound in page

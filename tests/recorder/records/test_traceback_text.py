@@ -197,6 +197,16 @@ def others(left: int) -> None:
         raise PlanFailure(f"level {left}") from error
 
 
+def groups(left: int) -> None:
+    if not left:
+        fails()
+    try:
+        with seq:
+            groups(left - 1)
+    except Exception as error:
+        raise ExceptionGroup(f"level {left}", [error]) from error
+
+
 @pytest.mark.parametrize(("nested", "tasks"), [(sequences, 40), (branches, 120), (others, 40)])
 def test_frames_are_formatted_once_however_many_blocks_an_error_comes_through(
     nested: Callable[[int], None], tasks: int, sink: MemorySink, monkeypatch: pytest.MonkeyPatch
@@ -216,6 +226,26 @@ def test_frames_are_formatted_once_however_many_blocks_an_error_comes_through(
     assert len(ended) == tasks
     assert all("in fails" in text for text in ended)
     assert formatted < 40
+
+
+def test_groups_in_each_other_are_formatted_as_far_as_there_are_few(
+    sink: MemorySink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked_at = 0
+    of_python = traceback.TracebackException.__init__
+
+    def counted(self: traceback.TracebackException, *arguments: object, **options: object) -> None:
+        nonlocal looked_at
+        looked_at += 1
+        of_python(self, *arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(traceback.TracebackException, "__init__", counted)
+    with pytest.raises(ExceptionGroup):
+        groups(60)
+    ended = [task.failure for task in sink.of(Task) if task.phase == Task.FINISHED]
+    assert all("in fails" in failure.traceback for failure in ended)
+    assert "ExceptionGroup: level 59 (1 sub-exception)" in ended[-1].traceback
+    assert looked_at < 60 * 64
 
 
 def test_tracebacks_of_blocks_that_fail_in_each_other_take_a_bounded_place(sink: MemorySink) -> None:

@@ -13,6 +13,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import JointLimitError
 from recorder.records import arguments, failure, to_json
 from recorder.records.traceback_text import MAX_FRAMES
+from recorder.records.values import MAX_CHARACTERS
 
 scalars = st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False)
 values = st.recursive(
@@ -70,6 +71,12 @@ def test_values_that_raise_errors_are_recorded_all_the_same() -> None:
     assert "generator" in json.loads(to_json(x for x in "ab"))["repr"]
     assert json.loads(to_json("a\ud800")) == "a\ud800"
     to_json("a\ud800").encode()
+
+
+def test_a_value_that_would_make_a_record_unreadable_is_left_out() -> None:
+    assert json.loads(to_json("x" * (MAX_CHARACTERS - 2))) == "x" * (MAX_CHARACTERS - 2)
+    text = "ä" * (MAX_CHARACTERS - 1)
+    assert json.loads(to_json(text)) == {"untold": "str", "because": f"ValueError: it has {len(text) + 2} characters"}
 
 
 def test_a_failure_holds_type_data_and_traceback() -> None:
