@@ -261,6 +261,23 @@ def test_an_expression_that_ends_its_process_ends_not_the_plan(plan_log: Path, d
     assert value == "3\n"
 
 
+def test_the_future_of_a_branch_that_runs_is_shown_and_not_waited_for(tmp_path: Path, debug: Debug) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text("""from pycram.fluent import Fluent
+from pycram.language import par
+level = Fluent(None, "level")
+with par as s:
+    waits = s(level.wait_for)
+    s(level.set_value, 1)
+""")
+    log = record(file)
+    with replay.open(log) as recording:
+        begins = next(each.seq for each in recording.records(Task) if each.kind == "branch")
+    _, local, waited = debug(log, "locals", "p waits.result()", step=str(begins))
+    assert "waits = <result of Branch(" in local
+    assert waited.startswith("*** DeadlockedBranches: ")
+
+
 SHARED = {
     "a file that is read bit by bit": """
 with open(__file__.replace("plan.py", "way.txt")) as way:
