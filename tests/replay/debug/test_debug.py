@@ -399,14 +399,15 @@ def test_a_breakpoint_in_one_of_several_files_of_a_name_is_in_the_named_one(tmp_
 @pytest.mark.costly
 def test_a_failed_run_is_debugged_at_once(tmp_path: Path) -> None:
     plan = tmp_path / "fails.py"
-    plan.write_text("def f(reason):\n    raise ValueError(reason)\nf('so')\n")
+    plan.write_text("import sys\ndef f(reason):\n    raise ValueError(reason)\nf(sys.argv[2])\n")
     command = [sys.executable, "-m", "pycram", "run", plan, "--log", tmp_path / "x.mcap", "--debug-on-failure"]
+    command += ["--", "--secret", "so"]  # which the recording lacks
     ended = subprocess.run(
         command, input="args\nup\n", capture_output=True, text=True, check=False, timeout=120, cwd=tmp_path
     )
     assert ended.returncode == 1
     assert "(debug) args\nreason = 'so'\n" in ended.stdout
-    assert "> fails.py(3)<module>()" in ended.stdout
+    assert "> fails.py(4)<module>()" in ended.stdout
 
 
 def test_what_can_t_be_is_told_before_it_is_tried(
