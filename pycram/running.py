@@ -109,7 +109,7 @@ def run(
         if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
         if debug and code == FAILED:
-            _debug(recording.path)
+            _debug(recording.path, arguments)
     return code
 
 
@@ -166,9 +166,10 @@ def _keep_page(recording: Recording) -> None:
         recording.viewer.wait()
 
 
-def _debug(log: Path) -> None:
+def _debug(log: Path, arguments: Sequence[str]) -> None:
     """Open the debugger, which runs the plan again to its failure: it is above all that runs plans."""
-    subprocess.run([sys.executable, "-P", "-m", "replay", "debug", str(log)], check=False)  # noqa: S603  ours
+    given = ["--arguments", *arguments] if arguments else []  # the recording lacks secret ones
+    subprocess.run([sys.executable, "-P", "-m", "replay", "debug", str(log), *given], check=False)  # noqa: S603  ours
 
 
 def _wait_for_threads() -> None:

@@ -23,7 +23,9 @@ from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.foundation.names import export
 from pycram.language.actions import name_of, run
 from pycram.projection.child import Child, limit_memory, usable_cores, wait
+from pycram.scheduling.cancellation import checkpoint
 from pycram.scheduling.locks import refuse_held
+from pycram.scheduling.schedule import MISSED_SIGNALS_EVERY
 from pycram.world import saved_state
 from pycram.world.current import current, open_worlds
 from pycram.world.object import Object
@@ -32,7 +34,7 @@ from pycram.world.world import BulletWorld
 from recorder import records
 from recorder.recording import record
 from recorder.records import format_error
-from recorder.tracing import forking, journal
+from recorder.tracing import forking, interrupts, journal
 from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span
 
@@ -216,6 +218,8 @@ def _project_all(
                 running[following] = projection, tasks
                 following += 1
             wait([projection.child for projection, _ in running.values()], _time_left(running, limit))
+            if interrupts.is_pending():
+                checkpoint()
             for number, (projection, tasks) in list(running.items()):
                 outcome = projection.outcome(limit) if number < needed else None
                 if outcome is None and number < needed:
@@ -238,10 +242,11 @@ def _project_all(
     return ended
 
 
-def _time_left(running: dict[int, tuple[_Projection, ExitStack]], limit: float | None) -> float | None:
+def _time_left(running: dict[int, tuple[_Projection, ExitStack]], limit: float | None) -> float:
     if limit is None:
-        return None
-    return max(0.0, min(projection.child.began for projection, _ in running.values()) + limit - time.monotonic())
+        return MISSED_SIGNALS_EVERY
+    first = min(projection.child.began for projection, _ in running.values()) + limit
+    return min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)
 
 
 def _refuse_impossible() -> None:

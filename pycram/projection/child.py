@@ -17,7 +17,7 @@ from pycram.language.nesting import nothing_open
 from pycram.motions.process_module import forget_claims
 from pycram.scheduling.cancellation import begin_alone
 from pycram.world.current import open_worlds
-from recorder.tracing import forking
+from recorder.tracing import forking, interrupts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -129,6 +129,7 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         sys.stdin, sys.stdout, sys.stderr = nothing, nothing, errors
         os.register_at_fork(after_in_child=partial(_leave, writing, os.getpid()))
         begin_alone()
+        interrupts.drop_pending()
         for world in open_worlds():
             world.waits.forget()
         nothing_open()

@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
 from pycram.projection.child import Child, wait
+from pycram.scheduling.schedule import scheduler
 from pycram.world.current import number_anew
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ class LimitedChild:
 def _from_start(answer: Callable[[], bytes]) -> bytes:
     """Answer in the child, which runs a program from its start: its worlds have the names that they have there."""
     number_anew()
+    scheduler().alone = False  # it may wait for what a signal brings
     return answer()
 
 

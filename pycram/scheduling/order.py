@@ -37,7 +37,8 @@ _PRECEDENCE: Final = re.compile(r"(\d+(?:\.\d+)*)-(\d+(?:\.\d+)*)@(\d+)")
 class DeadlockedBranches(UsageError):
     """All branches wait, and nothing is left that could wake one.
 
-    Only orders that are asked for by name tell it: otherwise a plan may wait for what a signal brings.
+    Only orders that are asked for by name tell it, and projections, in which the branches around stand still: otherwise
+    a plan may wait for what a signal brings.
 
     Attributes:
         waiting: Where each branch waits, FILE:LINE by its name.
@@ -174,14 +175,12 @@ class Order:
         outside: The code outside of all branches.
         turns: How many there were with two or more to choose from.
         made: The precedences that have come about.
-        deadlocked: Whether a deadlock was told.
     """
 
     def __init__(self, draw: Pct | None = None, precedences: Iterable[Precedence] = ()) -> None:
         self.outside = Ranked(OUTSIDE)
         self.turns = 0
         self.made: list[Made] = []
-        self.deadlocked = False
         self._draw = draw
         self._asked: dict[tuple[str, int], deque[str]] = {}
         for each in precedences:

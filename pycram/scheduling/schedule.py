@@ -243,6 +243,7 @@ class Scheduler:
         checkpoints: How many there were in this thread, where branches stop that are cancelled.
         running: The branch that runs; None while the code outside of all does.
         order: The order that was asked for; None for the ordinary one.
+        alone: Whether no signal is waited for, as in a forked copy: where nothing can wake anybody is a deadlock.
         patient: The patient waits, in order of arrival; the first that would goes on when nothing is ready.
         outer: What it looks for, in the order in which that began.
         looks: How many there were.
@@ -257,6 +258,8 @@ class Scheduler:
         self.checkpoints = 0
         self.running: _Branch | None = None
         self.draw_from(_seed, _order)
+        self.alone = False
+        self._deadlocked = False  # it was told
         self.patient: dict[Waiter, None] = {}
         self._first: Waiter | None = None  # runs next, whatever else is ready
         self._ready: OrderedDict[Ready, None] = OrderedDict()
@@ -450,16 +453,17 @@ class Scheduler:
     def _sleep(self) -> None:
         """Block the thread until the bell rings or a deadline passes."""
         first = min((each.end for each in self.outer if not each.struck), default=math.inf)
-        if self.order is not None and first == math.inf and self._bell.locked() and not forking.others():
-            self._tell_deadlock(self.order)
+        known = self.alone or self.order is not None
+        if known and first == math.inf and self._bell.locked() and not forking.others():
+            self._tell_deadlock()
         while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
             if first <= time.monotonic():  # else Python has called the handlers of signals
                 break
 
-    def _tell_deadlock(self, order: Order) -> None:
+    def _tell_deadlock(self) -> None:
         """Raise DeadlockedBranches, once: the cleaning up after it may wait again."""
-        if not order.deadlocked:
-            order.deadlocked = True
+        if not self._deadlocked:
+            self._deadlocked = True
             standing = [branch.standing() for branch in list(self.branches)]
             standing = standing or [Standing(threading.current_thread().name, *call_site())]
             raise DeadlockedBranches({each.branch: f"{Path(each.file).name}:{each.line}" for each in standing})
@@ -535,3 +539,4 @@ def schedule_alone() -> None:
     """
     before, _local.scheduler = _local.scheduler, Scheduler()
     _local.scheduler.continue_order(before)
+    _local.scheduler.alone = True

@@ -85,7 +85,7 @@ def variables(frame: FrameType, *, arguments: bool = False) -> list[tuple[str, s
         names = [*info.args, *filter(None, (info.varargs, info.keywords))]
         values = {name: values[name] for name in names if name in values}
     elif frame.f_locals is frame.f_globals:
-        values = {name: each for name, each in values.items() if not isinstance(each, _IGNORED)}
+        values = {name: each for name, each in values.items() if not issubclass(type(each), _IGNORED)}
     return [(name, _repr(value)) for name, value in values.items() if not (name[:2] == "__" == name[-2:])]
 
 

@@ -93,7 +93,8 @@ class Guide(NullSink):
         before, now = _stack(recorded, self._stacks[0]), _stack(record, self._stacks[1])
         fields = differing(recorded, record)
         if fields:
-            self._end(_difference(recorded, record, fields, now or before))
+            failed = isinstance(record, Run) and record.HasField("failure")  # at no known line, perhaps
+            self._end(_difference(recorded, record, fields, now if failed else now or before))
             return
         self.equal += 1
         self.recorded_ns = recorded.monotonic_ns

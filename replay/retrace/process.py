@@ -23,7 +23,7 @@ from pycram.scheduling.cancellation import uninterruptible
 from pycram.scheduling.schedule import seed_order
 from pycram.scheduling.strikes import guide_strikes
 from pycram.seeding import seed_random_numbers
-from recorder.errors import PortableError
+from recorder.errors import PortableError, RecordingError
 from recorder.mcap.sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
@@ -212,7 +212,10 @@ class _GuidedRun:
             run.origin.recording, run.origin.wall_time_ns = self._recorded.path.name, began.wall_time_ns
             run.origin.step = len(self._recorded) - 1 if request.until is None else request.until
             run.origin.changes.extend(self._changes)
-            file = McapSink(Path(request.file), metadata(run))
+            try:
+                file = McapSink(Path(request.file), metadata(run))
+            except RecordingError as error:
+                self._refuse(error)
         return _Guided(self._guide, file, self._steering, request.moved, self._go_on)
 
     def _report(self, equal: int, difference: Difference | None) -> None:

@@ -20,7 +20,8 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import Designator, MotionDesignator
-from pycram.failures import BadArgument, PlanFailure, Unreachable
+from pycram.failures import BadArgument, DeadlockedBranches, PlanFailure, Unreachable
+from pycram.fluent import Fluent
 from pycram.language import in_thread, par, timeout, try_in_order
 from pycram.motions.resources import Resources
 from pycram.process_module import ProcessModule
@@ -264,6 +265,34 @@ class Holding(ProcessModule):
 
     def _execute(self, designator: Designator) -> object:
         return designator.reference()["act"]()
+
+
+def test_who_waits_in_the_copy_for_a_branch_that_stands_still_is_told_so(world: BulletWorld, cup: Object) -> None:
+    outcomes: list[Outcome] = []
+    begun = Fluent()
+
+    def look_ahead() -> None:
+        outcomes.extend(project_all([waited.result, begun.wait_for, lambda: par(begun.wait_for)], "all", timeout=60))
+        begun.set_value(1)
+
+    with par as s:
+        waited = s(begun.wait_for)
+        s(look_ahead)
+    assert [type(each.failure) for each in outcomes] == [DeadlockedBranches] * 3
+    assert project(begun.wait_for).result
+    assert project(Fluent().wait_for, 0.01).result is False, "a deadline wakes"
+    assert project(in_thread, Fluent).succeeded, "so does a thread"
+
+
+def test_ctrl_c_ends_a_projection_in_a_branch(cup: Object) -> None:
+    def takes_long() -> None:
+        os.kill(os.getppid(), signal.SIGINT)
+        time.sleep(600)
+
+    outcomes: list[Outcome] = []
+    with pytest.raises(KeyboardInterrupt):
+        par(lambda: outcomes.append(project(takes_long, timeout=60)))
+    assert not outcomes
 
 
 def test_what_other_branches_claim_is_free_in_the_copy(world: BulletWorld) -> None:

@@ -261,6 +261,23 @@ def test_an_expression_that_ends_its_process_ends_not_the_plan(plan_log: Path, d
     assert value == "3\n"
 
 
+def test_the_future_of_a_branch_that_runs_is_shown_and_not_waited_for(tmp_path: Path, debug: Debug) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text("""from pycram.fluent import Fluent
+from pycram.language import par
+level = Fluent(None, "level")
+with par as s:
+    waits = s(level.wait_for)
+    s(level.set_value, 1)
+""")
+    log = record(file)
+    with replay.open(log) as recording:
+        begins = next(each.seq for each in recording.records(Task) if each.kind == "branch")
+    _, local, waited = debug(log, "locals", "p waits.result()", step=str(begins))
+    assert "waits = <result of Branch(" in local
+    assert waited.startswith("*** DeadlockedBranches: ")
+
+
 SHARED = {
     "a file that is read bit by bit": """
 with open(__file__.replace("plan.py", "way.txt")) as way:
@@ -382,14 +399,15 @@ def test_a_breakpoint_in_one_of_several_files_of_a_name_is_in_the_named_one(tmp_
 @pytest.mark.costly
 def test_a_failed_run_is_debugged_at_once(tmp_path: Path) -> None:
     plan = tmp_path / "fails.py"
-    plan.write_text("def f(reason):\n    raise ValueError(reason)\nf('so')\n")
+    plan.write_text("import sys\ndef f(reason):\n    raise ValueError(reason)\nf(sys.argv[2])\n")
     command = [sys.executable, "-m", "pycram", "run", plan, "--log", tmp_path / "x.mcap", "--debug-on-failure"]
+    command += ["--", "--secret", "so"]  # which the recording lacks
     ended = subprocess.run(
         command, input="args\nup\n", capture_output=True, text=True, check=False, timeout=120, cwd=tmp_path
     )
     assert ended.returncode == 1
     assert "(debug) args\nreason = 'so'\n" in ended.stdout
-    assert "> fails.py(3)<module>()" in ended.stdout
+    assert "> fails.py(4)<module>()" in ended.stdout
 
 
 def test_what_can_t_be_is_told_before_it_is_tried(

@@ -209,6 +209,12 @@ def test_a_folder_that_is_not_there_is_said_before_it_runs(tmp_path: Path) -> No
     assert not (tmp_path / "ran").exists()
 
 
+def test_a_fork_that_can_t_be_recorded_is_said_as_such(log: Path) -> None:
+    file = Path("/proc/on.mcap")  # nobody can write there
+    with pytest.raises(ReplayError, match=f"can't record to {file}"):
+        forked(log, 1, file)
+
+
 def test_a_run_that_has_ended_is_not_resumed(log: Path, tmp_path: Path) -> None:
     with replay.open(log) as recording, pytest.raises(ReplayError, match="has come to its end"):
         resume(recording, tmp_path / "on.mcap")

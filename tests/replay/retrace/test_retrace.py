@@ -164,6 +164,15 @@ def test_a_changed_line_is_told(plan: Path, tmp_path: Path, seeds: range) -> Non
         assert result.notes == (f"{changed.name} differs from the recorded source",)
 
 
+def test_a_plan_with_a_wrong_syntax_is_told_at_no_line_of_another_file(plan: Path, tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.py"
+    wrong.write_text("import\n")
+    difference = retraced(plan.with_suffix(".mcap"), wrong).difference
+    assert difference is not None
+    assert "its end by SyntaxError: invalid syntax (wrong.py, line 1) where step 1 has" in difference.text
+    assert not difference.line
+
+
 def test_a_plan_whose_lines_moved_is_the_same(plan: Path, tmp_path: Path) -> None:
     moved = tmp_path / "moved.py"
     moved.write_text("# a comment\n\n" + text().replace("world.simulate(0.1)", "world.simulate( 0.1 )"))
