@@ -260,6 +260,16 @@ class CollisionChecker:
             )
         return dict(sorted(collisions.items(), key=lambda item: (-item[1]["depth"], item[0].name)))
 
+    def in_the_way(self, candidate: Candidate, own_pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
+        """Return what a robot collides with in a candidate, by the links that overlap most, and which of its own links.
+
+        Args:
+            candidate: that was predicted.
+            own_pairs: its :meth:`self_pairs`, where they are known already.
+        """
+        touched = [collision["pair"] for collision in self.touched(candidate).values()]
+        return touched + self.self_collisions(candidate, own_pairs)
+
     def known(self, candidate: Candidate) -> list[CollisionPair]:
         """Return what is touched in a candidate as far as it was checked, deepest first."""
         depths = {
@@ -408,8 +418,7 @@ def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None 
     """
     with CollisionChecker(robot, positions) as checker:
         (candidate,) = checker.predict([positions], base)
-        found = checker.touched(candidate)
-        return [collision["pair"] for collision in found.values()] + checker.self_collisions(candidate)
+        return checker.in_the_way(candidate)
 
 
 def newly_touched(robot: Object, positions: Mapping[str, float]) -> list[CollisionPair]:

@@ -11,7 +11,6 @@ from pycram.foundation import checks
 from pycram.foundation.collision_pair import CollisionPair
 from pycram.foundation.failures import BadArgument, Blocked, GraspFailed, PlaceFailed, PlanFailure, Unreachable
 from pycram.reasoning.choosing import UNRECORDED
-from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
@@ -318,15 +317,18 @@ class Touch:
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the tool gets there with nothing in the way."""
-        postures = Solver(self._robot, arm.tool_frame).search([(self.position, None, base)], thorough=True)[0]
+        solver = Solver(self._robot, arm.tool_frame)
+        (postures,) = solver.search([(self.position, None, base)], thorough=True)
         if not postures[0].reaches():
             return OutOfReach(postures[0].position_error)
         nearest: list[Rejection] = []
-        for posture in postures:
-            pairs = checker.in_the_way(self._robot, posture.positions, base)
-            if not pairs:
-                return ""
-            nearest.append(Touching(pairs))
+        with CollisionChecker(self._robot, solver.joints) as tried:
+            candidates = tried.predict([posture.positions for posture in postures], base)
+            for candidate, own_pairs in zip(candidates, tried.self_pairs(candidates), strict=True):
+                pairs = tried.in_the_way(candidate, own_pairs)
+                if not pairs:
+                    return ""
+                nearest.append(Touching(pairs))
         return min(nearest, key=lambda reason: reason.miss())
 
 
