@@ -1,4 +1,4 @@
-"""Poses, URDF kinematics and shapes: arithmetic that all three packages use, and that knows none of them."""
+"""Poses, URDF kinematics, shapes and polygons: arithmetic that all three packages use, and that knows none of them."""
 
 from recorder.geometry.transforms import (
     IDENTITY as IDENTITY,
