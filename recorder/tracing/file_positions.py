@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import stat
-from pathlib import Path
 from typing import Final
 
-_OPEN: Final = Path("/proc/self/fd")  # only Linux has it
+_OPEN: Final = "/proc/self/fd"  # only Linux has it
 _OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # the links there are to be followed
 
 
@@ -17,11 +15,15 @@ def have_own() -> None:
 
     So what it reads isn't missing when its parent reads on. Files that are written stay common, as logs are.
     """
-    if not _OPEN.is_dir():
+    try:
+        descriptors = os.listdir(_OPEN)  # noqa: PTH208  as little as can be: each page that this writes to is a copy's own
+    except OSError:
         return
-    for entry in list(_OPEN.iterdir()):  # before others are opened
-        with contextlib.suppress(OSError):  # one that was closed meanwhile, or may not be opened any more
-            _reopen(int(entry.name))
+    for descriptor in descriptors:
+        try:
+            _reopen(int(descriptor))
+        except OSError:  # it was closed meanwhile, or may not be opened any more
+            continue
 
 
 def _reopen(descriptor: int) -> None:
@@ -31,7 +33,7 @@ def _reopen(descriptor: int) -> None:
     if flags & os.O_ACCMODE != os.O_RDONLY or not stat.S_ISREG(os.fstat(descriptor).st_mode):
         return
     position = os.lseek(descriptor, 0, os.SEEK_CUR)
-    again = os.open(_OPEN / str(descriptor), flags & ~_OF_PATHS)
+    again = os.open(f"{_OPEN}/{descriptor}", flags & ~_OF_PATHS)
     try:
         os.lseek(again, position, os.SEEK_SET)
         os.dup2(again, descriptor, inheritable=os.get_inheritable(descriptor))

@@ -9,10 +9,12 @@ from __future__ import annotations
 import os
 import random
 import signal
+import sys
 import threading
-import warnings
 import weakref
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Final
+from warnings import catch_warnings, simplefilter
 
 from recorder.tracing import file_positions, journal, process_identity
 
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
 #: They wait for the end of a fork: Python drops what a handler raises within the hooks that it calls there.
 _INTERRUPTS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+_WARNS: Final = sys.version_info >= (3, 12)  # of a fork beside threads
 
 _own: Final[weakref.WeakSet[threading.Thread]] = weakref.WeakSet()
 
@@ -59,8 +63,9 @@ def fork_continuation() -> int:
 
 
 def _fork(fork: Callable[[], int]) -> int:
-    with journal.still(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12's, of threads: ours are parked
+    with journal.still(), catch_warnings() if _WARNS else nullcontext():
+        if _WARNS:
+            simplefilter("ignore", DeprecationWarning)  # of threads: ours are parked
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
         try:
             child = fork()

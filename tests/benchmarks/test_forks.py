@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
-import statistics
 import subprocess
 import sys
 import time
 from pathlib import Path
-from struct import pack, unpack
 from typing import TYPE_CHECKING
 
 import pytest
 
 from pycram.projection import project_all
-from pycram.projection.child import Child, die_with
-from recorder.tracing import forking, journal
-from tests.benchmarks.timing import amount, goal, ratio, seconds
+from tests.benchmarks.timing import amount, goal, ratio
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,24 +27,7 @@ REPO = Path(__file__).parents[2]
 NO_LIMIT = float("inf")  # where other processes of the machine have their say
 
 
-def megabytes(process: int) -> float:
-    """Memory of a process; of what it shares with others its part."""
-    lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
-    return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1000
-
-
-def checkpoint(costs: int) -> None:
-    """Copy this process as the debugger does: it waits, and its child goes on. What it cost, in s, goes to a pipe."""
-    parent, start = os.getpid(), time.process_time()
-    child = forking.fork_continuation()
-    if child:
-        os.write(costs, pack("d", time.process_time() - start))
-        os.waitpid(child, 0)
-        os._exit(0)
-    die_with(parent)
-
-
-def test_checkpoints_of_a_live_plan(scene: BulletWorld) -> None:
+def test_checkpoints_of_a_live_plan() -> None:
     """Copies that wait, as at the debugger's prompt, each at another moment: the plan goes on between them.
 
     Time is that of page tables: 4 to 7 ms for each 100 MB, of which each physics client of PyBullet takes 31, and 0.2 ms for
@@ -60,33 +40,12 @@ def test_checkpoints_of_a_live_plan(scene: BulletWorld) -> None:
     These copies have nothing but this to do. The debugger's, which compare records and answer, take 6 MB each in such a
     plan; in one that asks the world between, as the table-setting demo, 14 (``test_debugging.py``).
     """
-    milk, count = scene.get_object("milk"), amount(20, 5)
-    step = seconds(lambda: scene.engine.step(20)) / 20
-    reading, writing = os.pipe()
-
-    def plan() -> bytes:
-        journal.open_journal(journal.Journal([journal.NullSink()]))  # the debugger keeps no records either
-        processes = [os.getppid(), os.getpid()]
-        before = sum(map(megabytes, processes))
-        for number in range(count):
-            checkpoint(writing)
-            processes.append(os.getpid())
-            milk.set_position([1.3, 1, 1 + number / 100])
-            scene.simulate(0.1)
-        costs = [unpack("d", os.read(reading, 8))[0] for _ in range(count)]
-        each = (sum(map(megabytes, processes)) - before) / count
-        os.write(writing, pack("2d", statistics.median(costs), each))
-        os._exit(0)
-
-    child = Child(plan)
-    os.close(writing)
-    while not child.ended:
-        child.read()
-    fork, each = unpack("2d", os.read(reading, 16))
-    os.close(reading)
-    print(f"\na checkpoint of the full scene: {fork * 1e3:.1f} ms ({fork / step:.1f} steps), {each:.1f} MB")
-    goal("a checkpoint, ms", fork * 1e3, 10, room=NO_LIMIT)
-    goal("a checkpoint, MB", each, 5, room=2)
+    command = [sys.executable, "-m", "tests.benchmarks.waiting_copies", str(amount(20, 5))]
+    ended = subprocess.run(command, cwd=REPO, capture_output=True, text=True, check=True, timeout=600)
+    cost = json.loads(ended.stdout.splitlines()[-1])
+    print(f"\na checkpoint of the full scene: {cost['ms']:.1f} ms, {cost['MiB']:.2f} MiB")
+    goal("a checkpoint, ms", cost["ms"], 10, room=NO_LIMIT)
+    goal("a checkpoint, MiB", cost["MiB"], 5, room=2)
 
 
 def test_two_projections_at_once(scene: BulletWorld) -> None:
