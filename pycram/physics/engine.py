@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 with needed(), silenced(1, 2):  # it prints its build time
     import pybullet as bullet
 
+__all__ = ["Engine", "bullet", "decompose"]
+
 # Groups of the collision filter, bits of a mask. PyBullet lets a pair collide if either mask has the other's group, so
 # both have to leave it out.
 _DYNAMIC_GROUP: Final = 1

@@ -1,8 +1,8 @@
 """Sweeps: a plan runs many times, with other seeds and parameters, and each run is recorded.
 
-Each run is a fork of a process that has imported and parsed what runs need, and executes the whole plan from its start,
-with its own seed: so each recording is complete, and can be verified and retraced. What is done stays done: a sweep
-that is started again makes the runs that are missing.
+Each run is a fork of a process that has imported, parsed and simulated what runs begin with, and executes the whole
+plan from its start, with its own seed: so each recording is complete, and can be verified and retraced. What is done
+stays done: a sweep that is started again makes the runs that are missing.
 """
 
 from __future__ import annotations

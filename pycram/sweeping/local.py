@@ -1,4 +1,4 @@
-"""Runs of a sweep on this machine: forks of this process, which has imported and parsed what they need.
+"""Runs of a sweep on this machine: forks of this process, which has done what all begin with.
 
 A run whose process crashes, hangs or is killed is tried once more; when that fails too, its recording says so.
 """

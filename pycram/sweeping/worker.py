@@ -103,6 +103,8 @@ def main() -> None:
         batch = json.loads(line)
         key = batch["spec"], batch["models"]
         if local is None or of != key:
+            if local is not None:
+                local.close()
             spec = Spec(**{**batch["spec"], "arguments": tuple(batch["spec"]["arguments"])})
             local, of = Local(spec, batch["cores"], batch["models"]), key
         for outcome in local.run(batch["numbers"]):

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose
@@ -23,6 +23,8 @@ from recorder.suggestions import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+
+_CACHED: Final = 32  # documents: a model's is read when it is loaded, and again when it is recorded
 
 
 @dataclass(frozen=True)
@@ -55,36 +57,7 @@ class Urdf:
         Raises:
             UrdfError: it isn't XML, or not one tree of named links with joints of known types.
         """
-        try:
-            document = ET.fromstring(text)  # noqa: S314
-        except ET.ParseError as error:
-            raise UrdfError("", f"not well-formed XML: {error}") from error
-        name = document.get("name", "")
-        if document.tag != "robot":
-            raise UrdfError(name, f"its root element is <{document.tag}>, not <robot>")
-        links = _unique(name, "link", (element.get("name", "") for element in document.findall("link")))
-        if not links:
-            raise UrdfError(name, "it has no links")
-        joints = [read_joint(name, element, chains=chains) for element in document.findall("joint")]
-        _unique(name, "joint", (joint.name for joint in joints))
-        parents, children = _ends(name, links, joints)
-        roots = [link for link in links if link not in parents]
-        if not roots:
-            raise UrdfError(name, "its joints form a cycle: every link has a parent")
-        if len(roots) > 1:
-            raise UrdfError(name, f"it has {len(roots)} root links where one is needed: {', '.join(roots)}")
-        ordered: list[str] = []
-        pending = roots
-        while pending:
-            link = pending.pop()
-            ordered.append(link)
-            pending.extend(reversed(children.get(link, [])))
-        if len(ordered) < len(links):
-            cycle = [link for link in links if link not in set(ordered)]
-            raise UrdfError(name, f"its joints form a cycle: {', '.join(cycle)} don't hang on {ordered[0]}")
-        by_name = {joint.name: joint for joint in joints}
-        movable = tuple(joint.name for joint in joints if joint.movable)
-        return cls(name, ordered[0], tuple(ordered), MappingProxyType(by_name), movable)
+        return _parse(text, chains)
 
     def joint(self, name: str) -> Joint:
         """A joint by its name.
@@ -202,6 +175,40 @@ class Urdf:
     @cached_property
     def _parents(self) -> dict[str, Joint]:
         return {joint.child: joint for joint in self.joints.values()}
+
+
+@lru_cache(maxsize=_CACHED)
+def _parse(text: str | bytes, chains: bool) -> Urdf:
+    try:
+        document = ET.fromstring(text)  # noqa: S314
+    except ET.ParseError as error:
+        raise UrdfError("", f"not well-formed XML: {error}") from error
+    name = document.get("name", "")
+    if document.tag != "robot":
+        raise UrdfError(name, f"its root element is <{document.tag}>, not <robot>")
+    links = _unique(name, "link", (element.get("name", "") for element in document.findall("link")))
+    if not links:
+        raise UrdfError(name, "it has no links")
+    joints = [read_joint(name, element, chains=chains) for element in document.findall("joint")]
+    _unique(name, "joint", (joint.name for joint in joints))
+    parents, children = _ends(name, links, joints)
+    roots = [link for link in links if link not in parents]
+    if not roots:
+        raise UrdfError(name, "its joints form a cycle: every link has a parent")
+    if len(roots) > 1:
+        raise UrdfError(name, f"it has {len(roots)} root links where one is needed: {', '.join(roots)}")
+    ordered: list[str] = []
+    pending = roots
+    while pending:
+        link = pending.pop()
+        ordered.append(link)
+        pending.extend(reversed(children.get(link, [])))
+    if len(ordered) < len(links):
+        cycle = [link for link in links if link not in set(ordered)]
+        raise UrdfError(name, f"its joints form a cycle: {', '.join(cycle)} don't hang on {ordered[0]}")
+    by_name = {joint.name: joint for joint in joints}
+    movable = tuple(joint.name for joint in joints if joint.movable)
+    return Urdf(name, ordered[0], tuple(ordered), MappingProxyType(by_name), movable)
 
 
 def _unique(robot: str, kind: str, names: Iterable[str]) -> list[str]:

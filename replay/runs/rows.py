@@ -23,6 +23,7 @@ FOLDER: Final = "tables"
 """Where the tables of a folder of recordings lie, beside the recordings."""
 NEW: Final = "new"
 """Where the rows of recordings lie in it until they are merged."""
+_PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # the system's processors have runs to do
 
 
 def write_rows(path: Path) -> None:
@@ -42,7 +43,7 @@ def write_rows(path: Path) -> None:
         with partial.open("wb") as file:
             for name, table in tables.items():
                 marked = table.replace_schema_metadata(_marks(name, state))
-                with pa.ipc.new_stream(file, marked.schema) as stream:
+                with pa.ipc.new_stream(file, marked.schema, options=_PACKED) as stream:
                     stream.write_table(marked)
         partial.replace(folder / f"{path.name}.arrows")
     finally:

@@ -1,4 +1,4 @@
-"""What a run of a sweep costs, as ratios within one run: it finds done what the first one had to do."""
+"""What a run of a sweep costs, as ratios within one sweep: it finds done what the first two had to do."""
 
 from __future__ import annotations
 
@@ -37,9 +37,12 @@ def test_later_runs_cost_less_and_memory_stays(tmp_path: Path) -> None:
     command = [sys.executable, "-c", SWEEP, DEMO, str(RUNS), tmp_path / "runs"]
     ended = subprocess.run(command, capture_output=True, text=True, check=True)
     spent, memory = json.loads(ended.stdout.splitlines()[-1])
-    first, *later = (after - before for before, after in itertools.pairwise(spent))
+    first, _, *later = (after - before for before, after in itertools.pairwise(spent))
     print(f"a later run takes {sum(later) / len(later) / first:.2f} of the first one's processor time")
-    assert sum(later) / len(later) < 0.85 * first
+    assert sum(later) / len(later) < 0.6 * first
     assert memory[-1] < 1.05 * memory[2]  # once the caches are warm
-    sizes = [file.stat().st_size for file in sorted((tmp_path / "runs").glob("[0-9]*.mcap"))]
+    files = sorted((tmp_path / "runs").glob("[0-9]*.mcap"))
+    sizes = [
+        file.stat().st_size + (file.parent / "tables" / "new" / f"{file.name}.arrows").stat().st_size for file in files
+    ]
     assert 500 * max(sizes[1:]) < 120e6
