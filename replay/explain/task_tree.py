@@ -9,6 +9,7 @@ from recorder.records.choices import is_choice
 from recorder.tasks import Tree
 from replay.errors import Damaged
 from replay.explain.root_cause import root_cause, uncaught_failure
+from replay.state.task_integrity import TaskDepths
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,9 +17,6 @@ if TYPE_CHECKING:
     from recorder.tasks import Node
     from replay.file.record_reader import RecordReader
 
-
-MAX_DEPTH: Final = 2000
-"""Levels of tasks in each other; plans come to about 1,000, where Python's stack ends."""
 _UNPACKED: Final = 20_000  # tasks; each takes some 3 kB, packed ones less than 1
 
 
@@ -39,14 +37,13 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
         Damaged: tasks are nested deeper than any plan's.
     """
     folded = Tree(unpacked=_UNPACKED)
-    depths: dict[int, int] = {}
+    depths = TaskDepths()
     for record in log.records((Task, Output), stop=stop):
         if isinstance(record, Output):
             folded.output.setdefault(record.task, []).append(record)
         elif isinstance(record, Task):
-            depth = depths[record.task] = depths.get(record.parent, 0) + 1
-            if depth > MAX_DEPTH:
-                raise Damaged(log.path, f"step {record.seq}", f"its task is nested more than {MAX_DEPTH} deep")
+            if cause := depths.too_deep(record):
+                raise Damaged(log.path, f"step {record.seq}", cause)
             folded.apply(record)
     if stop is None and uncaught_failure(log) is not None:
         cause = root_cause(log)  # the plan's own failure is more specific than those of its tasks

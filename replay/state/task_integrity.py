@@ -9,6 +9,8 @@ from recorder.records import Run, Task
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+MAX_DEPTH: Final = 2000
+"""Levels of tasks in each other; plans come to about 1,000, where Python's stack ends."""
 _MAIN_THREAD: Final = "MainThread"  # which ends the run, in recordings of release 0.1.0, that don't say it
 #: What may come after each phase of a task; a branch that is asked for may be cancelled before it starts.
 _AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
@@ -23,6 +25,18 @@ _STATUSES: Final[Mapping[Task.Phase, tuple[Task.Status, ...]]] = {
     Task.LEFT: (Task.CREATED, Task.RUNNING),
 }
 _SAME: Final = ("kind", "name", "attempt", "parent")  # in all records of a task
+
+
+class TaskDepths:
+    """How deep tasks are in each other, record by record."""
+
+    def __init__(self) -> None:
+        self._depths: dict[int, int] = {}
+
+    def too_deep(self, record: Task) -> str:
+        """Take the next record of a task; return that it is nested deeper than any plan's, in words, or ""."""
+        depth = self._depths[record.task] = self._depths.get(record.parent, 0) + 1
+        return f"its task is nested more than {MAX_DEPTH} deep" if depth > MAX_DEPTH else ""
 
 
 class TaskIntegrity:

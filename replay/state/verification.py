@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from recorder.records import Keyframe, Mutation
+from recorder.records import Keyframe, Mutation, Task
 from replay.state.integrity import Integrity, Problem
+from replay.state.task_integrity import TaskDepths
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -93,6 +94,7 @@ class Verifier:
         self.environment: tuple[str, ...] = ()
         self.largest: Deviation | None = None
         self.damage: list[str] = []  # found on the way, beside the file's
+        self._depths = TaskDepths()
 
     def run(self, progress: Callable[[int], None] | None) -> Verification:
         """Run every check that any verb does, and compare the records."""
@@ -121,6 +123,9 @@ class Verifier:
         for record in self.log.records():
             if progress is not None:
                 progress(record.seq)
+            if isinstance(record, Task) and (cause := self._depths.too_deep(record)):
+                self.damage.append(f"step {record.seq}: {cause}")
+                return None
             problem = self.integrity.check(record)
             if self.integrity.resumed:
                 self.forget()

@@ -31,11 +31,11 @@ from recorder.records import TOPICS, BodyState, Grid, Keyframe, Mutation, Pictur
 from recorder.records.values import MAX_CHARACTERS, MAX_DIGITS, MAX_NESTING
 from recorder.viewer.query_picture import MAX_PIXELS
 from replay.cli.main import main
-from replay.explain.task_tree import MAX_DEPTH
 from replay.file.chunks import MAX_STEP
 from replay.file.mcap_format import MAX_INFLATED
 from replay.file.payloads import MAX_PARTS
 from replay.state.fold import FAR
+from replay.state.task_integrity import MAX_DEPTH
 from tests.measures import seeded
 from tests.replay import forked, hostile
 
@@ -600,6 +600,13 @@ def test_a_simulation_of_years_is_damage(tmp_path: Path) -> None:
 
     file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
     check(file, tmp_path, ["verify"], ["restore", "-9", "--exact", "--json"], says="and ends at")
+
+
+@pytest.mark.parametrize("deeper", [0, 1])
+def test_tasks_in_each_other_have_one_verdict(deeper: int, tmp_path: Path) -> None:
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", lambda records, _: tasks(records, MAX_DEPTH + deeper + 1))
+    says = f"nested more than {MAX_DEPTH} deep" if deeper else ""
+    check(file, tmp_path, ["verify", "--static"], ["verify"], ["tree"], damaged=bool(deeper), says=says)
 
 
 @pytest.mark.parametrize("far", [9e8, 1e30, float("nan")])
