@@ -65,6 +65,7 @@ live_sink._END_TIMEOUT = 0.0
 PATIENT = """
 from recorder.viewer import live_sink
 live_sink._START_TIMEOUTS = dict.fromkeys(live_sink.Kind, 60.0)
+live_sink._HAND_OVER_TIMEOUT = 60.0
 """
 
 BRIEF = """
@@ -169,7 +170,7 @@ def test_a_viewer_gets_everything(
     plan: Callable[..., Plan], serve: Callable[[], Server], tmp_path: Path, until
 ) -> None:
     server = serve()
-    ended = plan(f"world.simulate(0.5); move(500){MOTION}", f"connect:{server.url}").end()
+    ended = plan(f"{PATIENT}world.simulate(0.5); move(500){MOTION}", f"connect:{server.url}").end()  # on a busy machine
     assert ended.check() > 800
     assert "missed" not in ended.err
     expected = afterwards(ended.log, tmp_path / "afterwards.rrd")
