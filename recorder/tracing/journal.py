@@ -208,14 +208,9 @@ class Journal:
                 for sink in self._sinks:
                     sink.flush()
 
-    @contextmanager
-    def still(self) -> Iterator[None]:
-        """Keeps it and its sinks from moving while the block runs, for a fork (:mod:`recorder.tracing.forking`)."""
-        with ExitStack() as held:
-            held.enter_context(self._lock)
-            for sink in self._sinks:
-                held.enter_context(getattr(sink, "lock", None) or nullcontext())
-            yield
+    def locks(self) -> list[threading.RLock]:
+        """What keeps it and its sinks from moving while it is held, in the order in which it is taken."""
+        return [self._lock, *filter(None, (getattr(sink, "lock", None) for sink in self._sinks))]
 
     def close(self) -> None:
         """Closes every sink; the first error is raised when all are closed."""
@@ -466,11 +461,21 @@ def close_journal(journal: Journal) -> None:
 
 @contextmanager
 def still() -> Iterator[None]:
-    """Keeps all open journals from moving while the block runs, for a fork."""
-    with _registry, ExitStack() as held:
-        for journal in _open:
-            held.enter_context(journal.still())
-        yield
+    """Keeps all open journals from moving while the block runs, for a fork (:mod:`recorder.tracing.forking`).
+
+    It does little, as what it writes to is no longer shared by a copy that waits.
+    """
+    held: list[threading.RLock] = []
+    try:
+        with _registry:
+            for journal in _open:
+                for lock in journal.locks():
+                    lock.acquire()
+                    held.append(lock)
+            yield
+    finally:
+        for lock in reversed(held):
+            lock.release()
 
 
 def paths() -> list[Path]:

@@ -23,10 +23,10 @@ from recorder.tracing import forking, journal
 _UNDER_WAY = 3  # copies that aren't counted: what is done for the first time takes more
 
 
-def mebibytes(process: int) -> float:
+def megabytes(process: int) -> float:
     """Memory of a process; of what it shares with others its part."""
     lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
-    return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
+    return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) * 1024 / 1e6
 
 
 def go_on(count: int, answer: int) -> None:
@@ -42,7 +42,7 @@ def go_on(count: int, answer: int) -> None:
     for number in range(-_UNDER_WAY, count):
         if not number:
             costs.clear()
-            before = sum(map(mebibytes, processes))
+            before = sum(map(megabytes, processes))
         parent, start = os.getpid(), time.process_time()
         reading, writing = os.pipe()
         child = forking.fork_continuation()
@@ -58,8 +58,8 @@ def go_on(count: int, answer: int) -> None:
         processes.append(os.getpid())
         milk.set_position([1.45, 1, 1 + number / 100])
         world.simulate(0.1)
-    each = (sum(map(mebibytes, processes)) - before) / count
-    os.write(answer, json.dumps({"ms": statistics.median(costs) * 1e3, "MiB": each}).encode())
+    each = (sum(map(megabytes, processes)) - before) / count
+    os.write(answer, json.dumps({"ms": statistics.median(costs) * 1e3, "MB": each}).encode())
 
 
 def main() -> None:
