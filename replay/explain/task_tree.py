@@ -42,8 +42,8 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
         if isinstance(record, Output):
             folded.output.setdefault(record.task, []).append(record)
         elif isinstance(record, Task):
-            if cause := depths.too_deep(record):
-                raise Damaged(log.path, f"step {record.seq}", cause)
+            if too_deep := depths.too_deep(record):
+                raise Damaged(log.path, f"step {record.seq}", too_deep)
             folded.apply(record)
     if stop is None and uncaught_failure(log) is not None:
         cause = root_cause(log)  # the plan's own failure is more specific than those of its tasks
