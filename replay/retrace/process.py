@@ -10,7 +10,6 @@ import contextlib
 import json
 import os
 import sys
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
@@ -75,7 +74,7 @@ class _Guided:
         self._moved = moved
         self._passed = passed
         self.path = guide.path if file is None else file.path
-        self.lock = nullcontext() if file is None else file.lock
+        self.lock = None if file is None else file.lock
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         self._steering.complete(record)
