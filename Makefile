@@ -65,11 +65,11 @@ clean:
 	@.ci/environment .venv '.[all,dev,long]'
 	@touch .venv/ready .venv/ready-dev $@
 
-# uv resolves to the lowest versions, which pip can't.
+# uv resolves to the lowest versions, which pip can't; bytecode as pip makes it: warnings of compiling are no test's.
 .venv-lowest/ready: pyproject.toml
 	@.ci/environment .venv-lowest .
 	.venv-lowest/bin/pip install --quiet uv
-	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct --editable '.[all,dev]'
+	.venv-lowest/bin/uv pip install --quiet --compile-bytecode --python .venv-lowest/bin/python --resolution lowest-direct --editable '.[all,dev]'
 	@touch $@
 
 .venv-reading/ready: pyproject.toml
