@@ -159,7 +159,9 @@ class CollisionChecker:
         return self._overlapping(postures, [base] * len(postures), transforms, moved)
 
     def predict_at(self, bases: Sequence[Pose]) -> list[Candidate]:
-        """Return what could touch in the present posture with the robot's base at poses, all at once."""
+        """Return what could touch in the present posture with the robot's base at poses, all at once; of none nothing."""
+        if not bases:
+            return []
         transforms = self._links.articulation.transforms([{}] * len(bases))
         return self._overlapping([{}] * len(bases), bases, transforms, self._carried(bases)[:, None] @ transforms)
 

@@ -145,3 +145,8 @@ def test_a_way_that_was_found_is_one(seed: int) -> None:
         for motion in WAYS[seed]:
             brute_force.perform(scene, motion)
         assert not stands_on_island(scene)
+
+
+@pytest.mark.slow
+def test_a_transport_goes_on_where_all_places_for_a_handle_were_tried() -> None:
+    assert transport(18, "unprojected").succeeded
