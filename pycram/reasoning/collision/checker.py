@@ -159,7 +159,7 @@ class CollisionChecker:
         return self._overlapping(postures, [base] * len(postures), transforms, moved)
 
     def predict_at(self, bases: Sequence[Pose]) -> list[Candidate]:
-        """Return what could touch in the present posture with the robot's base at poses, all at once; of none nothing."""
+        """Return what could touch in the present posture with the robot's base at poses, all at once."""
         if not bases:
             return []
         transforms = self._links.articulation.transforms([{}] * len(bases))
