@@ -234,6 +234,17 @@ def test_when_real_time_ends_the_plan_drives_on(ur5: Object) -> None:
 def test_threads_of_a_plan_move_at_the_same_time(tmp_path: Path) -> None:
     with recorder.record(tmp_path / "run.mcap"), BulletWorld(name="w") as world:
         robot = Object("ur5", "robot", "ur5.urdf", [0, 0, 1])
+        together = threading.Event()
+
+        def gather() -> None:
+            """Holds the first up in the middle of its motion until all move: a busy machine may start the others late."""
+            for _ in range(6000):
+                if len(world.trajectories.active) == 3:
+                    together.set()
+                if together.wait(0.01):
+                    break
+
+        world.time_listeners[gather] = None
         threads = [threading.Thread(target=move, args=(robot, {name: 0.5}, 0.5)) for name in (PAN, ELBOW, WRIST)]
         for thread in threads:
             thread.start()
