@@ -239,15 +239,20 @@ def test_a_copy_by_another_program_whose_channels_name_no_world_tells_the_same(t
         ]
 
 
+def moved_unseen(bench: Bench) -> int:
+    """Looks at the cup and moves it by half a metre; returns the step at which it was seen."""
+    look(bench.cup)
+    seen = believed("cup").step
+    bench.cup.set_position([1, 0.5, 0.5])
+    return seen
+
+
 def test_state_prints_what_is_believed_and_how_far_that_is_off(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "run.mcap"
     with recorder.record(path), BulletWorld(name="bench") as world:
-        bench = Bench(world)
-        look(bench.cup)
-        seen = believed("cup").step
-        bench.cup.set_position([1, 0.5, 0.5])
+        seen = moved_unseen(Bench(world))
     main(["state", str(path), str(seen + 1)])
     line = capsys.readouterr().out.splitlines()[-1]
     expected = (
@@ -262,9 +267,7 @@ def test_what_is_believed_is_asked_of_a_step_and_compared_between_steps(
     path = tmp_path / "run.mcap"
     with recorder.record(path), BulletWorld(name="bench") as world:
         bench = Bench(world)
-        look(bench.cup)
-        seen = believed("cup").step
-        bench.cup.set_position([1, 0.5, 0.5])
+        seen = moved_unseen(bench)
         look(bench.cup)
         again = believed("cup").step
     with replay.open(path) as log:
