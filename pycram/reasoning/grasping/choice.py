@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
@@ -89,80 +89,81 @@ def best(
         base: pose that the robot's base is taken to have; where it stands by default.
     """
     arm = robot.description.arm_of(link) if robot.description else None
-    solver = Solver(robot, link)
+    grasping = _Grasping(body, robot, Solver(robot, link), arm, choice, base)
     if arm is None or arm.hand is None:  # it takes nothing, and gets to places as any link does
-        return _best_of([Grasp("any", center(body), IDENTITY[1], 0.0)], body, robot, solver, None, choice, base)
+        return replace(grasping, arm=None).best_of([Grasp("any", center(body), IDENTITY[1], 0.0)])
     central = candidates(body, robot, arm, names, base=base, choice=choice)
-    plan = _best_of([grasp for grasp in central if grasp not in refused], body, robot, solver, arm, choice, base)
+    plan = grasping.best_of([grasp for grasp in central if grasp not in refused])
     if plan.grasp is None or plan.obstacles:
         every = candidates(body, robot, arm, names, off_center=True, base=base, choice=choice)
-        beside = [grasp for grasp in every if grasp not in refused]
-        free = _best_of(beside, body, robot, solver, arm, choice, base, limit=_FREE)
+        free = grasping.best_of([grasp for grasp in every if grasp not in refused], limit=_FREE)
         if free.grasp is not None:
             return free
     return plan
 
 
-def _best_of(
-    grasps: Sequence[Grasp],
-    body: Object,
-    robot: Object,
-    solver: Solver,
-    arm: Arm | None,
-    choice: Choice,
-    base: Pose | None,
-    *,
-    limit: Cost = _INFINITE,
-) -> GraspPlan:
-    """Return the one of some grasps that touches least, and costs no more than ``limit``."""
-    if not grasps:
-        return GraspPlan(None, None)
-    if arm is None:
-        solved = solver.search([(grasp.position, None, base) for grasp in grasps])
-        return _least_touching(grasps, solved, body, robot, solver, arm, choice, base, limit)
-    targets = [(grasp.position, grasp.orientation, base) for grasp in grasps]
-    # a long search finds what is at the edge of what the arm can: only if there is need
-    solved = solver.closed_form(targets) if solver.in_closed_form else solver.search(targets, quick=True)
-    if any(posture.reaches() for postures in solved for posture in postures):
-        quick = not solver.in_closed_form
-        plan = _least_touching(grasps, solved, body, robot, solver, arm, choice, base, limit, quick=quick)
-        if not quick or (plan.grasp is not None and not plan.obstacles and plan.penetrating is None):
-            return plan
-    return _least_touching(grasps, solver.search(targets), body, robot, solver, arm, choice, base, limit)
+@dataclass(frozen=True, slots=True)
+class _Grasping:
+    """Who takes what.
 
+    Attributes:
+        body: the target.
+        robot: the robot.
+        solver: of the arm's inverse kinematics.
+        arm: the arm, None if it takes nothing.
+        choice: gets why grasps aren't taken.
+        base: pose that the robot's base is taken to have; None where it stands.
+    """
 
-def _least_touching(
-    grasps: Sequence[Grasp],
-    solved: Sequence[Sequence[Posture]],
-    body: Object,
-    robot: Object,
-    solver: Solver,
-    arm: Arm | None,
-    choice: Choice,
-    base: Pose | None,
-    limit: Cost,
-    *,
-    quick: bool = False,
-) -> GraspPlan:
-    """Return the grasp that touches least of those that postures were found for; a quick miss proves nothing."""
-    options = []
-    for grasp, postures in zip(grasps, solved, strict=True):
-        reaching = [posture for posture in postures if posture.reaches()]
-        if reaching:
-            options.append((grasp, reaching))
-        elif quick:
-            choice.reject(str(grasp), Untried())
-        else:  # the closed form doesn't say by how much
-            nearest = postures[0] if postures else None
-            miss = (nearest.position_error, nearest.turn_error) if nearest else (None, 0.0)
-            choice.reject(str(grasp), OutOfReach(*miss))
-    if not options:
-        missed = itertools.chain.from_iterable(solved)
-        return GraspPlan(None, min(missed, key=lambda posture: posture.position_error, default=None))
-    opened = arm.gripper.positions("open") if arm else {}
-    with CollisionChecker(robot, [*solver.joints, *opened], [] if arm else [body]) as checker:
-        hand = checker.links_beyond(solver.joints)
-        return _Choice(body, checker, options, opened, hand, choice, base).best(limit)
+    body: Object
+    robot: Object
+    solver: Solver
+    arm: Arm | None
+    choice: Choice
+    base: Pose | None
+
+    def best_of(self, grasps: Sequence[Grasp], limit: Cost = _INFINITE) -> GraspPlan:
+        """Return the one of some grasps that touches least, and costs no more than ``limit``."""
+        if not grasps:
+            return GraspPlan(None, None)
+        solver = self.solver
+        if self.arm is None:
+            return self._least_touching(
+                grasps, solver.search([(grasp.position, None, self.base) for grasp in grasps]), limit
+            )
+        targets = [(grasp.position, grasp.orientation, self.base) for grasp in grasps]
+        # a long search finds what is at the edge of what the arm can: only if there is need
+        solved = solver.closed_form(targets) if solver.in_closed_form else solver.search(targets, quick=True)
+        if any(posture.reaches() for postures in solved for posture in postures):
+            quick = not solver.in_closed_form
+            plan = self._least_touching(grasps, solved, limit, quick=quick)
+            if not quick or (plan.grasp is not None and not plan.obstacles and plan.penetrating is None):
+                return plan
+        return self._least_touching(grasps, solver.search(targets), limit)
+
+    def _least_touching(
+        self, grasps: Sequence[Grasp], solved: Sequence[Sequence[Posture]], limit: Cost, *, quick: bool = False
+    ) -> GraspPlan:
+        """Return the grasp that touches least of those that postures were found for; a quick miss proves nothing."""
+        options = []
+        for grasp, postures in zip(grasps, solved, strict=True):
+            reaching = [posture for posture in postures if posture.reaches()]
+            if reaching:
+                options.append((grasp, reaching))
+            elif quick:
+                self.choice.reject(str(grasp), Untried())
+            else:  # the closed form doesn't say by how much
+                nearest = postures[0] if postures else None
+                miss = (nearest.position_error, nearest.turn_error) if nearest else (None, 0.0)
+                self.choice.reject(str(grasp), OutOfReach(*miss))
+        if not options:
+            missed = itertools.chain.from_iterable(solved)
+            return GraspPlan(None, min(missed, key=lambda posture: posture.position_error, default=None))
+        joints = self.solver.joints
+        opened = self.arm.gripper.positions("open") if self.arm else {}
+        with CollisionChecker(self.robot, [*joints, *opened], [] if self.arm else [self.body]) as checker:
+            hand = checker.links_beyond(joints)
+            return _Choice(self.body, checker, options, opened, hand, self.choice, self.base).best(limit)
 
 
 class _Choice:
