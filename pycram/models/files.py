@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import AssetError
 from recorder.geometry.joints import UrdfError
@@ -11,6 +12,8 @@ from recorder.geometry.urdf import Urdf
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+_CACHED_MODELS: Final = 128
 
 
 def read_bytes(file: Path) -> bytes:
@@ -49,20 +52,10 @@ def parse_toml(text: str, source: str | Path) -> dict[str, object]:
         raise AssetError(source, f"is not TOML: {error}") from error
 
 
-#: Of canonical URDFs in the store, where files stay as they are.
-_trees: dict[Path, Urdf] = {}
-
-
-def keep_tree(path: Path, tree: Urdf) -> None:
-    """Keep the tree of a canonical URDF for :func:`stored_tree`."""
-    _trees[path] = tree
-
-
+@lru_cache(maxsize=_CACHED_MODELS)
 def stored_tree(path: Path) -> Urdf:
-    """Return the tree of links and joints of a canonical URDF."""
-    if path not in _trees:
-        _trees[path] = Urdf.parse(path.read_bytes())
-    return _trees[path]
+    """Return the tree of links and joints of a canonical URDF in the store, where files stay as they are."""
+    return Urdf.parse(path.read_bytes())
 
 
 def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -> Urdf:

@@ -26,7 +26,7 @@ from pycram.models import (
     store,
     textured_shapes,
 )
-from pycram.models.files import keep_tree, read_bytes, read_text
+from pycram.models.files import read_bytes, read_text
 from pycram.models.texture import warn_of_missing
 from pycram.models.warming import notable
 from pycram.physics.loading import NOW, Loading
@@ -59,10 +59,6 @@ class Model:
     urdf: Urdf
     files: tuple[AssetFile, ...]
     loading: Loading = NOW
-
-    def __post_init__(self) -> None:
-        """Keep the tree for whoever knows the path alone."""
-        keep_tree(self.path, self.urdf)
 
 
 def resources() -> Path:
