@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from recorder import Recording
 
 _PAGE = "serve"  # of --rerun
-_MOST = 1000  # frames of an error, and errors in a chain, that are printed
+_MAX_PRINTED = 1000  # frames of an error, and errors in a chain, that are printed
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
@@ -134,7 +134,7 @@ def _report(error: BaseException) -> int:
         case KeyboardInterrupt():
             tell("\npycram: interrupted")
             return INTERRUPTED
-    tell(format_traceback(error, frames=_MOST, errors=_MOST).rstrip())
+    tell(format_traceback(error, frames=_MAX_PRINTED, errors=_MAX_PRINTED).rstrip())
     kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
     how = "failed" if isinstance(error, PlanFailure) else kind
     tell(f"\npycram: the plan {how}: {format_error(error)}")

@@ -28,13 +28,13 @@ def _prepare(object: Any, target: Any, close: bool = True) -> Iterator[None]:  #
     """See whether there is a place for the object, before it is looked for and taken; close what was opened for it."""
     arms()
     check_target(candidates_of(object)[0], target)
-    opened = prepare(object) if close else prepare(object)[:0]
+    opened = prepare(object)
     try:
         yield
     except PlanFailure:
-        _close(opened)
+        _close(opened if close else ())
         raise
-    _close(opened)
+    _close(opened if close else ())
 
 
 def _close(opened: Sequence[Access]) -> None:

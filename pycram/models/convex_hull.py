@@ -24,7 +24,7 @@ else:
     with needed():
         spatial = LazyModule("scipy.spatial")
 
-_FEW: Final = 40  # corners: of more, to try all choices of three takes longer than 3 ms
+_MAX_CHOSEN: Final = 40  # corners: of more, to try all choices of three takes longer than 3 ms
 _SHARED: Final = 6  # triangles at a corner, about: so often it stands there where triangles are given
 _FLAT: Final = 1e-9  # m that a corner may lie before a plane, and a solid's thickness at least
 _IN_LINE: Final = 1e-12  # m^2: twice the area of three corners in a line
@@ -47,9 +47,9 @@ class Hull(NamedTuple):
 
 def convex_hull(corners: Array) -> Hull | None:
     """Return the convex hull of points (n, 3), m; None if all lie in one plane."""
-    if _FEW < len(corners) <= _FEW * _SHARED:
+    if _MAX_CHOSEN < len(corners) <= _MAX_CHOSEN * _SHARED:
         corners = np.unique(corners, axis=0)
-    if len(corners) > _FEW:
+    if len(corners) > _MAX_CHOSEN:
         try:
             hull = spatial.ConvexHull(corners)
         except spatial.QhullError:  # it is flat

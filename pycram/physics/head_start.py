@@ -12,6 +12,7 @@ from __future__ import annotations
 import base64
 import marshal
 import pickle
+from abc import ABC, abstractmethod
 from collections import deque
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -90,7 +91,7 @@ class HeadStart:
             engine.bullet.disconnect(physicsClientId=self._begun.pop().client)
 
 
-class _Between:
+class _Between(ABC):
     """Stands between the engine and PyBullet."""
 
     def __init__(self) -> None:
@@ -103,8 +104,9 @@ class _Between:
             setattr(self, name, found)
         return found
 
+    @abstractmethod
     def _call(self, function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:
-        raise NotImplementedError
+        """Answer a call of a function of PyBullet."""
 
     def _begins(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
         """Return whether a call begins a client without a window."""
@@ -194,7 +196,7 @@ def _same(a: object, b: object) -> bool:
 
 
 def _content(function: Callable[..., Any], arguments: tuple[Any, ...], keywords: dict[str, Any]) -> bytes | None:
-    """Return what is called, whichever client it is; None where that can't be told to the last bit."""
+    """Return what is called, whichever client it is; None where the arguments aren't plain values."""
     try:
         return marshal.dumps((function.__name__, arguments, keywords | {_CLIENT: 0}), _EXACT)
     except ValueError:

@@ -259,7 +259,7 @@ class Scheduler:
         self.running: _Branch | None = None
         self.draw_from(_seed, _order)
         self.alone = False
-        self._deadlocked = False  # it was told
+        self._deadlocked = False  # nobody runs any more, and one branch has had the error for it
         self.patient: dict[Waiter, None] = {}
         self._first: Waiter | None = None  # runs next, whatever else is ready
         self._ready: OrderedDict[Ready, None] = OrderedDict()

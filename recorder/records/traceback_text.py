@@ -21,7 +21,7 @@ MAX_ERRORS: Final = 16
 """The first and last errors in a text; a longer chain of causes is that of nested tasks, which have the others."""
 
 _FIRST: Final = 4  # of those: the causes of all
-_FEW: Final = 64  # errors in each other, or that led to one, that Python looks at all to print one of them
+_MAX_EXPLORED: Final = 64  # errors in each other, or that led to one, that Python looks at all to print one of them
 _REPEATED: Final = 3  # times that Python prints the same line; then it counts
 _MAX_CACHED: Final = 4096  # texts of frames
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
@@ -81,16 +81,16 @@ def _part(error: BaseException, frames: int) -> str:
 
 def _is_small_group(error: BaseException) -> bool:
     """Whether it is a group that Python prints with its members; another is printed as if it had none."""
-    return isinstance(error, BaseExceptionGroup) and _are_few(error)
+    return isinstance(error, BaseExceptionGroup) and _is_quickly_printed(error)
 
 
-def _are_few(error: BaseException) -> bool:
+def _is_quickly_printed(error: BaseException) -> bool:
     """Whether Python would look at few errors to print one: for groups in each other it takes the square of them."""
     errors = [error]
     for each in errors:
         members = each.exceptions if isinstance(each, BaseExceptionGroup) else ()
         errors += [other for other in (each.__cause__, each.__context__, *members) if other is not None]
-        if len(errors) > _FEW:
+        if len(errors) > _MAX_EXPLORED:
             return False
     return True
 
@@ -140,7 +140,7 @@ def _frame(entry: TracebackType) -> str:
 def _message(error: BaseException) -> Iterator[str]:
     """An error's type and message, and its notes."""
     kind, notes = type(error), getattr(error, "__notes__", None)
-    if (isinstance(error, _SPECIAL) or not isinstance(notes, list | None)) and _are_few(error):
+    if (isinstance(error, _SPECIAL) or not isinstance(notes, list | None)) and _is_quickly_printed(error):
         yield from TracebackException(kind, error, error.__traceback__, limit=0).format_exception_only()
         return
     module = "" if kind.__module__ in {"builtins", "__main__"} else f"{kind.__module__}."

@@ -93,7 +93,7 @@ def to_json(value: object) -> str:
     try:
         text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
         if len(text) > MAX_CHARACTERS:
-            raise ValueError(f"it has {len(text)} characters")  # noqa: TRY301  told as any other
+            raise ValueError(f"it has {len(text)} characters")  # noqa: TRY301  refused as any other
         text.encode()  # a lone surrogate can't be
     except UnicodeEncodeError:
         return json.dumps(_plain(value), separators=(",", ":"))
