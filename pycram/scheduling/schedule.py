@@ -257,12 +257,12 @@ class Scheduler:
         self.joining = False
         self.checkpoints = 0
         self.running: _Branch | None = None
+        self._ready: OrderedDict[Ready, None] = OrderedDict()
         self.draw_from(_seed, _order)
         self.alone = False
         self._deadlocked = False  # nobody runs any more, and one branch has had the error for it
         self.patient: dict[Waiter, None] = {}
         self._first: Waiter | None = None  # runs next, whatever else is ready
-        self._ready: OrderedDict[Ready, None] = OrderedDict()
         self.outer: dict[Outer, None] = {}
         self.looks = 0
         self.foreseen: Foreseen | None = None
@@ -275,6 +275,9 @@ class Scheduler:
         """Take the order from a seed, or one that is asked for; None for the order in which branches became ready."""
         self._dice = None if seed is None else random.Random(f"order {seed}")  # not that of the plan's own
         self.order = order_of(order, seed)
+        for ready in list(self._ready):
+            if isinstance(ready, Waiter) and not ready.parked:  # a wait that has ended: its turn is nobody's
+                self.forget(ready)
 
     def continue_order(self, other: Scheduler) -> None:
         """Draw what another scheduler would draw next, in a process that has no use for that one any more."""

@@ -63,6 +63,16 @@ def test_what_was_drawn_is_told_as_precedences_that_make_the_same_order() -> Non
     assert turns("pct:3:4:20", seed=1) == turns("pct:3:4:20", seed=1) != turns("pct:3:4:20", seed=2)
 
 
+def test_an_order_begins_anew_whatever_was_waited_for_before() -> None:
+    orders = [turns(f"pct:{number}:4:20") for number in range(20)]
+    for number, order in enumerate(orders):
+        seed_order(None)
+        with par as s:
+            s(checkpoint)
+            s(checkpoint)
+        assert turns(f"pct:{number}:4:20") == order
+
+
 def test_a_race_is_found_as_often_as_the_bound_says() -> None:
     """Two branches of ten steps: that the second runs as a whole between two certain steps of the first is of depth 2."""
     steps, draws = 20, 1500
