@@ -205,7 +205,7 @@ def _reasons(
     away = min(math.dist(position, wanted[0]), math.dist(position, target))  # it may slide to where it was wanted
     turned = geometry.angle(turn, wanted[1])
     lean = geometry.lean(turn, wanted[1])
-    near = {body.name, *(pair.body for pair in _touching(body))}
+    near = {body.name, *(pair.body for pair in _touching(body))} if restless else set()
     moving = [other.name for other in restless if other.name in near]
     reasons = []
     if moving:
@@ -250,8 +250,8 @@ def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:
 def _load(robot: Object, body: Object) -> float:
     """Return the share of an object's weight with which it presses on a robot."""
     engine = body.world.engine
-    weight = engine.center_of_mass(body.handle)[1] * math.hypot(*body.world.gravity)
     force = sum(contact.force for contact in engine.contacts(body.handle) if contact.other == robot.handle.id)
+    weight = engine.center_of_mass(body.handle)[1] * math.hypot(*body.world.gravity) if force else 0.0
     return force / weight if weight else 0.0
 
 
