@@ -19,7 +19,7 @@ from pycram.reasoning.rejections import Unreached, short
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
@@ -87,9 +87,9 @@ class Place(SimulatedModule):
             release()
             with robot.world.lock:
                 robot.detach(body)
-                beside = [robot.world.get_object(pair.body) for pair in _touching(body)]
-                free = [other for other in beside if not (other.fixed or other.is_robot)]
-                neighbours = {other: other.get_position_and_orientation() for other in free}
+                free = [other for other in robot.world.objects if not (other.fixed or other.is_robot)]
+                beside = [robot.world.get_object(pair.body) for pair in _touching(body, free)]
+                neighbours = {other: other.get_position_and_orientation() for other in beside}
             restless = self.execution.settle(robot.world)
             reasons = _reasons(body, target, plan.pose, orientation, neighbours, restless)
             if not reasons:
@@ -205,7 +205,7 @@ def _reasons(
     away = min(math.dist(position, wanted[0]), math.dist(position, target))  # it may slide to where it was wanted
     turned = geometry.angle(turn, wanted[1])
     lean = geometry.lean(turn, wanted[1])
-    near = {body.name, *(pair.body for pair in _touching(body))}
+    near = {body.name, *(pair.body for pair in _touching(body, body.world.objects))} if restless else set()
     moving = [other.name for other in restless if other.name in near]
     reasons = []
     if moving:
@@ -223,7 +223,7 @@ def _failure(
     body: Object, target: Sequence[float], wanted: Pose, orientation: Sequence[float] | None, reasons: Sequence[str]
 ) -> PlaceFailed:
     """Return the failure that says why an object doesn't stand where it was let go, and what it touches."""
-    touching = _touching(body)
+    touching = _touching(body, body.world.objects)
     at = ", ".join(pair.body_link + " of " * bool(pair.body_link) + pair.body for pair in touching) or "nothing"
     return PlaceFailed(
         body.name,
@@ -250,17 +250,17 @@ def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:
 def _load(robot: Object, body: Object) -> float:
     """Return the share of an object's weight with which it presses on a robot."""
     engine = body.world.engine
-    weight = engine.center_of_mass(body.handle)[1] * math.hypot(*body.world.gravity)
     force = sum(contact.force for contact in engine.contacts(body.handle) if contact.other == robot.handle.id)
+    weight = engine.center_of_mass(body.handle)[1] * math.hypot(*body.world.gravity) if force else 0.0
     return force / weight if weight else 0.0
 
 
-def _touching(body: Object) -> list[CollisionPair]:
-    """Return what an object touches, one pair of links an object."""
-    world = body.world
+def _touching(body: Object, others: Iterable[Object]) -> list[CollisionPair]:
+    """Return which other objects an object touches, one pair of links an object."""
+    engine = body.world.engine
     found = []
-    for other in world.objects:
-        points = [] if other is body else world.engine.closest_points(body.handle, other.handle, _TOUCHING)
+    for other in others:
+        points = [] if other is body else engine.closest_points(body.handle, other.handle, _TOUCHING)
         if points:
             nearest = min(points, key=lambda point: point.distance)
             own, met = checker.link_name(body, nearest.link_a), checker.link_name(other, nearest.link_b)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.collision_pair import CollisionPair
 from pycram.foundation.failures import PlaceFailed
-from pycram.reasoning.collision import checker
+from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import fingers, placing, sides
 from pycram.reasoning.kinematics.solver import Solver
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pycram.foundation.failures import NoPath
     from pycram.models.robots.description import Arm
     from pycram.reasoning.choosing import Choice
+    from pycram.reasoning.collision.checker import Candidate
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
 
@@ -118,9 +119,9 @@ def placements(
                 refusals.misses.append(posture.position_error)
                 choice.reject(name, OutOfReach(posture.position_error, posture.turn_error))
                 continue
-            pairs = checker.in_the_way(robot, posture.positions, base)
-            if not pairs:
-                pairs = _pressed(robot, arm, body, posture.positions, base)
+            with CollisionChecker(robot, posture.positions) as own:
+                (candidate,) = own.predict([posture.positions], base)
+                pairs = own.in_the_way(candidate) or _pressed(own, candidate, arm, body)
             if not pairs:
                 opening = fingers.moved(robot, arm, 1.0, posture=posture.positions, release=body, pose=pose, base=base)
                 if opening.gap >= fingers.CLEAR or not opening.stopped_by:
@@ -138,25 +139,22 @@ def placements(
                 refusals.pairs.setdefault(pair.body, pair)
 
 
-def _pressed(
-    robot: Object, arm: Arm, body: Object, posture: Mapping[str, float], base: Pose | None
-) -> list[CollisionPair]:
+def _pressed(checker: CollisionChecker, candidate: Candidate, arm: Arm, body: Object) -> list[CollisionPair]:
     """Return which links of the arm, but the hand's, would push away what is let go of: a wrist and what it holds meet.
 
     While it is held that counts for nothing, as it doesn't for other links that are next to each other.
     """
-    with checker.CollisionChecker(robot, posture) as own:
-        (candidate,) = own.predict([posture], base)
-        points = own.closest_points(candidate, clone_of(robot.world, "reach").body(body.name))
-        hand = own.links_beyond(arm.joints)
-        depths: dict[str, float] = {}
-        for point in points:
-            if point.link_a not in hand and point.distance <= -checker.DEPTH:
-                depths[point.link_a] = max(depths.get(point.link_a, 0.0), -point.distance)
-        return [
-            CollisionPair(body.name, "", robot.name, link, depth, arm.name)
-            for link, depth in sorted(depths.items(), key=lambda each: -each[1])
-        ]
+    robot = checker.robot
+    points = checker.closest_points(candidate, clone_of(robot.world, "reach").body(body.name))
+    hand = checker.links_beyond(arm.joints)
+    depths: dict[str, float] = {}
+    for point in points:
+        if point.link_a not in hand and point.distance <= -DEPTH:
+            depths[point.link_a] = max(depths.get(point.link_a, 0.0), -point.distance)
+    return [
+        CollisionPair(body.name, "", robot.name, link, depth, arm.name)
+        for link, depth in sorted(depths.items(), key=lambda each: -each[1])
+    ]
 
 
 def _poses(

@@ -40,6 +40,7 @@ _MAX_STRAIN: Final = 1.0  # rad of strain beyond which there is no solution near
 _MAX_SEARCHED: Final = 0.6  # rad of strain that a search has ever overcome
 _HOPELESS: Final = 0.02  # m of a proven miss beyond which no search is worth its time
 _TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
+_MAX_KNOWN: Final = 8  # searches whose results are kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,7 @@ class ArmKinematics:
 
     def __init__(self, chain: Chain) -> None:
         self.chain = chain
+        self._known: dict[tuple[object, ...], tuple[Array, NDArray[np.bool_]]] = {}
         self._closed: ClosedForm | None = None
         if chain.joints and not chain.sliding:
             self._closed = ClosedForm.of(*chain.at_zero(), chain.lower, chain.upper, chain.bounded)
@@ -132,11 +134,23 @@ class ArmKinematics:
         counts = [len(batch) for batch in batches]
         which = np.repeat(np.array(numbers, dtype=np.intp), counts)
         turned = None if turns is None else turns[which]
-        found, reached = descend(self.chain, np.vstack(batches), goals[which], turned, which, stop_early=stop_early)
+        found, reached = self._descend(np.vstack(batches), goals[which], turned, which, stop_early=stop_early)
         ends = np.cumsum(counts)[:-1]
         for number, postures in zip(numbers, np.split(found, ends), strict=True):
             tried[number].append(postures)
         return [bool(part.any()) for part in np.split(reached, ends)]
+
+    def _descend(
+        self, start: Array, goals: Array, turns: Array | None, which: NDArray[np.intp], *, stop_early: bool
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Search as :func:`descend`, or know it: a long search begins as the quick one, a pick as what was asked."""
+        inputs = (start, goals, which) if turns is None else (start, goals, which, turns)
+        key = stop_early, *(part.tobytes() for part in inputs)
+        if key not in self._known:
+            if len(self._known) >= _MAX_KNOWN:
+                self._known.clear()
+            self._known[key] = descend(self.chain, start, goals, turns, which, stop_early=stop_early)
+        return self._known[key]
 
     def _best(self, found: Array, home: Array, goal: Array, turn: Array | None) -> Array:
         """Return those that reach and differ, or else the nearest miss."""

@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings, strategies as st
 from pycram.reasoning.kinematics import subproblems
 from pycram.reasoning.kinematics.arm import ArmKinematics, Posture
 from pycram.reasoning.kinematics.chain import Chain
-from pycram.reasoning.kinematics.descent import POSITION_TOLERANCE, TURN_TOLERANCE
+from pycram.reasoning.kinematics.descent import POSITION_TOLERANCE, TURN_TOLERANCE, descend
 from recorder import geometry
 from recorder.geometry.urdf import Urdf
 
@@ -180,6 +180,25 @@ def test_many_targets_are_solved_as_one_by_one() -> None:
         exact = solver.closed_form(targets, {})
         assert all(is_solved(posture) for postures in exact for posture in postures)
         assert all(there for postures, there in zip(exact, reached, strict=True) if postures)
+
+
+def test_a_long_search_goes_on_from_what_the_quick_one_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The starts that a quick search tries in vain aren't tried again; what is found is as without it."""
+    out_of_reach = [([0.9, 0.1, 0.2], (0.0, 0.0, 0.0, 1.0)), ([0.0, 0.9, 0.2], (0.0, 0.0, 1.0, 0.0))]
+    searched: list[int] = []
+
+    def counted(chain: Chain, start: np.ndarray, *rest: np.ndarray, stop_early: bool) -> tuple[np.ndarray, np.ndarray]:
+        searched.append(len(start))
+        return descend(chain, start, *rest, stop_early=stop_early)
+
+    monkeypatch.setattr("pycram.reasoning.kinematics.arm.descend", counted)
+    alone = chain(*SIX).solve(out_of_reach)
+    few, many = searched
+    searched.clear()
+    solver = chain(*SIX)
+    solver.solve(out_of_reach, quick=True)
+    assert solver.solve(out_of_reach) == alone
+    assert searched == [few, many]
 
 
 def test_arms_of_any_number_of_joints_are_searched() -> None:
