@@ -8,7 +8,7 @@ BIN := .venv/bin
 # Tests start many processes. Where bytecode isn't kept, as containers often have it, each of them compiles all of it anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-fast test-long test-lowest test-reading lint bench resources proto reference system-packages clean
+.PHONY: demo test test-fast test-long test-lowest test-reading test-lerobot lint bench resources proto reference system-packages clean
 
 demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap, the next time set_the_table.2.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
@@ -27,6 +27,9 @@ test-lowest: .venv-lowest/ready  ## the inner loop with the lowest versions that
 
 test-reading: .venv-reading/ready  ## reading recordings where neither engine nor viewer is installed
 	.venv-reading/bin/pytest --noconftest -m "not slow" tests/replay/test_reading_alone.py
+
+test-lerobot: .venv/ready-long .venv-lerobot/ready  ## exported data sets with camera images, read by LeRobot itself (8 GB)
+	$(BIN)/pytest tests/replay/runs/test_lerobot.py
 
 lint: .venv/ready-dev
 	$(BIN)/ruff check
@@ -51,7 +54,7 @@ system-packages:  ## what tests of windows, viewers and the browser need (Debian
 	.ci/system-packages
 
 clean:
-	rm -rf .venv .venv-lowest .venv-reading dist build
+	rm -rf .venv .venv-lowest .venv-reading .venv-lerobot dist build
 
 .venv/ready: pyproject.toml
 	@.ci/environment .venv '.[all]'
@@ -75,4 +78,10 @@ clean:
 .venv-reading/ready: pyproject.toml
 	@.ci/environment .venv-reading .
 	.venv-reading/bin/pip install --quiet 'pytest>=8.4'
+	@touch $@
+
+# Beside .venv, as LeRobot and PyCRAM need different releases of the viewer.
+.venv-lerobot/ready: pyproject.toml
+	@.ci/environment .venv-lerobot .
+	.venv-lerobot/bin/pip install --quiet 'lerobot>=0.4,<0.5'
 	@touch $@

@@ -6,6 +6,7 @@ import ast
 import json
 import math
 import random
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
@@ -24,6 +25,8 @@ _DISTRIBUTIONS: Final[Mapping[str, tuple[int, Callable[..., Any]]]] = {
     "integers": (2, lambda dice, a, b: dice.randint(a, b)),
     "choice": (0, lambda dice, *values: dice.choice(values)),
 }
+_CALL: Final = re.compile(r"(\w+)\s*\((.*)\)", re.DOTALL)
+_WORD: Final = re.compile(r"[^()\[\]{}'\"=]+")
 _EXPECTED: Final = "uniform(a,b), normal(mean,deviation), integers(first,last) or choice(a,b,...)"
 
 
@@ -111,19 +114,19 @@ def _parse(name: str, text: object) -> tuple[str, list[Any]]:
 
 @lru_cache  # each run's name has its values
 def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
-    try:
-        call = ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError):
-        call = None
-    if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)) or call.keywords:
+    call = _CALL.fullmatch(text.strip())
+    if call is None:
         raise BadArgument(name, text, _EXPECTED)
-    kind = call.func.id
+    kind, values = call.groups()
     if kind not in _DISTRIBUTIONS:
         raise BadArgument(name, text, f"a distribution; {suggestion(kind, _DISTRIBUTIONS)}")
     try:
-        arguments = [ast.literal_eval(each) for each in call.args]
-    except ValueError:  # choice(left,right): texts without quotes
-        arguments = [each.id if isinstance(each, ast.Name) else ast.literal_eval(each) for each in call.args]
+        arguments = list(ast.literal_eval(f"({values},)"))
+    except (SyntaxError, ValueError):  # choice(cup.stl,bowl.stl): texts without quotes
+        words = [each.strip() for each in values.split(",")]
+        if not all(map(_WORD.fullmatch, words)):
+            raise BadArgument(name, text, _EXPECTED) from None
+        arguments = list(map(parsed, words))
     count = _DISTRIBUTIONS[kind][0]
     numbers = all(isinstance(each, int | float) and math.isfinite(each) for each in arguments)
     whole = kind != "integers" or (all(isinstance(each, int) for each in arguments) and arguments == sorted(arguments))

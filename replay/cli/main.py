@@ -210,10 +210,9 @@ def _run_on_folder(verb: ModuleType, options: argparse.Namespace) -> int:
     try:
         with needed("runs"):
             from replay.cli.reading_runs import opened  # noqa: PLC0415  what it needs is an extra
-
-            with opened(options.log) as runs:
-                code: int = verb.run_folder(runs, options)
-                skipped = runs.skipped
+        with needed(), opened(options.log) as runs:  # what a verb needs beside it is another extra's
+            code: int = verb.run_folder(runs, options)
+            skipped = runs.skipped
     except NotInstalled as error:
         return _report(f"{options.verb}: {error}", USAGE)
     for left_out in skipped[:_MAX_SKIPPED]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from PIL import Image, ImageDraw
 
+from recorder.packages import NotInstalled
 from replay.recording import Recording
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ def picture(folder: Path, run: str, step: int | None) -> Image.Image | None:
     with Recording(folder / run) as log:
         try:
             return log.render(log.final_step() if step is None else step, size=_SIZE)
+        except NotInstalled:
+            raise
         except Exception:  # noqa: BLE001  no world was open, a model is lost: the others are worth more than this one
             return None
 

@@ -148,8 +148,11 @@ def _last(site: Site) -> Site | None:
     """Return what a site had at last, which is what was in force when it failed; None where that is all that it had."""
     if site.kind in ("reached", "order") or all(len({each.value for each in got}) == 1 for got in site.values.values()):
         return None
-    before, at, where = site.name.partition(" at ")
-    name = f"{before} at the last {where}" if at else f"the last {site.name}"
+    if site.kind == "choice":
+        name = f"{site.name} last"
+    else:
+        before, at, where = site.name.partition(" at ")
+        name = f"{before} at the last {where}" if at else f"the last {site.name}"
     return Site(site.kind, name, {number: got[-1:] for number, got in site.values.items()})
 
 

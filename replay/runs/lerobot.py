@@ -81,6 +81,8 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
     Raises:
         ReplayError: no robot moves in any run, they are of several robots, or the folder can't be written.
     """
+    if draw is not None:
+        from replay.runs.video import Videos  # noqa: PLC0415  what it needs is an extra
     if folder.exists():
         raise ReplayError(f"{folder}: is there already; a data set gets a folder of its own")
     robots = _robots(runs, names)
@@ -89,8 +91,6 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
     kinds = sorted(set(robots.values()))
     if len(kinds) > 1:
         raise ReplayError(f"{runs.path}: the runs are of {', '.join(kinds)}; a data set is of one robot")
-    if draw is not None:
-        from replay.runs.video import Videos  # noqa: PLC0415  what it needs is an extra
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))

@@ -49,13 +49,15 @@ READING = [
     ("why",),
     ("verify", "--static"),
 ]
-HIDING = f"""
+HIDING = """
 import sys
+
+hidden = sys.argv[2:]
 
 class Hidden:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {EXTRAS!r}:
-            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+        if name.partition(".")[0] in hidden:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Hidden())
 """
@@ -79,14 +81,14 @@ class Ended(NamedTuple):
     err: str
 
 
-def run(*calls: Sequence[str], hiding: bool = True) -> list[Ended]:
+def run(*calls: Sequence[str], hidden: Sequence[str] = EXTRAS) -> list[Ended]:
     """Runs commands in a process of their own, in which what the extras bring isn't found.
 
     Args:
         calls: of each the module and the words.
-        hiding: False to let it find all that is installed.
+        hidden: the modules that it doesn't find.
     """
-    command = [sys.executable, "-c", (HIDING if hiding else "") + CALLING, json.dumps(calls)]
+    command = [sys.executable, "-c", HIDING + CALLING, json.dumps(calls), *hidden]
     environment = os.environ | {"PYTHONPATH": str(REPO)}
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
@@ -110,7 +112,7 @@ def test_reading_verbs(log: Path) -> None:
 @pytest.mark.slow  # `make test-reading` leaves it out: where only the base is installed, there is nothing to compare with
 def test_they_say_the_same_as_where_all_is_installed() -> None:
     calls = [replay(verb, LOGS[0], *words) for verb, *words in READING]
-    assert run(*calls) == run(*calls, hiding=False)
+    assert run(*calls) == run(*calls, hidden=())
 
 
 @pytest.mark.slow
@@ -130,6 +132,30 @@ def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
         (line,) = printed.err.splitlines()
         assert line.startswith(begin)
         assert line.endswith(f" isn't installed; in a checkout of PyCRAM: pip install '.[{extra}]'")
+
+
+@pytest.mark.slow  # `make test-reading` leaves it out: it has nothing to open folders with
+def test_of_folders_too(tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    for log in LOGS:
+        (runs / log.name).symlink_to(log)
+    engine, drawing = ("greenlet", "pybullet", "pybullet_data", "scipy", "ompl", "toppra"), ("trimesh", "collada")
+    sheet, out = str(tmp_path / "sheet.png"), str(tmp_path / "set")
+    calls = {
+        replay("stats", runs, "--picture", sheet): ((*engine, *drawing), "stats", "render"),
+        replay("stats", runs, "--html", sheet): ((*engine, "PIL"), "stats", "render"),
+        replay("view", runs, "--save", out): (("rerun", "rerun_cli", "rerun_sdk"), "view", "viewer"),
+        replay("export", runs, "--to", "lerobot", out, "--images"): (("av",), "export", "video"),
+        replay("sql", runs, "select 1"): (("duckdb",), "sql", "runs"),
+    }
+    for call, (hidden, verb, extra) in calls.items():
+        (printed,) = run(call, hidden=hidden)
+        assert printed.code == 2, printed.out
+        assert printed.err.startswith(f"pycram-replay: {verb}: ")
+        assert printed.err.endswith(f" isn't installed; in a checkout of PyCRAM: pip install '.[{extra}]'\n")
+    (drawn,) = run(replay("stats", runs, "--picture", sheet), hidden=engine)
+    assert Path(sheet).stat().st_size > 5000, drawn.err
 
 
 def test_a_damaged_recording_is_repaired(tmp_path: Path) -> None:

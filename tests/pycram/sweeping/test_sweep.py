@@ -19,7 +19,7 @@ import pycram
 import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.cli import main as pycram_command
-from pycram.failures import UsageError
+from pycram.failures import BadArgument, UsageError
 from pycram.sweeping import Outcome, Sweep, SweepRefused
 from pycram.sweeping.values import Variations
 from recorder.records import Mutation, Run
@@ -186,6 +186,29 @@ def test_what_a_run_draws_depends_on_seed_and_number_only() -> None:
     assert [each["c"] for each in drawn] == [more.of(3, number)["c"] for number in range(12)]
     assert drawn[0]["c"] != few.of(4, 0)["c"]
     assert {more.of(0, number)["d"] for number in range(200)} == {1, 2, 3, 4, 5, 6}
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("choice(cup.stl, my bowl.stl,a-b/c.stl)", {"cup.stl", "my bowl.stl", "a-b/c.stl"}),
+        ("choice(left,right)", {"left", "right"}),
+        ("choice('left, or right', 2)", {"left, or right", 2}),
+        ("choice(true,2.stl)", {True, "2.stl"}),
+        ("choice((0,1),(-1,2))", {(0, 1), (-1, 2)}),
+    ],
+)
+def test_choices_are_words_as_those_of_a_list_or_literals(text: str, values: set[object]) -> None:
+    given = Variations({}, {"a": text})
+    assert {given.of(0, number)["a"] for number in range(60)} == values
+
+
+@pytest.mark.parametrize(
+    "text", ["choice()", "choice(a,,b)", "choice(a", "choice(a(b))", "choice(a='b')", "uniform(a,b)"]
+)
+def test_what_is_no_distribution_is_refused(text: str) -> None:
+    with pytest.raises(BadArgument, match="choice"):
+        Variations({}, {"a": text})
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +16,7 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from replay.cli.main import main
 from replay.restore.render import Scene
+from tests.replay.documented import REPO
 from tests.replay.runs.seeded import CABINET
 from tests.smooth_motions import move
 
@@ -21,6 +24,31 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 DRAWER = "drawer_joint"
+#: LeRobot needs another release of the viewer than PyCRAM: `make test-lerobot` sets up an environment of its own.
+LEROBOT = REPO / ".venv-lerobot" / "bin" / "python"
+#: Opens a data set as a training does; keeps the first and last frame of each episode, and a batch in any order.
+READING = """
+import sys
+import numpy as np
+import torch
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+folder, file = sys.argv[1:]
+runs = LeRobotDataset("local/runs", root=folder, video_backend="pyav")
+first = [runs[row["dataset_from_index"]] for row in runs.meta.episodes]
+last = [runs[row["dataset_to_index"] - 1] for row in runs.meta.episodes]
+second = LeRobotDataset("local/runs", root=folder, video_backend="pyav", episodes=[1], delta_timestamps={"action": [0, 1 / runs.fps]})
+np.savez(
+    file,
+    counts=[len(runs), runs.num_episodes, len(second)],
+    tasks=[each["task"] for each in last],
+    states=torch.stack([each["observation.state"] for each in last]),
+    begun=torch.stack([each["observation.images.camera"] for each in first]),
+    pictures=torch.stack([each["observation.images.camera"] for each in last]),
+    actions=second[0]["action"],
+    batch=next(iter(torch.utils.data.DataLoader(runs, batch_size=4, shuffle=True)))["observation.images.camera"],
+)
+"""
 
 
 @pytest.fixture
@@ -104,3 +132,31 @@ def test_videos_show_what_a_camera_sees(opened: Path, tmp_path: Path, capsys: py
         assert np.abs(last - frames[first]).mean() > 3, "the camera moves with the drawer"
     mean = json.loads((out / "meta" / "stats.json").read_text())["observation.images.camera"]["mean"]
     assert np.array(mean).ravel() == pytest.approx(np.mean(frames, axis=(0, 1, 2)) / 255, abs=0.02)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not LEROBOT.exists(), reason="LeRobot isn't there: `make test-lerobot` installs it")
+def test_lerobots_own_reader_gives_what_the_runs_had(opened: Path, tmp_path: Path) -> None:
+    out, read = tmp_path / "set", tmp_path / "read.npz"
+    assert main(["export", str(opened), "--to", "lerobot", str(out), "--images", "drawer"]) == 0
+    alone = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache")}
+    subprocess.run([LEROBOT, "-P", "-c", READING, out, read], env=os.environ | alone, check=True)
+    info = json.loads((out / "meta" / "info.json").read_text())
+    drawer = info["features"]["observation.state"]["names"].index(DRAWER)
+    episodes = pd.read_parquet(out / "meta" / "episodes")
+    given = np.load(read)
+    assert given["counts"].tolist() == [info["total_frames"], 2, episodes["length"][1]]
+    assert given["tasks"].tolist() == ["open", "open"]
+    for name, state, picture in zip(episodes["run"], given["states"], given["pictures"], strict=True):
+        with replay.open(opened / name) as log:
+            final = log.state_at(log.final_step()).world("lab").body("cabinet")
+            assert state[drawer] == pytest.approx(final.joint(DRAWER), abs=2e-5)
+            scene = Scene(log, log.final_step())
+            seen = np.asarray(scene.picture(camera="drawer", size=picture.shape[:0:-1]).convert("RGB"), float)
+        assert np.abs(picture.transpose(1, 2, 0) * 255 - seen).mean() < 3, "but for what the codec loses"
+    first, second = given["begun"] * 255
+    assert np.abs(first - second).mean() < 3, "all begin with the drawer closed"
+    assert np.abs(given["pictures"] * 255 - first).mean((1, 2, 3)).min() > 3, "the camera moves with the drawer"
+    frames = pd.read_parquet(out / "data").query("episode_index == 1")
+    assert given["actions"] == pytest.approx(np.stack(frames["action"][:2]))
+    assert given["batch"].shape == (4, 3, *info["features"]["observation.images.camera"]["shape"][:2])

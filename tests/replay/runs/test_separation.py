@@ -117,7 +117,7 @@ def test_what_was_in_force_last_and_what_was_there_separate_too(tmp_path: Path) 
         halves = [[run for run, kind in kinds if kind == half] for half in ("0", "1")]
         claims = [separate(runs, names).claims for names in halves]
     assert claims[0][0].fact.text == "lid was loaded"
-    assert claims[1][0].fact.text == "the last what grasp(milk) chose=side"
+    assert claims[1][0].fact.text == "what grasp(milk) chose last=side"
 
 
 @pytest.mark.slow
