@@ -146,11 +146,13 @@ class ArmKinematics:
         """Search as :func:`descend`, or know it: a long search begins as the quick one, a pick as what was asked."""
         inputs = (start, goals, which) if turns is None else (start, goals, which, turns)
         key = stop_early, *(part.tobytes() for part in inputs)
-        if key not in self._known:
-            if len(self._known) >= _MAX_KNOWN:
+        known = self._known.get(key)
+        if known is None:
+            known = descend(self.chain, start, goals, turns, which, stop_early=stop_early)
+            if len(self._known) >= _MAX_KNOWN:  # by any thread
                 self._known.clear()
-            self._known[key] = descend(self.chain, start, goals, turns, which, stop_early=stop_early)
-        return self._known[key]
+            self._known[key] = known
+        return known
 
     def _best(self, found: Array, home: Array, goal: Array, turn: Array | None) -> Array:
         """Return those that reach and differ, or else the nearest miss."""
