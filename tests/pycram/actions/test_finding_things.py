@@ -21,6 +21,7 @@ from pycram.failures import (
 from pycram.knowledge import believed, learn
 from pycram.motions.environments import execution_environment
 from pycram.reasoning.grasping import fingers
+from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -176,3 +177,22 @@ def test_one_arm_has_none_to_hand_over_to(world: BulletWorld) -> None:
     world.robot.attach(cup, arm.tool_frame)
     with pytest.raises(MissingPart, match="no other arm with a gripper"):
         do("handing-over", object=cup)
+
+
+@pytest.mark.slow
+def test_where_something_is_in_the_way_of_handing_over_the_robot_turns_first(room: Room, tmp_path: Path) -> None:
+    perform(MotionDesignator(type="moving", target=[0.45, -0.1, 0]))
+    perform(MotionDesignator(type="pick-up", object=room.cup, arm="left"))
+    perform(MotionDesignator(type="moving", target=[-1.5, 0, 0]))
+    perform(MotionDesignator(type="move-arm-joints", left_arm="park", right_arm="park"))
+    path = tmp_path / "board.urdf"
+    path.write_text(f'<robot name="board"><link name="board">{shapes({"0 0 0.8": "0.5 1.5 0.3"})}</link></robot>')
+    board = Object("board", "environment", str(path), [-0.83, 0, 0])
+    try:
+        assert do("handing-over", object="cup") is room.cup
+        (held,) = room.robot.carried
+        assert held.carrier_link == room.robot.description.arm("right").tool_frame
+        forward = geometry.rotate(room.robot.get_orientation(), (1.0, 0.0, 0.0))
+        assert forward[0] < 0.1, "it has turned away from the board"
+    finally:
+        board.remove()
