@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pycram.actions import ObjectNotFound, perform
+from pycram.actions import ObjectNotFound, perform, replaced
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator
 from pycram.failures import (
@@ -196,3 +196,40 @@ def test_where_something_is_in_the_way_of_handing_over_the_robot_turns_first(roo
         assert forward[0] < 0.1, "it has turned away from the board"
     finally:
         board.remove()
+
+
+@pytest.mark.slow
+def test_what_a_door_hides_from_where_it_was_opened_is_looked_for_from_before_it(world: BulletWorld) -> None:
+    world.set_gravity([0, 0, -9.8])
+    kitchen = Object("kitchen", "environment", "kitchen.urdf")
+    milk = Object("milk", "milk", "milk.stl", [1.42, -1.05, 0.87])
+    world.robot = robot = Object("tiago_pro", "robot", "tiago_pro.urdf", [0.3, -1.2, 0])
+    perform(MotionDesignator(type="move-arm-joints", left_arm="park", right_arm="park"))
+    world.settle()
+
+    def from_behind_the_door(
+        container: str,
+        joint: Any = None,
+        handle: Any = None,
+        arm: Any = None,
+        distance: Any = None,
+        place: Any = None,
+        orientation: Any = None,
+    ) -> str:
+        if container != "fridge":
+            raise AccessFailed(container, "it is locked")
+        kitchen.set_joint_position(kitchen.containers["fridge"].joint, 1.2)
+        robot.set_position_and_orientation([0.31, -1.26, 0], geometry.from_rpy(0, 0, 0.41))
+        return "right"
+
+    with replaced("opening", from_behind_the_door):
+        assert do("searching", object="milk") is milk
+
+
+@pytest.mark.slow
+def test_a_drawer_is_opened_and_closed_from_the_place_that_is_given(room: Room) -> None:
+    place = {"place": [0.27, -0.2, 0], "orientation": [0, 0, 0, 1]}
+    for kind, value in (("opening", 0.35), ("closing", 0.0)):
+        do(kind, container=room.container, **place)
+        assert room.robot.get_position() == pytest.approx(place["place"])
+        assert room.chest.get_joint_position("slide") == pytest.approx(value, abs=0.2)
