@@ -12,10 +12,15 @@ if TYPE_CHECKING:
 
 
 def _choices(
-    container: Any, joint: str | None = None, handle: str | None = None, arm: str | None = None
+    container: Any,
+    joint: str | None = None,
+    handle: str | None = None,
+    arm: str | None = None,
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
 ) -> Iterator[Mapping[str, Any]]:
     access = access_of(container, joint, handle)
-    for choice in choices(access, arm, [access.closed]):
+    for choice in choices(access, arm, [access.closed], place, orientation):
         yield {slot: value for slot, value in choice.items() if slot != "distance"}
 
 

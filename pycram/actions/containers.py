@@ -148,13 +148,21 @@ def access_of(container: Access | Object, joint: str | None, handle: str | None)
     return Access(handle, body, joint, handle, Handle(body, joint, handle).closed, body.joint_limits(joint)[1])
 
 
-def choices(access: Access, arm: str | None, values: Sequence[float]) -> Iterator[Mapping[str, Any]]:
+def choices(
+    access: Access,
+    arm: str | None,
+    values: Sequence[float],
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+) -> Iterator[Mapping[str, Any]]:
     """Yield arms and places from which a handle can be held all the way, for the first of some values that it can be.
 
     Args:
         access: What is to be moved.
         arm: The arm; None for any.
         values: Of its joint, rad or m, the best first.
+        place: Where the robot is to stand, m; None for where it reaches.
+        orientation: Of its base there; the present one by default.
 
     Raises:
         AccessFailed: No arm is free.
@@ -162,24 +170,30 @@ def choices(access: Access, arm: str | None, values: Sequence[float]) -> Iterato
     """
     robot = BulletWorld.current_robot()
     arms = _free_arms(robot, access, arm)
+    if place is not None:
+        for value, each in itertools.product(values, arms):
+            yield _choice(access, each, value, place, orientation or robot.get_orientation())
+        return
     failure: NoPlace | None = None
     found = False
     for value in values:
         pull = Pull(access.body, access.joint, access.handle, value)
         try:
-            for place in itertools.islice(standing_places(robot, reach=[pull], arms=arms), _PLACES):
+            for spot in itertools.islice(standing_places(robot, reach=[pull], arms=arms), _PLACES):
                 found = True
-                for each in place.arms:
-                    yield {
-                        "arm": each,
-                        "distance": abs(value - access.closed),
-                        "place": list(place.position),
-                        "orientation": list(place.orientation),
-                    }
+                for each in spot.arms:
+                    yield _choice(access, each, value, spot.position, spot.orientation)
         except NoPlace as none:
             failure = failure or none
     if not found and failure is not None:
         raise failure
+
+
+def _choice(
+    access: Access, arm: str, value: float, place: Sequence[float], orientation: Sequence[float]
+) -> Mapping[str, Any]:
+    distance = abs(value - access.closed)
+    return {"arm": arm, "distance": distance, "place": list(place), "orientation": list(orientation)}
 
 
 def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import action
+from pycram.actions.fetching import go
 from pycram.actions.hands import held_by
+from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
-from pycram.foundation.failures import MissingPart, ReasoningError
+from pycram.foundation.failures import Blocked, MissingPart, ReasoningError
 from pycram.motions import slot_checks
 from pycram.motions.designator import MotionDesignator
+from pycram.reasoning.collision import checker
+from pycram.reasoning.driving import drives
 from pycram.reasoning.kinematics.solver import postures
 from pycram.world.world import BulletWorld
 from recorder import geometry
@@ -19,17 +24,20 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from pycram.foundation.collision_pair import CollisionPair
     from pycram.models.robots.description import Arm
     from pycram.world.object import Object
-    from recorder.geometry import Vector
+    from recorder.geometry import Pose, PoseLike, Vector
 
 _AHEAD: Final = (0.55, 0.45, 0.65)  # m before the shoulders
 _DOWN: Final = (0.2, 0.35, 0.05)  # m below them
 _TURNS: Final = (30, 60, 0, 90)  # degrees by which the giving hand points inward
+_EACH: Final = 4  # ways to hold it that are tried before the robot turns
+_AWAY: Final = (180, 90, -90)  # degrees by which the robot turns where something is before it
 
 
 def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
-    """Yield where the giving hand may hold an object, and the arms that may take it."""
+    """Yield where the giving hand may hold an object, and which arm takes it; at last with the robot turned away."""
     body = object_of(object)
     robot = BulletWorld.current_robot()
     giver = _giver(robot, body)
@@ -44,17 +52,20 @@ def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]
         holding = ", ".join(f"the {each.name} arm holds {held.name}" for each in takers if (held := held_by(each)))
         raise ReasoningError(f"{body.name} can't be handed over: no other arm is free: {holding}")
     takers = [each for each in takers if held_by(each) is None]
-    for taker in takers:
-        middle, inward = _between(robot, giver, taker)
-        for down in _DOWN:
-            for ahead in _AHEAD:
-                for degrees in _TURNS:
-                    turn = geometry.from_rpy(0.0, 0.0, math.radians(inward * degrees))
-                    pose = geometry.multiply(
-                        robot.get_position_and_orientation(), ((middle[0] + ahead, middle[1], middle[2] - down), turn)
-                    )
-                    if any(found.reaches() for found in postures(robot, giver.tool_frame, *pose, quick=True)):
-                        yield {"arm": taker.name, "target": list(pose[0]), "orientation": list(pose[1])}
+    here = robot.get_position_and_orientation()
+    turned = list(_turned(robot, here))
+    blocked: list[Blocked] = []
+    found = False
+    for place in (None, *turned):
+        goes_to = None if place is None else LocationDesignator(position=place[0], orientation=place[1])
+        for taker in takers:
+            poses = _free_poses(robot, giver, taker, place, blocked)
+            for pose in itertools.islice(poses, _EACH if turned else None):
+                position, turn = geometry.multiply(place or here, pose)
+                found = True
+                yield {"arm": taker.name, "target": list(position), "orientation": list(turn), "place": goes_to}
+    if blocked and not found:
+        raise blocked[0]
 
 
 @action("handing-over", choices=_choices, checked={"target": slot_checks.position})
@@ -63,6 +74,7 @@ def handing_over(
     arm: str | None = None,
     target: Sequence[float] | None = None,
     orientation: Sequence[float] | None = None,
+    place: Any = None,
 ) -> Object:
     """Passes what one hand holds to another one, in front of the robot, and returns it.
 
@@ -74,9 +86,12 @@ def handing_over(
         arm: Name of the arm that takes it; by default any other.
         target: Where the giving hand holds it then, [x, y, z] of its tool in m; by default where both arms get.
         orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
+        place: Where the robot stands then, a LocationDesignator; by default where it is, or turned there
+            if something is in the way.
     """
     body = object_of(object)
     giver = _giver(BulletWorld.current_robot(), body)
+    go(place)
     perform(MotionDesignator(type="move-tcp", arm=giver.name, target=target, orientation=orientation))
     perform(MotionDesignator([("type", "pick-up"), ("object", body), ("arm", arm), ("from", giver.name)]))
     return body
@@ -94,7 +109,44 @@ def _giver(robot: Object, body: Object) -> Arm:
     raise ReasoningError(f"{body.name} can't be handed over: none of the hands of {robot.name} holds it")
 
 
-def _between(robot: Object, giver: Arm, taker: Arm) -> tuple[Vector, int]:
+def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:
+    """Yield where the robot can stand with something else before it than here."""
+    for degrees in _AWAY if drives(robot) else ():
+        place = geometry.multiply(here, ((0.0, 0.0, 0.0), geometry.from_rpy(0.0, 0.0, math.radians(degrees))))
+        with robot.world.lock:
+            free = not checker.touched(robot, {}, place, all_links=True)
+        if free:
+            yield place
+
+
+def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, blocked: list[Blocked]) -> Iterator[Pose]:
+    """Yield where the giving hand may hold an object, in the frame of the robot, which stands at a place, or here.
+
+    What is in the way of other poses is appended to ``blocked``.
+    """
+    for pose in _between(robot, giver, taker):
+        target = geometry.multiply(robot.get_position_and_orientation(), pose)
+        pairs: Sequence[CollisionPair] = ()
+        for posture in postures(robot, giver.tool_frame, *target, quick=True):
+            if posture.reaches():
+                with robot.world.lock:
+                    pairs = checker.newly_touched(robot, posture.positions, place)
+                if not pairs:
+                    yield pose
+                    break
+        if pairs:
+            blocked.append(Blocked(giver.name, target[0], pairs))
+
+
+def _between(robot: Object, giver: Arm, taker: Arm) -> Iterator[Pose]:
+    """Yield where the giving hand may hold an object, before the middle between the shoulders, in the robot's frame."""
+    middle, inward = _middle(robot, giver, taker)
+    for down, ahead, degrees in itertools.product(_DOWN, _AHEAD, _TURNS):
+        turn = geometry.from_rpy(0.0, 0.0, math.radians(inward * degrees))
+        yield (middle[0] + ahead, middle[1], middle[2] - down), turn
+
+
+def _middle(robot: Object, giver: Arm, taker: Arm) -> tuple[Vector, int]:
     """Return the middle between the shoulders in the robot's frame, and which way is inward for the giving arm.
 
     The second is 1 if it hangs on the right: its hand points inward when it turns to the left.

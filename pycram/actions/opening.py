@@ -20,11 +20,13 @@ def _choices(
     handle: str | None = None,
     arm: str | None = None,
     distance: float | None = None,
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
 ) -> Iterator[Mapping[str, Any]]:
     access = access_of(container, joint, handle)
     wide = min(access.open - access.closed, _WIDE[access.body.urdf.joint(access.joint).type == "prismatic"])
     widths = [share * wide for share in _SHARES] if distance is None else [distance]
-    yield from choices(access, arm, [access.closed + width for width in widths])
+    yield from choices(access, arm, [access.closed + width for width in widths], place, orientation)
 
 
 @action("opening", choices=_choices, checked=CHECKS)
@@ -36,8 +38,8 @@ def opening(
     distance: float | None = None,
     place: Sequence[float] | None = None,
     orientation: Sequence[float] | None = None,
-) -> None:
-    """Opens a drawer or door by its handle, from a place from which an arm holds it all the way.
+) -> str:
+    """Opens a drawer or door by its handle, from a place from which an arm holds it all the way; returns the arm.
 
     Args:
         container: A container of furniture, its name, or the furniture itself with joint and handle.
@@ -50,3 +52,4 @@ def opening(
     """
     assert arm is not None and distance is not None and place is not None and orientation is not None  # noqa: S101, PT018  chosen
     move(access_of(container, joint, handle), arm, distance, place, orientation)
+    return arm

@@ -289,7 +289,7 @@ class _Tries(FailureHandling):
         """Yield the solutions that succeed in projections, in their order."""
         imagined, seconds = 0, 0.0
         while imagined < ahead.budget and (ahead.seconds is None or seconds < ahead.seconds):
-            batch, self._found = _taken(self._found, min(AT_ONCE, ahead.budget - imagined))
+            batch, self._found = _taken(self._found, min(AT_ONCE[imagined > 0], ahead.budget - imagined))
             if not batch:
                 return
             outcomes = imagine([(type_of(each), each, self._choice(each)) for each in batch])

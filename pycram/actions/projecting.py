@@ -18,8 +18,11 @@ if TYPE_CHECKING:
     from pycram.actions.action import ActionType
     from pycram.motions.solutions import Solution
 
-AT_ONCE: Final = 4
-"""How many choices are found before they are imagined, whatever the number of cores: a run has the same records."""
+AT_ONCE: Final = (1, 4)
+"""How many choices are found before they are imagined, at first, as the best one mostly does, and then.
+
+That is so whatever the number of cores: a run has the same records.
+"""
 
 _BUDGET: Final = 8
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,19 +18,22 @@ from pycram.foundation.names import export
 from pycram.knowledge import beliefs
 from pycram.motions.designator import MotionDesignator
 from pycram.reasoning.places import standing_places
+from pycram.reasoning.places.seeing import in_sight
 from pycram.world.world import BulletWorld
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from pycram.reasoning.places import Place
     from pycram.world.object import Object
-    from recorder.geometry import Vector
+    from recorder.geometry import PoseLike, Quaternion, Vector
 
 _FAR: Final = 3.0  # m at most from the robot to what it looks at
 _NEAR: Final = 1.6  # m from a place to stand to what is looked at from there
 _STRIDE: Final = 0.8  # m between points of a surface that are looked at: what a camera sees from 1 m
 _PLACES: Final = 2  # from which a point is looked at
+_SEEING: Final = 4  # of which one may have in sight what is hidden elsewhere
 _TRIES: Final = 4  # that opening something may fail, with its closing
 
 
@@ -141,12 +145,18 @@ class _Search:
         closed = [access for access, _ in containers() if access.is_closed]
         closed.sort(key=lambda access: self._distance(access.body.get_link_position(access.handle)))
         for access in closed:
-            if self._open(access):
-                for point in _points(self._robot, access):
+            opened = self._open(access)
+            if opened is not None:
+                points = _points(self._robot, access)
+                for point in points:
                     self._look(point)
                     yield
-                with suppress(PlanFailure):
-                    perform(ActionDesignator(type="closing", container=access.name, budget=_TRIES))
+                hidden = [
+                    point for point in points if not self._in_sight(point, self._robot.get_position_and_orientation())
+                ]
+                if hidden:  # a door or a front may be before it
+                    yield from self._from_before(access, hidden)
+                self._close(access, opened)
 
     # --- one look ----------------------------------------------------------------------------------------------------
 
@@ -157,13 +167,23 @@ class _Search:
         except PlanFailure as failure:
             self.looked.append((point.where, failure))
 
-    def _open(self, access: Access) -> bool:
+    def _open(self, access: Access) -> Mapping[str, Any] | None:
+        """Open something, and return with which arm and from where that was done; None if it wasn't."""
         try:
-            perform(ActionDesignator(type="opening", container=access.name, budget=_TRIES))
+            arm = perform(ActionDesignator(type="opening", container=access.name, budget=_TRIES))
         except PlanFailure as failure:
             self.looked.append((f"in {access.name}", failure))
-            return False
-        return True
+            return None
+        place, orientation = self._robot.get_position_and_orientation()
+        return {"arm": arm, "place": place, "orientation": orientation}
+
+    @staticmethod
+    def _close(access: Access, opened: Mapping[str, Any]) -> None:
+        """Close what was opened, from there, else from elsewhere; what can't be closed from anywhere stays open."""
+        for slots in (opened, {}):
+            with suppress(PlanFailure):
+                perform(ActionDesignator(type="closing", container=access.name, budget=_TRIES, **slots))
+                return
 
     def _beside(self, point: _Point, points: Sequence[_Point]) -> Iterator[None]:
         """Go to a place beside a point, and look at all that are near."""
@@ -183,14 +203,32 @@ class _Search:
                 place = next(places, None)
                 if place is None:
                     break
-                across, along = (point.position[axis] - place.position[axis] for axis in (0, 1))
-                facing = geometry.from_rpy(0.0, 0.0, math.atan2(along, across))
+                facing = _facing(place, point)
                 perform(MotionDesignator(type="moving", target=place.position, orientation=facing))
             except PlanFailure as failure:
                 self.looked.append((point.where, failure))
             else:
                 return True
         return False
+
+    def _from_before(self, access: Access, hidden: Sequence[_Point]) -> Iterator[None]:
+        """Look at what is hidden from here from a place before it from which some of it isn't."""
+        handle = access.body.get_link_position(access.handle)
+        before = [(one + other) / 2 for one, other in zip(handle, hidden[0].position, strict=True)]
+        with suppress(PlanFailure):
+            for place in itertools.islice(standing_places(self._robot, near=before), _SEEING):
+                facing = _facing(place, hidden[0])
+                seen = [point for point in hidden if self._in_sight(point, (place.position, facing))]
+                if seen:
+                    perform(MotionDesignator(type="moving", target=place.position, orientation=facing))
+                    for point in seen:
+                        self._look(point)
+                        yield
+                    return
+
+    def _in_sight(self, point: _Point, base: PoseLike) -> bool:
+        with self._robot.world.lock:
+            return in_sight(self._robot, point.position, base)
 
     def _open_points(self) -> list[_Point]:
         """Return points of the surfaces that aren't behind something closed, the nearest first."""
@@ -207,6 +245,12 @@ class _Search:
 
     def _is_near(self, position: Sequence[float]) -> bool:
         return self._distance(position) < _NEAR
+
+
+def _facing(place: Place, point: _Point) -> Quaternion:
+    """Return the heading with which a robot at a place faces a point."""
+    across, along = (point.position[axis] - place.position[axis] for axis in (0, 1))
+    return geometry.from_rpy(0.0, 0.0, math.atan2(along, across))
 
 
 def _points(robot: Object, inside: Access | None = None) -> list[_Point]:

@@ -423,19 +423,21 @@ def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None 
         return checker.in_the_way(candidate)
 
 
-def newly_touched(robot: Object, positions: Mapping[str, float]) -> list[CollisionPair]:
+def newly_touched(robot: Object, positions: Mapping[str, float], base: Pose | None = None) -> list[CollisionPair]:
     """Return what a robot would collide with in a posture, but for what it touches already, as on purpose.
 
     Args:
         robot: the robot; its world's lock is held.
         positions: joint values in rad or m by name that differ from the present ones.
+        base: pose of the robot's base there; the present one by default.
 
     Returns:
         For each object the links that overlap most, by the objects' names; of the robot itself all pairs, at the end.
     """
     now = robot.get_joint_positions()
     with CollisionChecker(robot, positions) as checker:
-        there, here = checker.predict([positions, {name: now[name] for name in positions}])
+        (there,) = checker.predict([positions], base)
+        (here,) = checker.predict([{name: now[name] for name in positions}])
         found = checker.touched(there)
         own = checker.self_collisions(there)
         known = checker.touched(here) if found else {}

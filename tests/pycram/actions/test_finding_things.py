@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pycram.actions import ObjectNotFound, perform
+from pycram.actions import ObjectNotFound, perform, replaced
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator
 from pycram.failures import (
@@ -21,6 +21,7 @@ from pycram.failures import (
 from pycram.knowledge import believed, learn
 from pycram.motions.environments import execution_environment
 from pycram.reasoning.grasping import fingers
+from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -176,3 +177,59 @@ def test_one_arm_has_none_to_hand_over_to(world: BulletWorld) -> None:
     world.robot.attach(cup, arm.tool_frame)
     with pytest.raises(MissingPart, match="no other arm with a gripper"):
         do("handing-over", object=cup)
+
+
+@pytest.mark.slow
+def test_where_something_is_in_the_way_of_handing_over_the_robot_turns_first(room: Room, tmp_path: Path) -> None:
+    perform(MotionDesignator(type="moving", target=[0.45, -0.1, 0]))
+    perform(MotionDesignator(type="pick-up", object=room.cup, arm="left"))
+    perform(MotionDesignator(type="moving", target=[-1.5, 0, 0]))
+    perform(MotionDesignator(type="move-arm-joints", left_arm="park", right_arm="park"))
+    path = tmp_path / "board.urdf"
+    path.write_text(f'<robot name="board"><link name="board">{shapes({"0 0 0.8": "0.5 1.5 0.3"})}</link></robot>')
+    board = Object("board", "environment", str(path), [-0.83, 0, 0])
+    try:
+        assert do("handing-over", object="cup") is room.cup
+        (held,) = room.robot.carried
+        assert held.carrier_link == room.robot.description.arm("right").tool_frame
+        forward = geometry.rotate(room.robot.get_orientation(), (1.0, 0.0, 0.0))
+        assert forward[0] < 0.1, "it has turned away from the board"
+    finally:
+        board.remove()
+
+
+@pytest.mark.slow
+def test_what_a_door_hides_from_where_it_was_opened_is_looked_for_from_before_it(world: BulletWorld) -> None:
+    world.set_gravity([0, 0, -9.8])
+    kitchen = Object("kitchen", "environment", "kitchen.urdf")
+    milk = Object("milk", "milk", "milk.stl", [1.42, -1.05, 0.87])
+    world.robot = robot = Object("tiago_pro", "robot", "tiago_pro.urdf", [0.3, -1.2, 0])
+    perform(MotionDesignator(type="move-arm-joints", left_arm="park", right_arm="park"))
+    world.settle()
+
+    def from_behind_the_door(
+        container: str,
+        joint: Any = None,
+        handle: Any = None,
+        arm: Any = None,
+        distance: Any = None,
+        place: Any = None,
+        orientation: Any = None,
+    ) -> str:
+        if container != "fridge":
+            raise AccessFailed(container, "it is locked")
+        kitchen.set_joint_position(kitchen.containers["fridge"].joint, 1.2)
+        robot.set_position_and_orientation([0.31, -1.26, 0], geometry.from_rpy(0, 0, 0.41))
+        return "right"
+
+    with replaced("opening", from_behind_the_door):
+        assert do("searching", object="milk") is milk
+
+
+@pytest.mark.slow
+def test_a_drawer_is_opened_and_closed_from_the_place_that_is_given(room: Room) -> None:
+    place = {"place": [0.27, -0.2, 0], "orientation": [0, 0, 0, 1]}
+    for kind, value in (("opening", 0.35), ("closing", 0.0)):
+        do(kind, container=room.container, **place)
+        assert room.robot.get_position() == pytest.approx(place["place"])
+        assert room.chest.get_joint_position("slide") == pytest.approx(value, abs=0.2)

@@ -150,3 +150,10 @@ def test_a_way_that_was_found_is_one(seed: int) -> None:
 @pytest.mark.slow
 def test_a_transport_goes_on_where_all_places_for_a_handle_were_tried() -> None:
     assert transport(18, "unprojected").succeeded
+
+
+@pytest.mark.slow
+def test_what_trembles_elsewhere_is_no_failure_of_a_transport() -> None:
+    done = transport(106, "unprojected")
+    assert done.succeeded, done.problem
+    assert not done.failure
