@@ -7,7 +7,7 @@ whole one, as training reads single frames from anywhere. A frame is drawn only 
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 
@@ -147,9 +147,10 @@ class Videos:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         os.environ.setdefault("SVT_LOG", "1")  # else the codec prints how it is configured
         self._container = av.open(str(self._path), "w")
-        self._stream = self._container.add_stream(self._name, rate=FPS, options=self._options)
-        self._stream.width, self._stream.height = _SIZE
-        self._stream.pix_fmt = _FORMAT
+        stream = cast("VideoStream", self._container.add_stream(self._name, rate=FPS, options=self._options))
+        stream.width, stream.height = _SIZE
+        stream.pix_fmt = _FORMAT
+        self._stream = stream
         self._frames = 0
 
     def _encode(self, frame: av.VideoFrame | None) -> None:
