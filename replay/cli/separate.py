@@ -27,7 +27,7 @@ _MAX_ALSO: Final = 5
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the cause, and how much to print."""
     parser.epilog = (
-        "Claims are made where chance alone would make any in less than one of twenty folders (Westfall, Young)."
+        "Claims are made where chance alone would make any in less than one of a hundred folders (Westfall, Young)."
     )
     parser.add_argument("--plan", metavar="NAME", help="of this plan's runs (default: of the plan that most are of)")
     parser.add_argument(

@@ -3,7 +3,7 @@
 Each fact that is true of some runs and false of others is scored as in spectrum-based fault localisation: Ochiai and
 Tarantula (Abreu et al. 2007; Jones and Harrold 2005). Facts are compared with the other runs that got to the same
 site, so that what merely comes before a failure has no score (Liblit et al. 2005: "context"). A claim is made only
-where failures that are dealt to the runs at random would make any in less than one of twenty folders
+where failures that are dealt to the runs at random would make any in less than one of a hundred folders
 (:mod:`replay.runs.chance`). Facts that are true of the same runs are one claim.
 """
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from replay.runs.facts import Compared, Fact
     from replay.runs.runs import Runs
 
-LEVEL: Final = 0.05
+LEVEL: Final = 0.01
 """Chance that any claim is made where nothing separates."""
 _ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "reached")
 
