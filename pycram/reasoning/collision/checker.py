@@ -437,9 +437,10 @@ def newly_touched(robot: Object, positions: Mapping[str, float], base: Pose | No
     now = robot.get_joint_positions()
     with CollisionChecker(robot, positions) as checker:
         (there,) = checker.predict([positions], base)
+        found, own = checker.touched(there), checker.self_collisions(there)
+        if not (found or own):
+            return []
         (here,) = checker.predict([{name: now[name] for name in positions}])
-        found = checker.touched(there)
-        own = checker.self_collisions(there)
         known = checker.touched(here) if found else {}
         known_own = {_ends(pair) for pair in (checker.self_collisions(here) if own else ())}
         new = [collision["pair"] for body, collision in found.items() if body not in known]
