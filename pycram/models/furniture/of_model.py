@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.models.corrections import SUFFIX, correct, read
-from pycram.models.files import parse_urdf
+from pycram.models.files import stored_tree
 from pycram.models.furniture.finding import find
 
 if TYPE_CHECKING:
@@ -30,6 +30,6 @@ def furniture_of(model: Model) -> Furniture:
 
 @lru_cache(maxsize=_CACHED_MODELS)
 def _furniture(path: Path, corrections: bytes, source: str) -> Furniture:
-    urdf = parse_urdf(path.read_bytes(), path)
+    urdf = stored_tree(path)
     found = find(path, urdf)
     return correct(found, read(corrections.decode(), source), urdf) if corrections else found
