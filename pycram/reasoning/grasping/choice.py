@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
@@ -89,13 +89,14 @@ def best(
         base: pose that the robot's base is taken to have; where it stands by default.
     """
     arm = robot.description.arm_of(link) if robot.description else None
-    grasping = _Grasping(body, robot, Solver(robot, link), arm, choice, base)
-    if arm is None or arm.hand is None:  # it takes nothing, and gets to places as any link does
-        return replace(grasping, arm=None).best_of([Grasp("any", center(body), IDENTITY[1], 0.0)])
-    central = candidates(body, robot, arm, names, base=base, choice=choice)
+    takes = arm if arm is not None and arm.hand is not None else None
+    grasping = _Grasping(body, robot, Solver(robot, link), takes, choice, base)
+    if takes is None:  # it takes nothing, and gets to places as any link does
+        return grasping.best_of([Grasp("any", center(body), IDENTITY[1], 0.0)])
+    central = candidates(body, robot, takes, names, base=base, choice=choice)
     plan = grasping.best_of([grasp for grasp in central if grasp not in refused])
     if plan.grasp is None or plan.obstacles:
-        every = candidates(body, robot, arm, names, off_center=True, base=base, choice=choice)
+        every = candidates(body, robot, takes, names, off_center=True, base=base, choice=choice)
         free = grasping.best_of([grasp for grasp in every if grasp not in refused], limit=_FREE)
         if free.grasp is not None:
             return free
