@@ -81,7 +81,7 @@ def searching(object: Any) -> Object:  # noqa: A002  the slot's name
     It looks where the object is believed to be, then over all surfaces, the nearest first: at first from where the
     robot stands, then from places beside them; then it opens what is closed, looks into it, also from before it where a
     door or a front hides some of it, and closes it again. It fails with ObjectNotFound, which says where it was looked
-    for. A robot without a camera is told by the state of the world.
+    for. A robot without a camera asks the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
