@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry.urdf import Urdf
 
-_LIMIT_TOLERANCE: Final = 1e-6  # rad or m, against rounding errors of positions that were read before
-_PATH_TOLERANCE: Final = 1e-3  # rad or m that trajectories may leave limits, where motors and splines do so a little
+_LIMIT_TOLERANCE: Final = 1e-3  # rad or m that positions may leave limits, as simulated motors and splines do a little
 _MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which given positions may miss each other's: files and descriptions round
 
 
@@ -98,7 +97,7 @@ def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:
     if len(set(names)) < len(names):
         raise BadArgument("joints", names, "each joint once")
     rows = [
-        coupled(body, {name: _checked(body, name, at, _PATH_TOLERANCE) for name, at in zip(names, row, strict=True)})
+        coupled(body, {name: _checked(body, name, at) for name, at in zip(names, row, strict=True)})
         for row in trajectory.positions
     ]
     if tuple(rows[0]) == names:
@@ -126,9 +125,9 @@ def _speeds(urdf: Urdf, given: Mapping[str, float], moved: Iterable[str]) -> tup
     return tuple(speeds.get(name, 0.0) for name in moved)
 
 
-def _checked(body: Object, name: str, position: float, tolerance: float = _LIMIT_TOLERANCE) -> float:
+def _checked(body: Object, name: str, position: float) -> float:
     lower, upper = body.joint_limits(name)
     checked = checks.number(f"joint {name}", position)
-    if not lower - tolerance <= checked <= upper + tolerance:
+    if not lower - _LIMIT_TOLERANCE <= checked <= upper + _LIMIT_TOLERANCE:
         raise JointLimitError(body.name, name, checked, lower, upper)
     return checked

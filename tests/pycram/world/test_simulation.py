@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import queue
+import random
 import threading
 
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
+from pycram.bullet_world_reasoning import reachable, stable
 from pycram.failures import WorldClosed
+from pycram.world.snapshot import take_snapshot
 
 
 def test_objects_fall_with_gravity(world: BulletWorld) -> None:
@@ -17,6 +20,44 @@ def test_objects_fall_with_gravity(world: BulletWorld) -> None:
     assert world.sim_step == 240
     fallen = 10 - body.get_position()[2]
     assert 0.9 * 4.9 < fallen < 4.95  # PyBullet's air brakes a little
+
+
+def test_a_posture_that_was_simulated_can_be_set_again(world: BulletWorld) -> None:
+    robot = Object("pr2", "robot", "pr2.urdf")  # with its wrists at their upper limit, 0
+    world.set_gravity([0, 0, -9.8])
+    world.simulate(0.5)
+    posture = robot.get_joint_positions()
+    assert (
+        posture["r_wrist_flex_joint"] > robot.joint_limits("r_wrist_flex_joint")[1] + 1e-6
+    )  # motors give way a little
+    robot.set_joint_positions(posture)
+    assert robot.get_joint_positions() == posture
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_snapshot_is_what_the_engine_has_after_any_change(scene: BulletWorld, seed: int) -> None:
+    dice = random.Random(seed)
+    robot, kitchen, milk, bowl = (scene.get_object(name) for name in ("pr2", "kitchen", "milk", "bowl"))
+    changes = [
+        lambda: robot.set_position([dice.uniform(-1, 1), 0.5, 0]),
+        lambda: robot.set_joint_position("head_pan_joint", dice.uniform(-1, 1)),
+        lambda: kitchen.set_joint_position("iai_fridge_door_joint", dice.uniform(0, 1)),
+        lambda: milk.set_position([dice.uniform(0, 1), 2, dice.uniform(0, 2)]),
+        lambda: scene.engine.set_velocity(milk.handle, [0, dice.uniform(-1, 1), 0, 0, 0, 1]),
+        lambda: scene.simulate(0.05),
+        lambda: robot.detach(bowl) if robot.carried else robot.attach(bowl, "l_gripper_tool_frame"),
+        lambda: reachable(bowl, robot, "l_gripper_tool_frame"),
+        lambda: stable(milk),
+    ]
+    for change in dice.choices(changes, k=60):
+        change()
+        for body in scene.objects:
+            fresh = (
+                scene.engine.pose(body.handle),
+                scene.engine.velocity(body.handle),
+                *scene.engine.joints(body.handle),
+            )
+            assert take_snapshot(body) == fresh
 
 
 def test_real_time_starts_and_stops(world: BulletWorld) -> None:
