@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -53,3 +53,19 @@ class Body:
     indices: tuple[int, ...]
     gain: float
     targets: dict[str, float] = field(default_factory=dict)
+
+
+class Snapshot(NamedTuple):
+    """State of a body at one moment.
+
+    Attributes:
+        pose: Of the base link in the world: position in m, orientation xyzw.
+        velocity: Linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers.
+        positions: Of the movable joints in order, rad or m.
+        velocities: Of the movable joints in order, rad/s or m/s.
+    """
+
+    pose: Pose
+    velocity: tuple[float, ...]
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...]

@@ -16,7 +16,7 @@ import numpy as np
 
 from pycram.foundation.failures import AssetError
 from pycram.foundation.redirect import silenced
-from pycram.physics.body import Body, Joint
+from pycram.physics.body import Body, Joint, Snapshot
 from pycram.physics.contacts import ClosestPoint, Contact
 from pycram.physics.loading import NOW
 from pycram.physics.window import pick_ray
@@ -70,6 +70,7 @@ class Engine:
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
         self._grip: tuple[int, int] | None = None  # body and link that the mouse holds
+        self._known: dict[int, Snapshot] = {}  # by body; replaced after changes: threads may be reading for the old one
         if window:
             with silenced(1):
                 self._client: int = bullet.connect(bullet.GUI)
@@ -172,6 +173,18 @@ class Engine:
     def remove(self, body: Body) -> None:
         """Remove a body; its constraints have to be gone."""
         bullet.removeBody(body.id, physicsClientId=self._client)
+        self._forget(body)
+
+    def snapshot(self, body: Body) -> Snapshot:
+        """Return the state of a body; as long as that doesn't change, the same object."""
+        known = self._known
+        if body.id not in known:
+            known[body.id] = Snapshot(self.pose(body), self.velocity(body), *self.joints(body))
+        return known[body.id]
+
+    def _forget(self, body: Body) -> None:
+        """Forget the state of a body that has changed."""
+        self._known = {number: state for number, state in self._known.items() if number != body.id}
 
     def pose(self, body: Body) -> Pose:
         """Return the pose of the base link in the world."""
@@ -192,6 +205,7 @@ class Engine:
     def set_center_pose(self, body: Body, pose: Pose) -> None:
         """Put the base's centre of mass at a pose, at rest."""
         bullet.resetBasePositionAndOrientation(body.id, *pose, physicsClientId=self._client)
+        self._forget(body)
 
     def velocity(self, body: Body) -> tuple[float, ...]:
         """Return linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers."""
@@ -201,6 +215,7 @@ class Engine:
     def set_velocity(self, body: Body, velocity: Sequence[float]) -> None:
         """Set linear (m/s) and angular (rad/s) velocity: 6 numbers."""
         bullet.resetBaseVelocity(body.id, velocity[:3], velocity[3:], physicsClientId=self._client)
+        self._forget(body)
 
     def joints(self, body: Body) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return positions and velocities of the movable joints, in order, in rad or m (per second)."""
@@ -222,6 +237,7 @@ class Engine:
             joint, speed = body.joints[name], speeds[name] if speeds else 0.0
             bullet.resetJointState(body.id, joint.index, position, speed, physicsClientId=self._client)
             self._hold(body, joint, position)
+        self._forget(body)
 
     def pose_joints(self, body: Body, positions: Mapping[str, float]) -> None:
         """Put joints of a body that is never stepped: ten times as fast as :meth:`set_joints`, leaves the motors."""
@@ -232,6 +248,7 @@ class Engine:
             [[0.0]] * len(positions),
             physicsClientId=self._client,
         )
+        self._forget(body)
 
     def set_targets(self, body: Body, targets: Mapping[str, float]) -> None:
         """Have the motors of joints keep positions (rad or m, by name) that they aren't at."""
@@ -391,6 +408,7 @@ class Engine:
         client = self._client
         for _ in range(steps):
             bullet.stepSimulation(physicsClientId=client)
+        self._known = {}
 
     def dragged(self, bodies: Iterable[Body]) -> list[tuple[Body, str]]:
         """Return the bodies, with their links, that somebody has dragged with the mouse since this was last asked.

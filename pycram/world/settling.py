@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.world import carried, simulation
 from pycram.world.overlaps import DEEP, depth
-from pycram.world.snapshot import Snapshot, take_snapshot
+from pycram.world.snapshot import take_snapshot
 from recorder import geometry, records
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from pycram.physics.body import Snapshot
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 

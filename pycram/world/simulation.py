@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.world import carried
 from pycram.world.read_only import update
-from pycram.world.snapshot import Snapshot, state_delta, take_snapshot
+from pycram.world.snapshot import state_delta, take_snapshot
 from recorder import records
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from pycram.physics.body import Snapshot
     from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
 

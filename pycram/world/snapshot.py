@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from recorder import records
 from recorder.tracing import journal
@@ -10,32 +10,15 @@ from recorder.tracing import journal
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from pycram.physics.body import Snapshot
     from pycram.world.object import Object
-    from recorder.geometry import Pose
 
 _AT_REST: Final = (0.0,) * 6
 
 
-class Snapshot(NamedTuple):
-    """State of a body at one moment.
-
-    Attributes:
-        pose: Of the base link in the world: position in m, orientation xyzw.
-        velocity: Linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers.
-        positions: Of the movable joints in order, rad or m.
-        velocities: Of the movable joints in order, rad/s or m/s.
-    """
-
-    pose: Pose
-    velocity: tuple[float, ...]
-    positions: tuple[float, ...]
-    velocities: tuple[float, ...]
-
-
 def take_snapshot(body: Object) -> Snapshot:
-    """Read the state of an object from the engine."""
-    engine, handle = body.world.engine, body.handle
-    return Snapshot(engine.pose(handle), engine.velocity(handle), *engine.joints(handle))
+    """Return the state that an object has in the engine."""
+    return body.world.engine.snapshot(body.handle)
 
 
 def restore_snapshot(body: Object, snapshot: Snapshot) -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from pycram.foundation.failures import ChangeRefused, WorldClosed
 from pycram.scheduling.cancellation import before_change
 from pycram.world.lock import WorldLock
-from pycram.world.snapshot import Snapshot, state_delta, take_snapshot
+from pycram.world.snapshot import state_delta, take_snapshot
 from recorder import records
 from recorder.tracing import journal, span, stack_room
 from recorder.tracing.interrupts import Uninterrupted
@@ -28,6 +28,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
+    from pycram.physics.body import Snapshot
     from pycram.world.attachment import Attachment
     from pycram.world.event import Event
     from pycram.world.object import Object

@@ -17,10 +17,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import DisplayError, PycramError
+from pycram.physics.body import Snapshot
 from pycram.world import attachment, driving
 from pycram.world.current import open_worlds
 from pycram.world.read_only import update
-from pycram.world.snapshot import Snapshot, restore_snapshot
+from pycram.world.snapshot import restore_snapshot
 from pycram.world.world import BulletWorld, Object
 from recorder import records
 from recorder.tracing import journal

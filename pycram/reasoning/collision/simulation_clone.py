@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias, TypeVar
 from pycram.models import rigid_parts
 from pycram.physics.engine import Engine
 from pycram.reasoning.collision.boxes import Boxes, concatenate, overlaps
-from pycram.world.snapshot import Snapshot, take_snapshot
+from pycram.world.snapshot import take_snapshot
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pycram.models.rigid_parts import Part as RigidPart
-    from pycram.physics.body import Body
+    from pycram.physics.body import Body, Snapshot
     from pycram.world.attachment import Attachment
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
