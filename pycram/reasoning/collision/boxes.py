@@ -150,7 +150,7 @@ def concatenate(parts: Sequence[Boxes]) -> Boxes:
 
 def _world_extents(axes: Array, half_extents: Array) -> Array:
     """Return half extents (..., 3) along the world's axes of boxes with axes (..., 3, 3), m."""
-    along: Array = (np.abs(axes) * half_extents[..., None, :]).sum(axis=-1)
+    along: Array = np.einsum("...ij,...j->...i", np.abs(axes), half_extents)
     return along
 
 
@@ -178,6 +178,8 @@ def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) ->
         overlapping &= highs[:, :, None, axis] >= other_lows[:, axis]
     posture, box, other = np.nonzero(overlapping)
     other = near[other]
+    if not len(posture):
+        return posture, box, other
     found = _overlap(
         (centers[posture, box], axes[posture, box], half_extents[box]),
         (others.centers[other], others.axes[other], others.half_extents[other]),
