@@ -22,7 +22,7 @@ def scatter(distance: float) -> None:
         body = world.get_objects_by_type(kind)[0]
         x, y, z = body.get_position()
         body.set_position([x + random.uniform(-distance, distance), y + random.uniform(-distance, distance), z])
-    world.simulate(0.2)
+    world.settle()
 
 
 def main() -> None:

@@ -23,6 +23,7 @@ from pycram.models.files import parse_toml, read_text
 from pycram.models.lazy_module import LazyModule
 from pycram.models.links import DENSITY
 from pycram.models.parts import STL_FACE, STL_HEADER, check_vertices, mean, quiet, read_image, read_parts, stl
+from pycram.models.warming import notable
 from recorder.packages import needed
 from recorder.records import escaped
 from recorder.records.asset import AssetFile
@@ -330,7 +331,10 @@ def _properties(file: Path) -> Mapping[str, object]:
     return entry if isinstance(entry, dict) else {}
 
 
-_parsed = lru_cache(maxsize=8)(parse_toml)  # each object of a folder asks for the same
+@lru_cache(maxsize=8)  # each object of a folder asks for the same
+@notable
+def _parsed(text: str, table: Path) -> Mapping[str, object]:
+    return parse_toml(text, table)
 
 
 def _mass(shape: trimesh.Trimesh, entry: Mapping[str, object]) -> float:
