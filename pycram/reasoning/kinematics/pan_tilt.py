@@ -45,26 +45,27 @@ def look(
         pose = urdf.forward_kinematics({**now, **dict(zip(joints, values, strict=True))}, camera.frame)
         return geometry.transform(geometry.invert(camera.pose(pose)), point)
 
-    def error(values: Sequence[float]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """Return the rotation vector's two parts, in the camera's frame, from its axis to the point, rad."""
-        x, y, z = seen(values)
+    def error(at: Vector) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """Return the rotation vector's two parts, in the camera's frame, from its axis to where the point is, rad."""
+        x, y, z = at
         off_axis = math.hypot(x, y)
         angle = math.atan2(off_axis, z)
         scale = angle / off_axis if off_axis > 1e-12 else 1.0
         return np.array([x * scale, y * scale])
 
     limits = [(max(urdf.joint(name).lower, -math.pi), min(urdf.joint(name).upper, math.pi)) for name in joints]
-    best, least = [0.0] * len(joints), math.inf
+    best, view, least = [0.0] * len(joints), geometry.IDENTITY[0], math.inf
     for start in itertools.chain([[now.get(name, 0.0) for name in joints]], _STARTS):
         turned = list(start[: len(joints)])
+        at = seen(turned)
+        here = error(at)
         for _ in range(_ITERATIONS if joints else 0):
-            here = error(turned)
             if float(np.linalg.norm(here)) < _TOLERANCE:
                 break
             moved = [
                 [value + _DERIVATIVE_STEP * (i == k) for i, value in enumerate(turned)] for k in range(len(turned))
             ]
-            jacobian = np.column_stack([(error(values) - here) / _DERIVATIVE_STEP for values in moved])
+            jacobian = np.column_stack([(error(seen(values)) - here) / _DERIVATIVE_STEP for values in moved])
             step = np.linalg.lstsq(jacobian, -here, rcond=None)[0]
             step *= min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
             before = turned
@@ -74,9 +75,11 @@ def look(
             ]
             if turned == before:
                 break
-        remaining = float(np.linalg.norm(error(turned)))
+            at = seen(turned)
+            here = error(at)
+        remaining = float(np.linalg.norm(here))
         if remaining < least - _TOLERANCE:
-            best, least = turned, remaining
+            best, view, least = turned, at, remaining
         if remaining < _GOOD_ENOUGH:
             break
-    return dict(zip(joints, best, strict=True)), seen(best)
+    return dict(zip(joints, best, strict=True)), view
