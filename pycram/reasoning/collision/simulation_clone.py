@@ -13,6 +13,8 @@ import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias, TypeVar, cast, overload
 
+import numpy as np
+
 from pycram.models import rigid_parts
 from pycram.physics.engine import Engine
 from pycram.reasoning.collision.boxes import Boxes, concatenate, overlaps
@@ -186,10 +188,11 @@ class PosingClone(SimulationClone):
     def overlapping(self, boxes: Boxes, bodies: Iterable[Object]) -> dict[Part, Body]:
         """Return copies of what comes into boxes in the world, in order: of furniture the links, of others all."""
         others = [(body, self.boxes(body)) for body in bodies]
-        owners = [(body, link if body.is_environment else "") for body, each in others for link in each.links]
         every = concatenate([each for _, each in others])
+        owners = np.repeat(np.arange(len(others)), [len(each.links) for _, each in others])
         *_, found = overlaps(boxes.centers[None], boxes.axes[None], boxes.half_extents, every)
-        parts = dict.fromkeys(owners[number] for number in sorted(set(found.tolist())))
+        near = [(others[owners[number]][0], every.links[number]) for number in sorted(set(found.tolist()))]
+        parts = dict.fromkeys((body, link if body.is_environment else "") for body, link in near)
         return {(body, link): self.link(body, link) if link else self.body(body.name) for body, link in parts}
 
 

@@ -109,6 +109,8 @@ def moved(
     engine, hand = clone.engine, clone.body(robot.name)
 
     def depths(share: float) -> Depths:
+        if not others:
+            return {}
         engine.pose_joints(hand, coupled(robot, gripper.at(share)))
         return _depths(engine, hand, gripper, others)
 

@@ -62,14 +62,31 @@ def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> 
                     deepest[other.name] = CollisionPair(body.name, links[0], other.name, links[1], -point.distance)
         return list(deepest.values())
 
+    def gap(height: float) -> float:
+        engine.set_pose(copy, ((x, y, height), orientation))
+        points = (point for part in near.values() for point in engine.closest_points(copy, part, _ABOVE))
+        return min((point.distance for point in points), default=_ABOVE)
+
     try:
-        return x, y, _resting_height(body, target, touched)
+        return x, y, _resting_height(body, target, touched, gap)
     finally:
         clone.invalidate(body.name)
 
 
-def _resting_height(body: Object, target: Sequence[float], touched: Callable[[float], list[CollisionPair]]) -> float:
-    """Return the height at which an object that comes from above touches something; see :func:`set_down`."""
+def _resting_height(
+    body: Object,
+    target: Sequence[float],
+    touched: Callable[[float], list[CollisionPair]],
+    gap: Callable[[float], float],
+) -> float:
+    """Return the height at which an object that comes from above touches something; see :func:`set_down`.
+
+    Args:
+        body: the object.
+        target: xyz where it is wanted, m.
+        touched: gives what it would overlap at a height.
+        gap: gives how far it is there from what it could meet, m: so far down nothing is in its way.
+    """
     z = target[2]
     high = z + _ABOVE
     blockers = still = touched(high)
@@ -80,14 +97,19 @@ def _resting_height(body: Object, target: Sequence[float], touched: Callable[[fl
         there = [f"{pair.body_link} of {pair.body}" if pair.body_link else pair.body for pair in blockers]
         reason = f"{' and '.join(there)} {'is' if len(there) == 1 else 'are'} there already"
         raise PlaceFailed(body.name, target, reason, pairs=blockers)
+    free = high - gap(high)
+
+    def meets(height: float) -> bool:
+        return height <= free and bool(touched(height))
+
     low = high
-    while not touched(low):
+    while not meets(low):
         high, low = low, low - _STEP
         if low < z - _BELOW:
             raise PlaceFailed(body.name, target, f"nothing is within {_BELOW} m below that it could stand on")
     while high - low > _ACCURACY:
         half = (high + low) / 2
-        if touched(half):
+        if meets(half):
             low = half
         else:
             high = half
