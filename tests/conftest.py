@@ -53,6 +53,18 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def pytest_runtest_call(item: pytest.Item) -> None:
+    """A module's worlds are open at once, whichever was opened last: a test's own is the current one."""
+    given = item.funcargs.values() if isinstance(item, pytest.Function) else ()
+    own = [
+        each if isinstance(each, BulletWorld) else each.world
+        for each in given
+        if isinstance(each, BulletWorld | Object)
+    ]
+    if own and BulletWorld.current_bullet_world not in own:
+        BulletWorld.current_bullet_world = own[0]
+
+
 @pytest.fixture(scope="session")
 def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder that all workers of this run have."""
