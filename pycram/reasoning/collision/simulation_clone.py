@@ -13,8 +13,6 @@ import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias, TypeVar, cast, overload
 
-import numpy as np
-
 from pycram.models import rigid_parts
 from pycram.physics.engine import Engine
 from pycram.reasoning.collision.boxes import Boxes, concatenate, overlaps
@@ -189,9 +187,9 @@ class PosingClone(SimulationClone):
         """Return copies of what comes into boxes in the world, in order: of furniture the links, of others all."""
         others = [(body, self.boxes(body)) for body in bodies]
         every = concatenate([each for _, each in others])
-        owners = np.repeat(np.arange(len(others)), [len(each.links) for _, each in others])
+        owners = [body for body, each in others for _ in each.links]
         *_, found = overlaps(boxes.centers[None], boxes.axes[None], boxes.half_extents, every)
-        near = [(others[owners[number]][0], every.links[number]) for number in sorted(set(found.tolist()))]
+        near = [(owners[number], every.links[number]) for number in sorted(set(found.tolist()))]
         parts = dict.fromkeys((body, link if body.is_environment else "") for body, link in near)
         return {(body, link): self.link(body, link) if link else self.body(body.name) for body, link in parts}
 

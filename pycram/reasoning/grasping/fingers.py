@@ -104,13 +104,11 @@ def moved(
         palm = geometry.multiply(base or robot.get_position_and_orientation(), frame)
     others = _near(clone, robot, gripper, palm, there, [o for o in robot.world.objects if o not in (robot, release)])
     if not others and release is None:  # in free air, without a copy of the hand
-        free, stops = _sweep(lambda _: {}, share_open(robot, gripper), goal)
-        return FingerMotion(gripper.at(free), free, _pairs(robot, stops))
+        free, _ = _sweep(_nothing, share_open(robot, gripper), goal)
+        return FingerMotion(gripper.at(free), free)
     engine, hand = clone.engine, clone.body(robot.name)
 
     def depths(share: float) -> Depths:
-        if not others:
-            return {}
         engine.pose_joints(hand, coupled(robot, gripper.at(share)))
         return _depths(engine, hand, gripper, others)
 
@@ -118,7 +116,7 @@ def moved(
         if base is not None:
             engine.set_pose(hand, base)
         engine.pose_joints(hand, there)
-        free, stops = _sweep(depths, share_open(robot, gripper), goal)
+        free, stops = _sweep(depths if others else _nothing, share_open(robot, gripper), goal)
         gap = 2 * CLEAR
         if release is not None:
             copy = clone.body(release.name)
@@ -257,6 +255,11 @@ def _depths(engine: Engine, hand: Body, gripper: Gripper, others: Mapping[Part, 
                 key = finger, body, link or touch.link_b
                 found[key] = max(found.get(key, 0.0), -touch.distance)
     return found
+
+
+def _nothing(_share: float) -> Depths:
+    """Return what fingers overlap where there is nothing, however far they are open."""
+    return {}
 
 
 def _pairs(robot: Object, depths: Depths) -> list[CollisionPair]:
