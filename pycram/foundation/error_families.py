@@ -95,4 +95,4 @@ def _allow_python(kind: type[PycramError]) -> None:
         else:
             assign(error, name, value)
 
-    kind.__setattr__ = set_or_assign  # type: ignore[method-assign, assignment]
+    kind.__setattr__ = set_or_assign  # type: ignore[method-assign, assignment]  # wraps its own

@@ -58,7 +58,7 @@ class Future:
         branch = self._branch
         return branch.result() if branch.state is State.SUCCEEDED else {"branch": branch.name}
 
-    @property  # type: ignore[misc]
+    @property  # type: ignore[misc]  # nobody assigns it
     def __class__(self) -> type:  # isinstance() asks for this, after the type itself
         return type(self._branch.result())
 

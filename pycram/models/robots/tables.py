@@ -57,6 +57,6 @@ _CHECKS: Final[dict[object, Callable[[str, object], object]]] = {
 
 def record(kind: type[T], table: Table) -> T:
     """Return a dataclass with the entries of a table, one for each of its fields, which are str or float."""
-    fields: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    fields: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(kind)}  # type: ignore[arg-type]  # of dataclasses
     only(table, *fields)
     return kind(**{name: _CHECKS[type_name](name, table[name]) for name, type_name in fields.items()})
