@@ -204,7 +204,6 @@ def built() -> Iterator[BulletWorld]:
 @pytest.fixture
 def shared_scene(built: BulletWorld) -> Iterator[BulletWorld]:
     """The module's scene; what a test has moved, attached or added is undone."""
-    BulletWorld.current_bullet_world = built
     before = {body: take_snapshot(body) for body in built.objects}
     yield built
     for body in built.objects:

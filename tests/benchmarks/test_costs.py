@@ -20,11 +20,10 @@ import pytest
 import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.fluent import Fluent
-from pycram.world import settling
 from recorder import geometry
 from recorder.records import BodyState, Effect, MoveBody, Mutation, Query
 from recorder.tracing import journal
-from tests.benchmarks.timing import amount, goal, ratio, seconds, warm_up
+from tests.benchmarks.timing import amount, goal, ratio, seconds, settlings, warm_up
 from tests.smooth_motions import move, smooth, to
 
 if TYPE_CHECKING:
@@ -70,18 +69,8 @@ def test_demo_costs_less_than_1000_steps_and_recording_little(tmp_path: Path) ->
 
 def test_what_settling_costs_after_placing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Apart from the plan's other costs: `place` waits until all is at rest, which takes as many steps as it takes."""
-    settled: list[tuple[float, int]] = []
-    settle = settling.settle
-
-    def timed(world: BulletWorld, steps: int) -> object:
-        found: list[object] = []
-        before = world.sim_step
-        took = seconds(lambda: found.append(settle(world, steps)))
-        settled.append((took, world.sim_step - before))
-        return found[0]
-
     warm_up(lambda: demo_seconds(None))
-    monkeypatch.setattr(settling, "settle", timed)
+    settled = settlings(monkeypatch)
     plan, step = demo_seconds(None)
     assert len(settled) >= 4, "each of the four objects was placed"
     took, steps = (sum(column) for column in zip(*settled, strict=True))

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram.world import settling
 from pycram.world.snapshot import restore_snapshot, take_snapshot
-from tests.benchmarks.timing import goal, ratio, seconds
+from tests.benchmarks.timing import goal, ratio, seconds, settlings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -70,15 +69,7 @@ def test_what_motions_cost(monkeypatch: pytest.MonkeyPatch) -> None:
     world = kitchen.world
     world.simulate(0.5)
     before = {body: take_snapshot(body) for body in world.objects}
-    settled: list[float] = []
-    settle = settling.settle
-
-    def timed(*arguments: object) -> object:
-        found: list[object] = []
-        settled.append(seconds(lambda: found.append(settle(*arguments))))
-        return found[0]
-
-    monkeypatch.setattr(settling, "settle", timed)
+    settled = settlings(monkeypatch)
     print()
     for name, (motion, prepare, most) in motions(kitchen).items():
 
@@ -89,7 +80,7 @@ def test_what_motions_cost(monkeypatch: pytest.MonkeyPatch) -> None:
             prepare()
             settled.clear()
             took = seconds(motion)
-            return took - sum(settled)
+            return took - sum(while_settling for while_settling, _ in settled)
 
         once()
         cost = ratio(once, lambda: seconds(lambda: world.engine.step(STEPS)) / STEPS, rounds=11)

@@ -6,8 +6,14 @@ import os
 import time
 from typing import TYPE_CHECKING
 
+from pycram.world import settling
+
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import pytest
+
+    from pycram.bullet_world import BulletWorld
 
 PATIENCE = 3  # times as many rounds
 LONG = 0.5  # s: noise is a small share of what takes longer
@@ -51,6 +57,22 @@ def goal(what: str, value: float, most: float, room: float = ROOM) -> None:
     """
     print(f"{what}: {value:.3g}, goal {most:g}{', MISSED' if value > most else ''}")
     assert value < room * most, what
+
+
+def settlings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, int]]:
+    """Return what gets the seconds and the simulated steps of each settling from now on."""
+    settled: list[tuple[float, int]] = []
+    settle = settling.settle
+
+    def timed(world: BulletWorld, steps: int) -> object:
+        found: list[object] = []
+        before = world.sim_step
+        took = seconds(lambda: found.append(settle(world, steps)))
+        settled.append((took, world.sim_step - before))
+        return found[0]
+
+    monkeypatch.setattr(settling, "settle", timed)
+    return settled
 
 
 def ratio(action: Callable[[], float], unit: Callable[[], float], rounds: int = 5, most: float = float("inf")) -> float:

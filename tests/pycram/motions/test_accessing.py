@@ -96,7 +96,6 @@ def places(kitchen: Object, joint: str, handle: str) -> Iterator[tuple[float, fl
 def test_what_opened_from_a_place_closes_from_there(
     built: BulletWorld, seeds: range, record_property: pytest.RecordProperty
 ) -> None:
-    BulletWorld.current_bullet_world = built
     kitchen, before = built.get_object("kitchen"), {body: take_snapshot(body) for body in built.objects}
     opened = somewhere = 0
     for seed in seeds:

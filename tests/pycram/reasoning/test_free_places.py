@@ -46,7 +46,6 @@ def room() -> Iterator[BulletWorld]:
 
 @pytest.fixture
 def table(room: BulletWorld) -> Object:
-    BulletWorld.current_bullet_world = room
     return room.get_object("table")
 
 

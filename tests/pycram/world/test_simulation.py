@@ -27,9 +27,8 @@ def test_a_posture_that_was_simulated_can_be_set_again(world: BulletWorld) -> No
     world.set_gravity([0, 0, -9.8])
     world.simulate(0.5)
     posture = robot.get_joint_positions()
-    assert (
-        posture["r_wrist_flex_joint"] > robot.joint_limits("r_wrist_flex_joint")[1] + 1e-6
-    )  # motors give way a little
+    _, upper = robot.joint_limits("r_wrist_flex_joint")
+    assert posture["r_wrist_flex_joint"] > upper + 1e-6  # motors give way a little
     robot.set_joint_positions(posture)
     assert robot.get_joint_positions() == posture
 
