@@ -27,6 +27,11 @@ def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
     return Binding(_performed, (*_performed.get(), designator))
 
 
+def is_performed(designator: Designator) -> bool:
+    """Return whether a designator is carried out in this context."""
+    return any(each is designator for each in _performed.get())
+
+
 @contextmanager
 def recorded(name: str, designator: Designator, index: int | None = None) -> Iterator[Question]:
     """Put a request that the block answers on record, unless its designator is being carried out.

@@ -103,7 +103,7 @@ class Urdf:
         pose = IDENTITY
         for joint in self.chain(self.root, link):
             fixed = joint.type == "fixed"  # most are
-            at = joint.origin if fixed else joint.pose(self._value(joint.name, positions))
+            at = joint.origin if fixed else joint.pose(self.value(joint.name, positions))
             pose = geometry.multiply(pose, at)
         return pose
 
@@ -112,7 +112,7 @@ class Urdf:
         poses = {self.root: IDENTITY}
         for link in self.links[1:]:  # parents come before their children
             joint = self._parents[link]
-            poses[link] = geometry.multiply(poses[joint.parent], joint.pose(self._value(joint.name, positions)))
+            poses[link] = geometry.multiply(poses[joint.parent], joint.pose(self.value(joint.name, positions)))
         return poses
 
     def followers(self, positions: Mapping[str, float]) -> dict[str, float]:
@@ -132,7 +132,8 @@ class Urdf:
         joint = self.joints[name]
         return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
 
-    def _value(self, joint: str, positions: Mapping[str, float]) -> float:
+    def value(self, joint: str, positions: Mapping[str, float]) -> float:
+        """Return where a joint is, rad or m, from joint values by name: its own, its leader's, or 0."""
         value = positions.get(joint)
         if value is not None:
             return value

@@ -58,9 +58,10 @@ def open_worlds() -> tuple[World, ...]:
 
 def current(among: Collection[World] | None = None) -> World | None:
     """The current world of this branch or thread, of all or of some that are open; None if it has none."""
-    worlds = {world: thread for world, thread in _open.items() if among is None or world in among}
+    known = _open
     for chosen in reversed(_chosen.get()):
-        if (world := chosen()) is not None and world in worlds:
+        if (world := chosen()) in known and (among is None or world in among):
             return world
+    worlds = {world: thread for world, thread in known.items() if among is None or world in among}
     this_thread = threading.get_ident()
     return next((world for world, thread in reversed(worlds.items()) if thread != this_thread), None)

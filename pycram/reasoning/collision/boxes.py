@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -46,9 +46,9 @@ _SIZES: Final = np.concatenate([_K, _L, 3 + _M, 3 + _N])
 _COSINES: Final = np.concatenate([_LJ, _KJ, 3 * _I + _N, 3 * _I + _M])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class Boxes:
-    """k oriented boxes.
+    """k oriented boxes, which are equal only if they are the same.
 
     Attributes:
         links: (k,) names of the links that they are around.
@@ -70,6 +70,12 @@ class Boxes:
         axes = geometry.to_matrices(orientations)
         centers = np.einsum("kij,kj->ki", axes, (low + high) / 2) + positions
         return cls(names, centers, axes, (high - low) / 2 + _MARGIN)
+
+    @cached_property
+    def ends(self) -> tuple[Array, Array]:
+        """Lowest and highest corners (k, 3) of the boxes along the world's axes around these, m."""
+        extents = _world_extents(self.axes, self.half_extents)
+        return self.centers - extents, self.centers + extents
 
     def subset(self, which: NDArray[np.bool_]) -> Boxes:
         """Return those of (k,) flags."""
@@ -109,8 +115,8 @@ class Boxes:
         """Return a box along the world's axes around all of them, and around what they sweep on a way up, m."""
         if not self.links:
             return self
-        extents = _world_extents(self.axes, self.half_extents)
-        low, high = (self.centers - extents).min(axis=0), (self.centers + extents).max(axis=0)
+        lows, highs = self.ends
+        low, high = lows.min(axis=0), highs.max(axis=0)
         high[2] += up
         return Boxes(self.links[:1], ((low + high) / 2)[None], np.eye(3)[None], ((high - low) / 2)[None])
 
@@ -166,9 +172,9 @@ def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) ->
     Returns:
         Indices of postures, boxes and others that overlap, in order.
     """
-    mine, theirs = _world_extents(axes, half_extents), _world_extents(others.axes, others.half_extents)
-    lows, highs = centers - mine, centers + mine
-    other_lows, other_highs = others.centers - theirs, others.centers + theirs
+    extents = _world_extents(axes, half_extents)
+    lows, highs = centers - extents, centers + extents
+    other_lows, other_highs = others.ends
     low, high = lows.min(axis=(0, 1), initial=np.inf), highs.max(axis=(0, 1), initial=-np.inf)
     near = np.flatnonzero(((other_highs >= low) & (other_lows <= high)).all(axis=1))
     other_lows, other_highs = other_lows[near], other_highs[near]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypedDict
 import numpy as np
 
 from pycram.foundation.collision_pair import CollisionPair
-from pycram.reasoning.collision.boxes import Boxes, concatenate, overlaps
+from pycram.reasoning.collision.boxes import Boxes, overlaps
 from pycram.reasoning.collision.moving_links import MovingLinks, joint_counts
 from pycram.reasoning.collision.simulation_clone import clone_of
 from recorder import geometry
@@ -127,9 +127,8 @@ class CollisionChecker:
         self._own = {body.name: body for body in (robot, *self._link_of)}
         self._owners = [(self._own[name], link) for name, link in links.owners]
         skipped = {robot, *(body for body in self._link_of if body.name in links.held), *ignored}
-        others = [(body, clone.boxes(body)) for body in robot.world.objects if body not in skipped]
-        every = concatenate([boxes for _, boxes in others])
-        owners = [(body, link) for body, boxes in others for link in boxes.links]
+        every, bodies = clone.all_boxes(body for body in robot.world.objects if body not in skipped)
+        owners = list(zip(bodies, every.links, strict=True))
         counted = [owner not in ignored_links for owner in owners]
         every = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
         self._other_boxes = every.widened(margin) if margin else every

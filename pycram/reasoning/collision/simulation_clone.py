@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _MAX_CACHED: Final = 8  # values of an object
+_MAX_JOINED: Final = 8  # sets of objects whose boxes are kept together
 _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 
@@ -140,6 +141,7 @@ class PosingClone(SimulationClone):
     def __init__(self, world: BulletWorld) -> None:
         super().__init__(world)
         self._states: dict[str, Snapshot] = {}
+        self._joined: dict[tuple[Boxes, ...], Boxes] = {}
 
     def sync(self) -> None:
         """Bring the clone to the world's state; each body is loaded and put where it belongs when it is asked for."""
@@ -183,11 +185,19 @@ class PosingClone(SimulationClone):
         """Return the boxes around an object's pieces, as it was synced."""
         return self.cached(body, "boxes", lambda: Boxes.around(body.world.engine, body.handle, body))
 
+    def all_boxes(self, bodies: Iterable[Object]) -> tuple[Boxes, Sequence[Object]]:
+        """Return the boxes around pieces of objects, one after the other, as they were synced; and whose each is."""
+        parts = [(body, self.boxes(body)) for body in bodies]
+        key = tuple(boxes for _, boxes in parts)
+        if key not in self._joined:
+            if len(self._joined) >= _MAX_JOINED:
+                self._joined.clear()
+            self._joined[key] = concatenate(key)
+        return self._joined[key], [body for body, boxes in parts for _ in boxes.links]
+
     def overlapping(self, boxes: Boxes, bodies: Iterable[Object]) -> dict[Part, Body]:
         """Return copies of what comes into boxes in the world, in order: of furniture the links, of others all."""
-        others = [(body, self.boxes(body)) for body in bodies]
-        every = concatenate([each for _, each in others])
-        owners = [body for body, each in others for _ in each.links]
+        every, owners = self.all_boxes(bodies)
         *_, found = overlaps(boxes.centers[None], boxes.axes[None], boxes.half_extents, every)
         near = [(owners[number], every.links[number]) for number in sorted(set(found.tolist()))]
         parts = dict.fromkeys((body, link if body.is_environment else "") for body, link in near)

@@ -63,9 +63,9 @@ class FingerMotion:
     gap: float = 2 * CLEAR
 
 
-def share_open(robot: Object, gripper: Gripper) -> float:
-    """Return how far a gripper is open: 0 is closed, 1 is open."""
-    closed, opened, now = gripper.at(0.0), gripper.at(1.0), robot.get_joint_positions()
+def _share_open(gripper: Gripper, now: Mapping[str, float]) -> float:
+    """Return how far a gripper is open where a robot's joints are so, rad or m by name: 0 is closed, 1 is open."""
+    closed, opened = gripper.at(0.0), gripper.at(1.0)
     shares = [(now[name] - at) / (opened[name] - at) for name, at in closed.items() if opened[name] != at]
     return min(1.0, max(0.0, sum(shares) / len(shares))) if shares else 0.0
 
@@ -96,7 +96,8 @@ def moved(
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
     clone.sync()
-    there = {**robot.get_joint_positions(), **(posture or {})}
+    now = robot.get_joint_positions()
+    there = {**now, **(posture or {})}
     if posture is None and base is None:
         palm = robot.world.engine.link_pose(robot.handle, gripper.palm)
     else:
@@ -104,7 +105,7 @@ def moved(
         palm = geometry.multiply(base or robot.get_position_and_orientation(), frame)
     others = _near(clone, robot, gripper, palm, there, [o for o in robot.world.objects if o not in (robot, release)])
     if not others and release is None:  # in free air, without a copy of the hand
-        free, _ = _sweep(_nothing, share_open(robot, gripper), goal)
+        free, _ = _sweep(_nothing, _share_open(gripper, now), goal)
         return FingerMotion(gripper.at(free), free)
     engine, hand = clone.engine, clone.body(robot.name)
 
@@ -116,7 +117,7 @@ def moved(
         if base is not None:
             engine.set_pose(hand, base)
         engine.pose_joints(hand, there)
-        free, stops = _sweep(depths if others else _nothing, share_open(robot, gripper), goal)
+        free, stops = _sweep(depths if others else _nothing, _share_open(gripper, now), goal)
         gap = 2 * CLEAR
         if release is not None:
             copy = clone.body(release.name)

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pycram.models.robots.sensors import CameraDescription
-    from recorder.geometry import Vector
+    from recorder.geometry import Pose, Vector
+    from recorder.geometry.joints import Joint
     from recorder.geometry.urdf import Urdf
 
 _ITERATIONS: Final = 30
@@ -40,18 +41,22 @@ def look(
     Returns:
         Values of the joints within their limits, and the point in the camera's frame then, m.
     """
+    turning, behind = _neck(urdf, joints, camera, now)
 
     def seen(values: Sequence[float]) -> Vector:
-        pose = urdf.forward_kinematics({**now, **dict(zip(joints, values, strict=True))}, camera.frame)
-        return geometry.transform(geometry.invert(camera.pose(pose)), point)
+        at = dict(zip(joints, values, strict=True))
+        pose = geometry.IDENTITY
+        for before, joint in turning:
+            pose = geometry.multiply(geometry.multiply(pose, before), joint.pose(at[joint.name]))
+        return geometry.transform(geometry.invert(geometry.multiply(pose, behind)), point)
 
-    def error(at: Vector) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def error(at: Vector) -> tuple[float, float]:
         """Return the rotation vector's two parts, in the camera's frame, from its axis to where the point is, rad."""
         x, y, z = at
         off_axis = math.hypot(x, y)
         angle = math.atan2(off_axis, z)
         scale = angle / off_axis if off_axis > 1e-12 else 1.0
-        return np.array([x * scale, y * scale])
+        return x * scale, y * scale
 
     limits = [(max(urdf.joint(name).lower, -math.pi), min(urdf.joint(name).upper, math.pi)) for name in joints]
     best, view, least = [0.0] * len(joints), geometry.IDENTITY[0], math.inf
@@ -60,13 +65,13 @@ def look(
         at = seen(turned)
         here = error(at)
         for _ in range(_ITERATIONS if joints else 0):
-            if float(np.linalg.norm(here)) < _TOLERANCE:
+            if math.hypot(*here) < _TOLERANCE:
                 break
             moved = [
                 [value + _DERIVATIVE_STEP * (i == k) for i, value in enumerate(turned)] for k in range(len(turned))
             ]
-            jacobian = np.column_stack([(error(seen(values)) - here) / _DERIVATIVE_STEP for values in moved])
-            step = np.linalg.lstsq(jacobian, -here, rcond=None)[0]
+            there = np.array([error(seen(values)) for values in moved])
+            step = np.linalg.lstsq((there - here).T / _DERIVATIVE_STEP, np.negative(here), rcond=None)[0]
             step *= min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
             before = turned
             turned = [
@@ -77,9 +82,27 @@ def look(
                 break
             at = seen(turned)
             here = error(at)
-        remaining = float(np.linalg.norm(here))
+        remaining = math.hypot(*here)
         if remaining < least - _TOLERANCE:
             best, view, least = turned, at, remaining
         if remaining < _GOOD_ENOUGH:
             break
     return dict(zip(joints, best, strict=True)), view
+
+
+def _neck(
+    urdf: Urdf, joints: Sequence[str], camera: CameraDescription, now: Mapping[str, float]
+) -> tuple[Sequence[tuple[Pose, Joint]], Pose]:
+    """Return the joints that turn the camera, each with where it is behind the one before, and the camera behind all.
+
+    Most joints of the chain stay as they are, and are looked at once.
+    """
+    turning: list[tuple[Pose, Joint]] = []
+    behind = geometry.IDENTITY
+    for joint in urdf.chain(urdf.root, camera.frame):
+        if joint.name in joints:
+            turning.append((behind, joint))
+            behind = geometry.IDENTITY
+        else:
+            behind = geometry.multiply(behind, joint.pose(urdf.value(joint.name, now)))
+    return turning, camera.pose(behind)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.collision.boxes import concatenate
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.reaching import held
@@ -30,7 +29,7 @@ def surroundings(robot: Object, *without: Object) -> Boxes:
     """Return boxes around everything but a robot, what it holds, and some other objects."""
     clone = clone_of(robot.world, "reach")
     own = {robot, *held(robot), *without}
-    return concatenate([clone.boxes(body) for body in robot.world.objects if body not in own])
+    return clone.all_boxes(body for body in robot.world.objects if body not in own)[0]
 
 
 def room(robot: Object, centers: Array) -> Array:
