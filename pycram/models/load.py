@@ -28,6 +28,7 @@ from pycram.models import (
 )
 from pycram.models.files import read_bytes, read_text
 from pycram.models.texture import warn_of_missing
+from pycram.models.visual import piece_bounds
 from pycram.models.warming import notable
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
@@ -210,6 +211,7 @@ def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[tuple
             material.remove(texture)  # it is in the shapes' colours
     text, tree = canonical_urdf.write(source, root)
     path, asset = store.write_urdf(f"{stem}.urdf", text, root)
+    piece_bounds(path)  # what queries ask for first: now nobody waits for the answer
     return Model(path, tree, (asset, *used.values()))
 
 

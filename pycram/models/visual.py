@@ -137,14 +137,18 @@ def _ends(shape: Shape, folder: Path) -> Ends:
     return bounds(_placed(shape, corners))
 
 
-def piece_bounds(path: Path) -> Iterator[tuple[str, Ends]]:
-    """Yield the links of the pieces of :func:`pieces_of`, and the pieces' lowest and highest corners."""
+@lru_cache(maxsize=256)
+@notable
+def piece_bounds(path: Path) -> Sequence[tuple[str, Ends]]:
+    """Return the links of the pieces of :func:`pieces_of`, and the pieces' lowest and highest corners."""
+    every: list[tuple[str, Ends]] = []
     for link, parts in _read(path, "collision").items():
         for part in parts:
             if part.mesh.lower().endswith(".obj"):
-                yield from ((link, bounds(_placed(part, group))) for group in _groups(part, path.parent))
+                every += ((link, bounds(_placed(part, group))) for group in _groups(part, path.parent))
             else:
-                yield link, _ends(part, path.parent)
+                every.append((link, _ends(part, path.parent)))
+    return every
 
 
 def pieces_of(path: Path) -> Iterator[tuple[str, NDArray[np.float64]]]:
