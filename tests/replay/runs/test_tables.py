@@ -279,6 +279,7 @@ def test_answers_as_frames(runs: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.needs("polars")
 def test_answers_as_frames_of_polars(runs: Path) -> None:
     with replay.open_runs(runs) as tables:
         answer = tables.sql("SELECT run, seconds FROM runs ORDER BY run")
