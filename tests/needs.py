@@ -1,4 +1,4 @@
-"""What tests need of the machine, and whether it is there: programs, graphics libraries, a driver that draws.
+"""What tests need of the machine, and whether it is there: programs, graphics libraries, a driver that draws, packages.
 
 A fixture or a test that needs something says so with :func:`need`, or is marked ``@pytest.mark.needs("Xvfb")``. What
 isn't there skips the test; one line at the end of the run sums up. Where ``CI`` is set it is a failure instead.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -20,8 +21,11 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
 
-_INSTALL: Final = "`make system-packages` installs them"
+_SYSTEM: Final = "`make system-packages`"
+_LONG: Final = "`make test-long`"
 _REASON: Final = "this machine has no "
+#: Modules that only the environment of the long measures has.
+_PACKAGES: Final = {"Ray": "ray", "PyAV": "av", "polars": "polars", "datasets": "datasets"}
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
 #: What the viewer's window loads when it opens.
 _WINDOW_LIBRARIES: Final = (
@@ -62,6 +66,10 @@ def _runs(*command: str) -> bool:
         return False
 
 
+def _is_installed(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
+
+
 def browser() -> str | None:
     """The browser's program; None if there is none."""
     return next((name for name in _BROWSERS if shutil.which(name)), None)
@@ -77,6 +85,7 @@ _FOUND: Final[dict[str, Callable[[], bool]]] = {
     "Chromium": lambda: _runs(browser() or "", "--version"),
     "tmux": lambda: shutil.which("tmux") is not None,
     "network namespaces": lambda: _runs("unshare", "-rn", *_CABLE),
+    **{name: functools.partial(_is_installed, module) for name, module in _PACKAGES.items()},
 }
 
 
@@ -112,7 +121,10 @@ def summary(reasons: Iterable[str]) -> str | None:
         return None
     names = Counter(name for text in of_needs for name in text.split(", no "))
     tests = f"{len(of_needs)} test{'s' if len(of_needs) > 1 else ''}"
-    return f"{tests} skipped: {', '.join(f'no {name}' for name in _FOUND if name in names)}; {_INSTALL}"
+    missing = [name for name in _FOUND if name in names]
+    makers = list(dict.fromkeys(_LONG if name in _PACKAGES else _SYSTEM for name in missing))
+    install = f"{' and '.join(makers)} install{'s' if len(makers) == 1 else ''} them"
+    return f"{tests} skipped: {', '.join(f'no {name}' for name in missing)}; {install}"
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

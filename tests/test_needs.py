@@ -13,7 +13,9 @@ from tests import needs
 
 REPO = Path(__file__).parent.parent
 TESTS = """
+import sys
 import pytest
+sys.modules["ray"] = None  # as if it weren't installed
 from tests import needs
 
 def pytest_configure(config):
@@ -27,6 +29,9 @@ def test_of_both(): ...
 
 @pytest.mark.needs("Chromium")
 def test_of_one(): ...
+
+@pytest.mark.needs("Ray")
+def test_of_a_package(): ...
 
 def test_of_none(): ...
 
@@ -48,11 +53,12 @@ def test_a_run_on_a_machine_without(tmp_path: Path, more: tuple[str, ...], ci: s
     environment = {**kept, "PATH": str(tmp_path), "CI": ci}
     ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert ended.returncode == code, ended.stdout
-    line = "2 tests skipped: no Xvfb, no Chromium; `make system-packages` installs them"
+    install = "`make system-packages` and `make test-long` install them"
+    line = f"3 tests skipped: no Xvfb, no Chromium, no Ray; {install}"
     assert (ended.stdout.splitlines()[-1] == line) == (not ci)
     assert ended.stdout.count(line) == (not ci)
     if ci:
-        assert "2 errors" in ended.stdout
+        assert "3 errors" in ended.stdout
         assert "this machine has no Xvfb, no Chromium" in ended.stdout
 
 
@@ -61,4 +67,7 @@ def test_nothing_is_summed_up_where_nothing_was_missing() -> None:
     assert needs.summary(["Skipped: for another reason"]) is None
     assert needs.summary(["Skipped: this machine has no Xvfb"]) == (
         "1 test skipped: no Xvfb; `make system-packages` installs them"
+    )
+    assert needs.summary(["Skipped: this machine has no PyAV, no Ray", "Skipped: this machine has no Ray"]) == (
+        "2 tests skipped: no Ray, no PyAV; `make test-long` installs them"
     )

@@ -176,6 +176,6 @@ def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, Outcome
 def _set_aside(result: Sweep, outcome: Outcome) -> None:
     """Keep the recording of a plan that can't start, so that it can be mended and swept into the same folder."""
     folder = Path(result.folder)
-    kept = (folder / outcome.name).replace(folder / f"{outcome.name}.failed")
+    kept = (folder / outcome.name).replace(folder / result.failures[0].name)
     (folder / folders.SWEEP).unlink(missing_ok=True)
     result.stopped += f"; pycram-replay why {shlex.quote(str(kept))}"

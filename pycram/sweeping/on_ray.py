@@ -74,7 +74,7 @@ def sweep_on_ray(
                 if not result.take(outcome):
                     return result
                 if result.has_not_begun():
-                    store.set_aside(outcome.name)
+                    store.set_aside(outcome.name, result.failures[0].name)
                     return result
                 progress(result, outcome)
             models = models or next(filter(NAME.fullmatch, sorted(store.names())), None)
@@ -171,9 +171,9 @@ class _Store:
         if self._files.exists(f"{self.root}/{name}") and not (folder / name).exists():
             self._files.get_file(f"{self.root}/{name}", str(folder / name))
 
-    def set_aside(self, name: str) -> None:
+    def set_aside(self, name: str, kept: str) -> None:
         """Keep the recording of a plan that can't start, so that it can be mended and swept into the same folder."""
-        self._files.mv(f"{self.root}/{name}", f"{self.root}/{name}.failed")
+        self._files.mv(f"{self.root}/{name}", f"{self.root}/{kept}")
         self._files.rm(f"{self.root}/{folders.SWEEP}")
 
     def described(self, name: str) -> dict[str, str]:

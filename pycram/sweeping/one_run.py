@@ -36,7 +36,10 @@ if TYPE_CHECKING:
     from recorder.tracing.journal import Sink
 
 HOOKS: Final = "pycram.runs"
-"""Group of entry points: functions that are called with the path of each recording, in its run's process."""
+"""Group of entry points: functions that are called with the path of a recording whose plan began, in its run's process.
+
+If none of a sweep's plan begins, its recording is set aside: nothing is to be left of it under its name.
+"""
 _TIME_LIMIT: Final = "TimeLimit"
 
 
@@ -203,7 +206,7 @@ def run_once(
         return _answer(Outcome(number, name, succeeded=False, unrecorded=why or "its end is missing"))
     path = part.replace(Path(spec.folder) / name)
     failure = "" if sink.end.succeeded else format_failure(sink.end.failure)
-    remark = _call_hooks(path)
+    remark = _call_hooks(path) if sink.started or sink.end.succeeded else ""
     outcome = Outcome(
         number,
         name,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -54,13 +54,17 @@ class Sweep:
         return True
 
     def has_not_begun(self) -> bool:
-        """Return whether the first run of all has failed before the plan did anything: so would all others."""
+        """Return whether the first run of all has failed before the plan did anything: so would all others.
+
+        If so, its outcome has the name under which its recording is to be set aside.
+        """
         if self.before or self.done > 1 or not self.failures:
             return False
         first = self.failures[0]
         if first.started and not first.lost:
             return False
         self.stopped = f"the first run failed before the plan did anything: {first.failure}"
+        self.failures = [replace(first, name=f"{first.name}.failed")]
         return True
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _MAX_CLAIMS: Final = 5
 _MAX_ALSO: Final = 5
+HOW_FAR: Final = "this tells how far runs got, which may be a symptom of their end"
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -74,6 +75,8 @@ def _lines(runs: Runs, found: Separation, shown: tuple[Claim, ...]) -> Iterator[
         )
         effect = f"{percent(claim.fact.effect)} of the runs (95 %: {percent(low)} to {percent(high)})"
         yield f"   failures are more by {effect}; {scores}"
+        if claim.fact.how_far:
+            yield f"   {HOW_FAR}"
         if claim.also:
             more = f" and {len(claim.also) - _MAX_ALSO} more" if len(claim.also) > _MAX_ALSO else ""
             yield f"   true of the same runs: {'; '.join(claim.also[:_MAX_ALSO])}{more}"
@@ -81,7 +84,7 @@ def _lines(runs: Runs, found: Separation, shown: tuple[Claim, ...]) -> Iterator[
             a, b = (shlex.quote(str(runs.path / name)) for name in (claim.failure, claim.success))
             yield f"   pycram-replay diff {a} {b}"
     if len(shown) < len(found.claims):
-        yield from ("", f"{plural(len(found.claims) - len(shown), 'weaker claim')}: --all")
+        yield from ("", f"{plural(len(found.claims) - len(shown), 'more claim')}: --all")
     if found.claims and found.explained < found.failures:
         yield from ("", f"{plural(found.failures - found.explained, 'failure')} without any of these")
 

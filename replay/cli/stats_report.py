@@ -12,6 +12,7 @@ from html import escape
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
+from replay.cli.separate import HOW_FAR
 from replay.cli.stats_picture import picture, png
 
 if TYPE_CHECKING:
@@ -148,11 +149,9 @@ def _claims(folder: Path, found: Separation) -> str:
     for claim in found.claims[:_CLAIMS]:
         fact = claim.fact
         low, high = fact.interval
-        also = (
-            f'<br><span class="gray">true of the same runs: {escape("; ".join(claim.also))}</span>'
-            if claim.also
-            else ""
-        )
+        remarks = [HOW_FAR] if fact.how_far else []
+        remarks += [f"true of the same runs: {'; '.join(claim.also)}"] if claim.also else []
+        also = "".join(f'<br><span class="gray">{escape(each)}</span>' for each in remarks)
         compare = _command("diff", folder / claim.failure, folder / claim.success) if claim.success else ""
         rows.append(
             (

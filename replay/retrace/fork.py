@@ -120,20 +120,29 @@ def fork(
     notes = tuple(process.notes())
     begun()
     with ThreadPoolExecutor() as beside:
-        controlling = None if unchanged is None else beside.submit(compared, unchanged, log)
         try:
-            outcome = process.run(file=file, changes=changes)
-        except ReplayError:
-            file.unlink(missing_ok=True)
+            controlling = None if unchanged is None else beside.submit(compared, unchanged, log)
+            _go_on(process, step, file, changes)
+            controlled = None if controlling is None else controlling.result()
+        except BaseException:  # an interrupt, too: the block waits for its thread, and that for the control's plan
+            if unchanged is not None:
+                unchanged.stop()
             raise
-        if outcome.difference is not None:
-            file.unlink(missing_ok=True)
-            raise NotForked(step, outcome.difference)
-        controlled = None if controlling is None else controlling.result()
     with RecordReader(file) as forked:
         end = forked[-1]
         notes += tuple(_unasked(forked))
         return Fork(file, step, len(forked), getattr(end, "succeeded", False), notes, controlled)
+
+
+def _go_on(process: PlanProcess, step: int, file: Path, changes: Sequence[Change]) -> None:
+    """Run the plan to its end; there is no new recording if it didn't come to the step as it did."""
+    try:
+        difference = process.run(file=file, changes=changes).difference
+        if difference is not None:
+            raise NotForked(step, difference)
+    except ReplayError:
+        file.unlink(missing_ok=True)
+        raise
 
 
 def _changes(

@@ -112,6 +112,8 @@ class PlanProcess:
         _refuse_unrepeatable(log, until)
         own = last_own_step(log)
         self._interrupted_after = own if own < len(log) - 1 else None
+        self._running: subprocess.Popen[bytes] | None = None
+        self._stopped = False
 
     def notes(self) -> Iterator[str]:
         """Yield in words what is different from when the recording was made."""
@@ -170,8 +172,11 @@ class PlanProcess:
             finally:
                 os.close(writing)
                 os.close(output)
+            self._running = process
             with process:
                 try:
+                    if self._stopped:  # before there was anything to end
+                        process.kill()
                     line = results.readline()  # the plan's own processes may keep the pipe open
                     code = process.wait()
                 except BaseException:
@@ -189,6 +194,12 @@ class PlanProcess:
             raise ReplayError(answer["error"])
         found = answer["difference"]
         return Outcome(answer["equal"], None if found is None else Difference(**found), answer["taken"])
+
+    def stop(self) -> None:
+        """End it, called from another thread than the one that runs it, where :meth:`run` then raises `CantRetrace`."""
+        self._stopped = True
+        if self._running is not None:
+            self._running.kill()
 
     def placed(self, folder: str) -> dict[str, object]:
         """Write the recorded source into a folder, if it is to run; return what is to be requested because of it."""

@@ -1,16 +1,20 @@
-"""Facts that are true of some runs and false of others: values, and the ranges of numbers that separate best."""
+"""Facts that are true of some runs and false of others: values, and the ranges of numbers that separate best.
+
+Some facts tell how far failed runs got, which may be a symptom of their end: that they came to a task, what was chosen
+last where a success goes on to choose, what only a third attempt has (:attr:`Fact.how_far`).
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from replay.runs.chance import evidence
 from replay.runs.intervals import difference
-from replay.runs.predicates import Site
+from replay.runs.predicates import PRESENT, Site
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
 
 _MAX_VALUES: Final = 12  # different texts of a site that are compared one by one
 _CUTS: Final = 16  # places at which the range of a number is cut, at most
+_LARGE: Final = 0.71  # how often a number of one kind exceeds one of another (Vargha and Delaney 2000: a large effect)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +43,7 @@ class Fact:
         evidence: how strongly it goes along with failing; see :mod:`replay.runs.chance`.
         true: numbers of the runs that it is true of.
         known: numbers of the runs that got to the site.
+        how_far: whether it tells how far the failed runs got, rather than what went before their failures.
     """
 
     kind: str
@@ -51,6 +57,7 @@ class Fact:
     evidence: float
     true: frozenset[int]
     known: frozenset[int]
+    how_far: bool
 
     def ochiai(self, failures: int) -> float:
         """Return the score of Ochiai, 0 to 1, among so many failed runs in all."""
@@ -86,14 +93,18 @@ class Compared:
         known: numbers of the runs that got there.
         true: a row for each fact: of which of these runs it is true.
         text: returns a fact in words.
+        turn: returns which of a run's values, from 1, makes a fact true of it.
         best: whether only the strongest one is of interest, as of ranges of a number.
+        whole: the site with all values, where those that runs had at last are compared.
     """
 
     site: Site
     known: Runs
     true: Truth
     text: Callable[[int], str]
+    turn: Callable[[int, int], int] = lambda _row, _run: 1
     best: bool = False
+    whole: Site | None = None
 
     def facts(self, failed: Truth) -> Iterator[Fact]:
         """Yield those that are of interest."""
@@ -115,7 +126,22 @@ class Compared:
                 float(found[row]),
                 frozenset(true),
                 frozenset(self.known.tolist()),
+                bool(found[row] > 0) and self._how_far(row, failed),
             )
+
+    def _how_far(self, row: int, failed: Truth) -> bool:
+        """Return whether failed runs have it from a turn that successes rarely get to, or at last where these go on."""
+        if self.site.kind in PRESENT:
+            return self.site.kind == "reached"
+        values = (self.whole or self.site).values
+        true = self.known[self.true[row] & failed[self.known]].tolist()
+        turns = [len(values[run]) if self.whole else self.turn(row, run) for run in true]
+        successes = np.sort([len(values[run]) for run in self.known[~failed[self.known]].tolist()])
+        if not len(successes):
+            return False
+        shorter, no_longer = np.searchsorted(successes, turns), np.searchsorted(successes, turns, side="right")
+        effect = (shorter.mean() + no_longer.mean()) / 2 / len(successes)
+        return bool(effect >= _LARGE or (self.whole is not None and effect <= 1 - _LARGE))
 
 
 def compared_of(found: Sequence[Site], cases: Sequence[Case]) -> Iterator[Compared]:
@@ -126,7 +152,7 @@ def compared_of(found: Sequence[Site], cases: Sequence[Case]) -> Iterator[Compar
                 continue
             simple = {each.value for values in site.values.values() for each in values}
             numbers = [value for value in simple if isinstance(value, float)]
-            if site.kind == "reached":
+            if site.kind in PRESENT:
                 compared = _reached(site, len(cases))
             elif len(numbers) == len(simple) and len(simple) > 2:
                 compared = _ranges(site)
@@ -136,17 +162,22 @@ def compared_of(found: Sequence[Site], cases: Sequence[Case]) -> Iterator[Compar
                 continue
             some = compared.true.any(axis=1) & ~compared.true.all(axis=1)
             if some.any():
-                kept, text = np.flatnonzero(some), compared.text
-                yield Compared(site, compared.known, compared.true[kept], _picked(text, kept), compared.best)
+                yield _picked(compared, np.flatnonzero(some), whole=None if site is each else each)
 
 
-def _picked(text: Callable[[int], str], kept: Runs) -> Callable[[int], str]:
-    return lambda row: text(int(kept[row]))
+def _picked(compared: Compared, rows: Runs, *, whole: Site | None) -> Compared:
+    return replace(
+        compared,
+        true=compared.true[rows],
+        text=lambda row: compared.text(int(rows[row])),
+        turn=lambda row, run: compared.turn(int(rows[row]), run),
+        whole=whole,
+    )
 
 
 def _last(site: Site) -> Site | None:
     """Return what a site had at last, which is what was in force when it failed; None where that is all that it had."""
-    if site.kind in ("reached", "order") or all(len({each.value for each in got}) == 1 for got in site.values.values()):
+    if site.kind in {*PRESENT, "order"} or all(len({each.value for each in got}) == 1 for got in site.values.values()):
         return None
     if site.kind == "choice":
         name = f"{site.name} last"
@@ -168,7 +199,11 @@ def _values(site: Site, simple: Sequence[str | float | bool]) -> Compared:
     known = sorted(site.values)
     had = [{each.value for each in site.values[number]} for number in known]
     true = np.array([[value in values for values in had] for value in simple])
-    return Compared(site, np.array(known), true, lambda row: _value_text(site, simple[row]))
+
+    def turn(row: int, run: int) -> int:
+        return 1 + [each.value for each in site.values[run]].index(simple[row])
+
+    return Compared(site, np.array(known), true, lambda row: _value_text(site, simple[row]), turn)
 
 
 def _value_text(site: Site, value: str | float | bool) -> str:

@@ -25,7 +25,7 @@ from replay.errors import NotALog, ReplayError
 from replay.file.record_reader import RecordReader
 from replay.runs.contents import Contents, flocked, parts_there
 from replay.runs.record_rows import tables_of
-from replay.runs.rows import FOLDER, NEW, read_rows, written_rows
+from replay.runs.rows import FOLDER, NEW, partial_rows, read_rows, written_rows
 from replay.runs.schema import RUN, TABLES, arrow_schema
 
 try:
@@ -176,7 +176,8 @@ class Folder:
             with contextlib.suppress(BlockingIOError), flocked(self.tables / part, exclusive=True):
                 shutil.rmtree(self.tables / part, ignore_errors=True)
         for name in wanted:
-            written_rows(self.path / name).unlink(missing_ok=True)
+            for rows in (written_rows(self.path / name), partial_rows(self.path / name)):
+                rows.unlink(missing_ok=True)
 
     def _add(
         self, recordings: Mapping[str, os.stat_result], progress: Callable[[int, int], object], done: int, of: int

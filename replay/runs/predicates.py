@@ -26,6 +26,8 @@ _MAX_SITES: Final = 20_000
 _MAX_MARKS: Final = 60  # first things of a run whose order is compared
 _MAX_TEXT: Final = 80  # characters of a value
 _AXES: Final = ("x", "y", "z")
+#: Kinds of sites without values, which runs got to or didn't: what happened there, and the tasks on their way.
+PRESENT: Final = frozenset({"happened", "reached"})
 #: Kinds of tasks whose parameters are their motion's, or tell of nothing but the plan's structure.
 _STRUCTURE: Final = frozenset({"process-module", "plan", "branch", "block", "cleanup"})
 
@@ -48,7 +50,7 @@ class Site:
     """A place at which runs may differ.
 
     Attributes:
-        kind: "parameter", "pose", "motion", "query", "choice", "event", "reached" or "order".
+        kind: "parameter", "pose", "motion", "query", "choice", "event", "order", or one of :data:`PRESENT`.
         name: in words, as "arm at pick-up(spoon)".
         values: by the number of the run, all that it had there, in order; runs that didn't get there are left out.
     """
@@ -205,14 +207,14 @@ class _Sites:
             if kind == "fluent" and value and len(value) < 10 * _MAX_TEXT:
                 self.add("event", f"fluent {label}", number, from_json(value), step)
             else:
-                self.add("reached", f"{kind} {label}", number, True, step)
+                self.add("happened", f"{kind} {label}", number, True, step)
         rows = runs.sql("SELECT run, step, task, command, body FROM mutations WHERE body <> '' ORDER BY run, step")
         for run, step, task, command, body in rows.rows():
             number = self.before(run, step)
             if number is not None:
                 self.mark(number, f"{command.replace('_', ' ')} {body}", step, task)
                 if command == "load_body":
-                    self.add("reached", f"{body} was loaded", number, True, step)
+                    self.add("happened", f"{body} was loaded", number, True, step)
 
     def orders(self) -> None:
         """Add which of two things of different branches came first.

@@ -6,7 +6,6 @@ the tables one after the other, until readers merge them into the folder's table
 
 from __future__ import annotations
 
-import os
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
@@ -17,6 +16,7 @@ from replay.runs.record_rows import tables_of
 from replay.runs.schema import TABLES, VERSION, arrow_schema
 
 if TYPE_CHECKING:
+    import os
     from pathlib import Path
 
 FOLDER: Final = "tables"
@@ -36,16 +36,16 @@ def write_rows(path: Path) -> None:
     with RecordReader(path) as log:
         tables = tables_of(log)
         state = path.stat()
-    folder = path.parent / FOLDER / NEW
-    folder.mkdir(parents=True, exist_ok=True)
-    partial = folder / f".{path.name}.{os.getpid()}"
+    rows, partial = written_rows(path), partial_rows(path)
+    rows.parent.mkdir(parents=True, exist_ok=True)
     try:
         with partial.open("wb") as file:
             for name, table in tables.items():
                 marked = table.replace_schema_metadata(_marks(name, state))
                 with pa.ipc.new_stream(file, marked.schema, options=_PACKED) as stream:
                     stream.write_table(marked)
-        partial.replace(folder / f"{path.name}.arrows")
+        with suppress(FileNotFoundError):  # a reader that was faster has removed it
+            partial.replace(rows)
     finally:
         partial.unlink(missing_ok=True)
 
@@ -72,6 +72,12 @@ def read_rows(path: Path, state: os.stat_result) -> dict[str, pa.Table] | None:
 def written_rows(path: Path) -> Path:
     """Return where the rows of a recording lie that its own process wrote."""
     return path.parent / FOLDER / NEW / f"{path.name}.arrows"
+
+
+def partial_rows(path: Path) -> Path:
+    """Return where they lie while they are written, and stay if that is killed."""
+    rows = written_rows(path)
+    return rows.with_name(f".{rows.name}")
 
 
 def _marks(table: str, state: os.stat_result) -> dict[str, str]:

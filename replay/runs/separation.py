@@ -2,7 +2,8 @@
 
 Each fact that is true of some runs and false of others is scored as in spectrum-based fault localisation: Ochiai and
 Tarantula (Abreu et al. 2007; Jones and Harrold 2005). Facts are compared with the other runs that got to the same
-site, so that what merely comes before a failure has no score (Liblit et al. 2005: "context"). A claim is made only
+site, so that what merely comes before a failure has no score (Liblit et al. 2005: "context"), and what tells how far
+runs got ranks below all that doesn't. A claim is made only
 where failures that are dealt to the runs at random would make any in less than one of a hundred folders
 (:mod:`replay.runs.chance`). Facts that are true of the same runs are one claim.
 """
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 LEVEL: Final = 0.01
 """Chance that any claim is made where nothing separates."""
-_ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "reached")
+_ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "happened", "reached")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ class Claim:
     """A fact that separates, with those that are true of the same runs.
 
     Attributes:
-        fact: the first of them.
+        fact: the first of them; one that tells how far runs got only where all do.
         also: the others, in words.
         ochiai: the score, 0 to 1.
         chance: that any claim is this strong though nothing separates.
@@ -57,7 +58,7 @@ class Separation:
 
     Attributes:
         cases: the runs.
-        claims: what separates, the strongest first.
+        claims: what separates, the strongest first; those that tell how far runs got come last.
         compared: how many facts were compared.
         explained: how many failed runs the claims are true of.
     """
@@ -124,14 +125,19 @@ def _separation(cases: tuple[Case, ...], found: list[Compared]) -> Separation:
         groups[fact.true & failed, fact.true - failed].append((fact, chance))
     claims = []
     for alike in groups.values():
-        alike.sort(key=lambda each: (_ORDER.index(each[0].kind), each[0].step))
+        alike.sort(key=lambda each: (each[0].how_far, _ORDER.index(each[0].kind), each[0].step))
         fact, _ = alike[0]
         chance = min(chance for _, chance in alike)
         also = tuple(other.text for other, _ in alike[1:])
         claims.append(Claim(fact, also, fact.ochiai(failures), chance, *_pair(fact, facts, cases)))
-    claims.sort(key=lambda claim: (-round(claim.ochiai, 6), _ORDER.index(claim.fact.kind), claim.fact.step))
+    claims.sort(key=_rank)
     explained = len(frozenset().union(*(claim.fact.true & failed for claim in claims)))
     return Separation(cases, tuple(claims), compared, explained)
+
+
+def _rank(claim: Claim) -> tuple[bool, float, int, float]:
+    """Return by what claims are put in order: symptoms come last, however well their runs' ends separate them."""
+    return claim.fact.how_far, -round(claim.ochiai, 6), _ORDER.index(claim.fact.kind), claim.fact.step
 
 
 def _pair(fact: Fact, facts: Sequence[Fact], cases: Sequence[Case]) -> tuple[str, str]:

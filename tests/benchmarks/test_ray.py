@@ -26,6 +26,7 @@ def seconds(folder: Path, ray: str | None) -> float:
 
 
 @pytest.mark.long
+@pytest.mark.needs("Ray")
 @pytest.mark.filterwarnings("ignore")  # Ray's own
 def test_ray_takes_little_more_than_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import ray  # noqa: PLC0415  heavy, and of `make test-long` alone

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from pycram.sweeping import Outcome, Sweep
 
+pytestmark = [pytest.mark.long, pytest.mark.needs("Ray")]
 PLAN = """
 import os, uuid
 from pathlib import Path
@@ -32,7 +33,6 @@ Path(given.marks, f"{given.side}-{uuid.uuid4()}").touch()
 RUNS = 200
 
 
-@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")  # Ray's own
 def test_a_node_is_lost_in_the_middle(tmp_path: Path) -> None:
     plan, folder, marks = tmp_path / "plan.py", tmp_path / "runs", tmp_path / "marks"
@@ -79,7 +79,6 @@ def test_a_node_is_lost_in_the_middle(tmp_path: Path) -> None:
     assert not list(folder.glob(".*.mcap.part"))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("url", "says"),
     [
@@ -95,7 +94,6 @@ def test_urls_to_which_nothing_can_be_written_are_refused(tmp_path: Path, url: s
         pycram.sweep(plan, 1, url, ray="")
 
 
-@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")  # Ray's own
 def test_a_url_of_files(tmp_path: Path) -> None:
     plan = tmp_path / "plan.py"

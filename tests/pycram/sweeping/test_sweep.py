@@ -251,8 +251,10 @@ def test_a_plan_that_cannot_start_stops_after_the_first_run(tmp_path: Path, text
     assert result.done == 1
     assert "the first run failed before the plan did anything" in result.stopped
     assert not recordings(folder)
-    _, ended = ends(folder / "00000.mcap.failed")
+    [failure] = result.failures
+    _, ended = ends(folder / failure.name)
     assert ended.failure.type in result.stopped
+    assert {each.name for each in folder.iterdir()} == {"00000.mcap.failed", "sweep.lock"}
     plan.write_text("print('mended')\n")
     assert pycram.sweep(plan, 2, folder).failed == 0
     assert len(recordings(folder)) == 2

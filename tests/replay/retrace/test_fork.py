@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import random
+import signal
 import subprocess
 import sys
 import time
@@ -197,6 +198,43 @@ def test_secret_arguments_can_be_given_again(tmp_path: Path, capsys: pytest.Capt
     assert main(["fork", str(log), "--at", "0", "-o", on]) == 2
     assert "give all with --arguments, last" in capsys.readouterr().err
     assert main(["fork", str(log), "--at", "0", "-o", on, "--arguments", "--token", "abc"]) == 0
+
+
+HANGS = """\
+import os, signal
+from pathlib import Path
+from pycram.bullet_world import BulletWorld
+world = BulletWorld()
+if "HANGING" in os.environ:
+    Path(os.environ["HANGING"]).write_text("here\\n")
+    signal.pause()
+"""
+
+
+@pytest.mark.parametrize("edited", [False, True], ids=["both go on", "the control alone"])
+def test_ctrl_c_ends_a_fork_and_its_control(tmp_path: Path, *, edited: bool) -> None:
+    file, log, on, hanging = (tmp_path / name for name in ("plan.py", "plan.mcap", "on.mcap", "hanging"))
+    file.write_text(HANGS)
+    record(file)
+    command = [sys.executable, "-m", "replay", "fork", log, "--at", "1", "-o", on, "--control"]
+    if edited:
+        (tmp_path / "edited.py").write_text(HANGS.replace("signal.pause()", ""))
+        command += ["--plan", tmp_path / "edited.py"]
+    os.mkfifo(hanging)
+    alone = subprocess.Popen(  # so that Ctrl-C is for this process only
+        command, env=os.environ | {"HANGING": str(hanging)}, start_new_session=True, stderr=subprocess.DEVNULL
+    )
+    with alone:
+        try:
+            with os.fdopen(os.open(hanging, os.O_RDWR)) as lines:
+                assert [lines.readline() for _ in range(2)] == ["here\n"] * 2
+            alone.send_signal(signal.SIGINT)
+            assert alone.wait(timeout=60) == 130
+        finally:
+            alone.kill()
+    with replay.open(log) as recording, replay.open(on) as other:
+        assert other[0].origin.recording == log.name
+        assert all(not differing(*pair) for pair in zip(list(recording)[1:], list(other)[1:-1], strict=False))
 
 
 def test_a_folder_that_is_not_there_is_said_before_it_runs(tmp_path: Path) -> None:

@@ -90,6 +90,7 @@ def test_frames_are_where_the_robot_was(opened: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.needs("datasets")
 def test_the_library_reads_it(opened: Path, tmp_path: Path) -> None:
     import datasets  # noqa: PLC0415  takes seconds
 
@@ -103,6 +104,7 @@ def test_the_library_reads_it(opened: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.needs("PyAV")
 def test_videos_show_what_a_camera_sees(opened: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import av  # noqa: PLC0415  of an extra
 
@@ -135,6 +137,7 @@ def test_videos_show_what_a_camera_sees(opened: Path, tmp_path: Path, capsys: py
 
 
 @pytest.mark.long
+@pytest.mark.needs("PyAV")
 @pytest.mark.skipif(not LEROBOT.exists(), reason="LeRobot isn't there: `make test-lerobot` installs it")
 def test_lerobots_own_reader_gives_what_the_runs_had(opened: Path, tmp_path: Path) -> None:
     out, read = tmp_path / "set", tmp_path / "read.npz"

@@ -13,6 +13,7 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
+from pycram.language import failure_handling
 from pycram.reasoning.choosing import choosing
 from recorder import record
 from replay.cli.main import main
@@ -122,6 +123,56 @@ def test_what_was_in_force_last_and_what_was_there_separate_too(tmp_path: Path) 
         claims = [separate(runs, names).claims for names in halves]
     assert claims[0][0].fact.text == "lid was loaded"
     assert claims[1][0].fact.text == "what grasp(milk) chose last=side"
+    assert not any(half[0].fact.how_far for half in claims)
+
+
+def cut_short(thing: Object, *, slips: bool, stumbles: bool) -> None:
+    for station in ("first", "second", "third", "fourth", *(["first"] if stumbles else [])):
+        choose("station", thing, station)
+        if slips and station == "third":
+            raise PlanFailure("it slipped")
+
+
+def tried_on(thing: Object, *, slips: bool, stumbles: bool) -> None:
+    for attempt, place in zip(failure_handling(2), ("table", "shelf", "floor"), strict=False):
+        with attempt:
+            choose("place", thing, place)
+            if slips or (stumbles and place == "table"):
+                raise PlanFailure("it slipped")
+
+
+def choose(query: str, thing: Object, what: str) -> None:
+    with choosing(query, thing.world, object=thing) as choice:
+        choice.take(what)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("plan", "symptom"),
+    [(cut_short, "what station(milk) chose last=third"), (tried_on, "what place(milk) chose=floor")],
+)
+def test_how_far_runs_got_comes_after_what_made_them_fail(
+    plan: Callable[..., None], symptom: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in range(40):
+        fast, lucky = number % 2 == 0, number % 16 == 0
+        with (
+            suppress(PlanFailure),
+            record(tmp_path / f"{number:02}.mcap", name="tries", parameters={"speed": "fast" if fast else "slow"}),
+            BulletWorld(),
+        ):
+            plan(Object("milk", "milk", "milk.stl"), slips=fast and not lucky, stumbles=number % 8 == 1)
+    with Runs(tmp_path) as runs:
+        cause, *others = separate(runs).claims
+    assert cause.fact.text == "speed=fast"
+    assert not cause.fact.how_far
+    assert others[0].ochiai > cause.ochiai  # by this alone it would come first
+    assert all(claim.fact.how_far for claim in others)
+    assert symptom in (others[0].fact.text, *others[0].also)
+    assert main(["separate", str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2].startswith("1. speed=fast: ")
+    assert sum("how far runs got" in line for line in lines) == len(others[:4])
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -102,6 +103,28 @@ def test_rows_of_the_runs_own_process_are_those_of_its_file(runs: Path) -> None:
     with Runs(runs) as tables:
         after = {table: tables.sql(f"SELECT * FROM {table} ORDER BY ALL").rows() for table in before}
     assert after == before
+    assert list((runs / "tables" / "new").iterdir()) == []
+
+
+KILLED_AFTER_3_KB = """\
+import resource, signal, sys
+from pathlib import Path
+from replay.runs.rows import write_rows
+signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+write_rows(Path(sys.argv[1]))
+"""
+
+
+def test_rows_of_which_a_kill_left_a_half_go(runs: Path) -> None:
+    victim = min(runs.glob("*.mcap"))
+    ended = subprocess.run([sys.executable, "-c", KILLED_AFTER_3_KB, victim], check=False)
+    assert ended.returncode == -signal.SIGXFSZ
+    (half,) = (runs / "tables" / "new").iterdir()
+    assert half.stat().st_size == 3000
+    with Runs(runs) as tables:
+        assert tables.sql("SELECT count(*) FROM runs WHERE run = ?", [victim.name]).rows() == [(1,)]
     assert list((runs / "tables" / "new").iterdir()) == []
 
 
@@ -256,6 +279,7 @@ def test_answers_as_frames(runs: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.needs("polars")
 def test_answers_as_frames_of_polars(runs: Path) -> None:
     with replay.open_runs(runs) as tables:
         answer = tables.sql("SELECT run, seconds FROM runs ORDER BY run")
