@@ -158,6 +158,16 @@ WRONG = {
         "tool_offset = { xyz = [0, 0.01, 0], rpy",
         "panda gripper: the middle between its fingers is 10.0 mm beside the tool frame",
     ),
+    "a tool frame that points aside, though fingers are as thick as long": (
+        "tool_offset = { rpy = [0, -1.5707963267948966, 0] }",
+        "tool_offset = { rpy = [0, 0, 0] }",
+        "panda gripper: underside is said to be 35.0 mm, and is 129.3 mm",
+    ),
+    "depth": (
+        "depth = 0.025",
+        "depth = 0.06",
+        "panda gripper: depth is said to be 60.0 mm, with 37.4 mm before its palm",
+    ),
     "tips": ("tips = 0.0095", "tips = 0.03", "panda gripper: tips is said to be 30.0 mm, and is 9.5 mm"),
     "park": (
         "park = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]",

@@ -107,6 +107,22 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
     ):
         text = f"{name} is said to be {1e3 * said:.1f} mm, and is {1e3 * measured:.1f} mm"
         yield Finding(abs(said - measured) <= _APERTURE, about, text)
+    yield from _hull(arm, gripper, corners)
+
+
+def _hull(arm: Arm, gripper: Gripper, corners: Corners) -> Iterator[Finding]:
+    """Check that no part of a hand is lower, or farther ahead, than is said: it is where x points aside."""
+    about = f"{arm.name} gripper"
+    links = (gripper.palm, *gripper.fingers)
+    hand = np.vstack([corners.of(links, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0)])
+    low = float(-hand[:, 2].min())
+    text = f"underside is said to be {1e3 * gripper.underside:.1f} mm, and is {1e3 * low:.1f} mm"
+    yield Finding(low <= gripper.underside + _APERTURE, about, text)
+    palm = corners.of([gripper.palm], gripper.at(0.0), arm.tool_frame, arm.tool_offset)
+    if len(palm) and gripper.palm not in gripper.fingers:  # of one jaw that moves, the palm may be the other
+        room = max(-float(palm[:, 0].max()), 0.0)
+        text = f"depth is said to be {1e3 * gripper.depth:.1f} mm, with {1e3 * room:.1f} mm before its palm"
+        yield Finding(gripper.depth <= room + _APERTURE, about, text)
 
 
 def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:

@@ -6,7 +6,7 @@ Usage errors are defined in :mod:`pycram.foundation.usage_errors`, the two famil
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.collision_pair import CollisionPair, phrases
 from pycram.foundation.error_families import PlanFailure, PycramError, UsageError
@@ -70,6 +70,8 @@ __all__ = [
     "UsageError",
     "WorldClosed",
 ]
+
+_MAX_DIGITS: Final = 3  # of mm in messages
 
 
 def _point(coordinates: Sequence[float]) -> str:
@@ -306,8 +308,14 @@ class DoesNotFit(GraspFailed):
         thin = any(width < gap for width in widths)
         big = any(width >= gap for width in widths)
         size = "too big or too thin" if thin and big else "too thin" if thin else "too big"
-        between = f"{gap * 1e3:.1f}-{widest * 1e3:.0f} mm" if gap else f"up to {widest * 1e3:.0f} mm"
-        measured = ", ".join(dict.fromkeys(f"{width * 1e3:.0f}" for width in self.widths))
+        digits = 0
+        while digits < _MAX_DIGITS and any(
+            round(gap * 1e3, digits) <= round(width * 1e3, digits) <= round(widest * 1e3, digits) for width in widths
+        ):
+            digits += 1  # 73.04 mm don't fit where 72.96 mm do
+        between = f"{gap * 1e3:.{max(digits, 1)}f}-" if gap else "up to "
+        between += f"{widest * 1e3:.{digits}f} mm"
+        measured = ", ".join(dict.fromkeys(f"{width * 1e3:.{digits}f}" for width in self.widths))
         tells = f": it measures {measured} mm, {between} fit between the fingers" if widths else ""
         super().__init__(arm, body, f"{how}it is {size} for the gripper from any side that is allowed{tells}")
 

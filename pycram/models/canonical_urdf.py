@@ -114,6 +114,10 @@ def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
     for joint in root.findall("joint"):
         _normalize(joint, tree)
     check_size(source, tree)
+    for name, placed in tree.joints.items():
+        if max(map(abs, placed.origin[0])) > links.LARGEST:
+            cause = f"joint {name!r}: its origin is {placed.origin[0]}: numbers go up to {links.LARGEST:g}"
+            raise AssetError(source, cause)
     ET.indent(root, " ")
     content = ET.tostring(root)
     return content, parse_urdf(content, source)

@@ -5,23 +5,24 @@ Frames without inertia get a negligible one: PyBullet would give them 1 kg each 
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from pycram.foundation.failures import AssetError
+from recorder.geometry.joints import finite
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+LARGEST: Final = 1e9
+"""m, kg or kg m^2, of anything in a link: of larger ones the engine makes infinite ones."""
 DENSITY: Final = 700.0  # kg/m^3, of household objects of unknown mass
 _FRAME_MASS: Final = 1e-3  # kg, of links that are only frames
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
 _JOINT_INERTIA: Final = 0.05  # kg m^2, of frames between joints, as of rotors: motors in a row agree sooner
 _ROUNDING: Final = 1e-9  # kg m^2 below 0 that are a rounding error of a mesh tool
-_LARGEST: Final = 1e9  # m, kg or kg m^2, of anything in a link
 _SHAPES: Final = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),
@@ -92,14 +93,14 @@ def _check_origin(source: Path, where: str, element: ET.Element) -> None:
 def _numbers(source: Path, where: str, element: ET.Element, attribute: str, count: int) -> list[float]:
     text = element.get(attribute)
     try:
-        values = [float(part) for part in (text or "").split()]
+        values = [finite(part) for part in (text or "").split()]
     except ValueError:
         values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
+    if len(values) != count:
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
         raise AssetError(source, f"{where}: {attribute} takes {wanted}, has {text!r}")
-    if max(map(abs, values)) > _LARGEST:
-        raise AssetError(source, f"{where}: {attribute} is {text!r}: numbers go up to {_LARGEST:g}")
+    if max(map(abs, values)) > LARGEST:
+        raise AssetError(source, f"{where}: {attribute} is {text!r}: numbers go up to {LARGEST:g}")
     return values
 
 

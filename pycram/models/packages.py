@@ -4,8 +4,10 @@ A package is a folder of its name, or one with a ``package.xml`` that says so. I
 
 1. in the folders that a caller gives, and below them;
 2. in those of the environment variable ``PYCRAM_PACKAGES``, and below them;
-3. in all folders above the URDF, where a path is also tried without the package's name;
-4. in those of ``ROS_PACKAGE_PATH``, and below them, as ROS does.
+3. in all folders above the URDF;
+4. in those of ``ROS_PACKAGE_PATH``, and below them, as ROS does;
+5. last, its path alone in the folders above the URDF that aren't other packages: a package may lie in a folder of
+   another name.
 """
 
 from __future__ import annotations
@@ -87,9 +89,11 @@ def _candidates(source: Path, package: str, packages: Sequence[Path]) -> Iterato
         yield from _below(root, package)
     for folder in source.parents:
         yield folder / package
-        yield folder
+        if folder.name == package or _is(folder, package):
+            yield folder
     for root in _variable(_ROS_VARIABLE):
         yield from _below(root, package)
+    yield from (folder for folder in source.parents if not (folder / _MANIFEST).is_file())
 
 
 def _variable(name: str) -> list[Path]:

@@ -43,6 +43,7 @@ class Body:
         offset: pose of the base's centre of mass in the base link's frame; None if they coincide.
         indices: indices of the movable joints, in order.
         gain: share of a joint's error that its motor corrects in a step.
+        forces: N m or N with which motors hold joints at most, by name.
         targets: positions that the motors of its joints keep, by name.
     """
 
@@ -52,6 +53,7 @@ class Body:
     offset: Pose | None
     indices: tuple[int, ...]
     gain: float
+    forces: Mapping[str, float]
     targets: dict[str, float] = field(default_factory=dict)
 
 

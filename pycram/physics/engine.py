@@ -9,6 +9,7 @@ Simulation repeats bit for bit: overlapping pairs are ordered, all other setting
 
 from __future__ import annotations
 
+import math
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,7 +28,7 @@ from recorder.records import STEPS_PER_SECOND
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -51,9 +52,10 @@ _BUTTON: Final = 2  # a mouse event's kind: a button was pressed or released
 
 _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
 
-#: Forces (N, Nm) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
+#: Least forces (N, Nm) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
 _HOLD_FORCE: Final = {"revolute": 500.0, "prismatic": 1e4}
 _NEXT_TO_NOTHING: Final = 1e-9  # m
+_GRAVITY: Final = 9.81  # m/s^2, of the ground on which robots' motors are to bear what hangs on them
 _GAIN: Final = 0.1  # of motors that aren't a robot's: PyBullet's own
 
 
@@ -130,7 +132,8 @@ class Engine:
         offset = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
         indices = tuple(joint.index for joint in joints.values())
         gain = loading.gain if robot else _GAIN
-        body = Body(number, links, joints, None if offset == IDENTITY else offset, indices, gain)
+        forces = self._forces(number, joints.values(), loading.strength if robot else 0.0)
+        body = Body(number, links, joints, None if offset == IDENTITY else offset, indices, gain, forces)
         if robot or fixed:
             self.reset_collision_filter(body, fixed=fixed, robot=robot)
         self.set_pose(body, pose)
@@ -145,6 +148,29 @@ class Engine:
         if start:
             self.set_joints(body, start)
         return body
+
+    def _forces(self, number: int, joints: Collection[Joint], strength: float) -> dict[str, float]:
+        """Return the forces (N, N m) of motors by joint: some times the most that gravity may pull in any posture."""
+        least = {joint.name: _HOLD_FORCE[joint.kind] for joint in joints}
+        if not strength:
+            return least
+        c = self._client
+        count = bullet.getNumJoints(number, physicsClientId=c)
+        places = [bullet.getLinkState(number, index, physicsClientId=c)[4] for index in range(count)]
+        slides = [joint for joint in joints if joint.kind == "prismatic" and np.isfinite(joint.upper - joint.lower)]
+        travels = {joint.index: max(abs(joint.lower), abs(joint.upper)) for joint in slides}
+        weights, torques = [0.0] * count, [0.0] * count  # of what hangs on each joint
+        for index in reversed(range(count)):  # what hangs on a link comes after it
+            dynamics = bullet.getDynamicsInfo(number, index, physicsClientId=c)
+            weights[index] += _GRAVITY * dynamics[0]
+            torques[index] += _GRAVITY * dynamics[0] * math.hypot(*dynamics[3])
+            parent = bullet.getJointInfo(number, index, physicsClientId=c)[16]
+            if parent >= 0:
+                lever = math.dist(places[index], places[parent]) + travels.get(index, 0.0)
+                weights[parent] += weights[index]
+                torques[parent] += torques[index] + weights[index] * lever
+        by_kind = {"prismatic": weights, "revolute": torques}
+        return {joint.name: max(least[joint.name], strength * by_kind[joint.kind][joint.index]) for joint in joints}
 
     def reset_collision_filter(self, body: Body, *, fixed: bool, robot: bool = False) -> None:
         """Let a body's links collide as when it was loaded; the engine forgets its earlier contacts.
@@ -266,7 +292,7 @@ class Engine:
             bullet.POSITION_CONTROL,
             targetPositions=start,
             targetVelocities=[(b - a) * STEPS_PER_SECOND for a, b in zip(start, end, strict=True)],
-            forces=[_HOLD_FORCE[joint.kind] for joint in joints],
+            forces=[body.forces[joint.name] for joint in joints],
             positionGains=[body.gain] * len(joints),
             velocityGains=[1.0] * len(joints),
             physicsClientId=self._client,
@@ -285,7 +311,7 @@ class Engine:
             bullet.POSITION_CONTROL,
             targetPosition=position,
             targetVelocity=0.0,
-            force=_HOLD_FORCE[joint.kind],
+            force=body.forces[joint.name],
             positionGain=body.gain,
             velocityGain=1.0,
             maxVelocity=100.0,  # the engine would keep an earlier value

@@ -176,11 +176,20 @@ def _limits(robot: str, joint: str, kind: str, limit: ET.Element | None) -> tupl
 
 def _number(robot: str, joint: str, what: str, text: str) -> float:
     try:
-        value = float(text)
+        return finite(text)
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise UrdfError(robot, f"{what} of joint {joint} is {text!r}, not a number")
+        raise UrdfError(robot, f"{what} of joint {joint} is {text!r}, not a number") from None
+
+
+def finite(text: str) -> float:
+    """Return the number that a URDF's text is for any reader: Python also takes 1_0, and digits of other scripts.
+
+    Raises:
+        ValueError: It isn't one, or isn't finite.
+    """
+    value = float(text)
+    if not math.isfinite(value) or "_" in text or not text.isascii():
+        raise ValueError(text)
     return value
 
 

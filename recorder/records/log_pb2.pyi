@@ -164,20 +164,22 @@ class CloseWorld(_message.Message):
     def __init__(self) -> None: ...
 
 class Loading(_message.Message):
-    __slots__ = ("undamped", "clamped", "mimic", "inertia", "armature", "gain")
+    __slots__ = ("undamped", "clamped", "mimic", "inertia", "armature", "gain", "strength")
     UNDAMPED_FIELD_NUMBER: _ClassVar[int]
     CLAMPED_FIELD_NUMBER: _ClassVar[int]
     MIMIC_FIELD_NUMBER: _ClassVar[int]
     INERTIA_FIELD_NUMBER: _ClassVar[int]
     ARMATURE_FIELD_NUMBER: _ClassVar[int]
     GAIN_FIELD_NUMBER: _ClassVar[int]
+    STRENGTH_FIELD_NUMBER: _ClassVar[int]
     undamped: bool
     clamped: bool
     mimic: bool
     inertia: bool
     armature: float
     gain: float
-    def __init__(self, undamped: bool = ..., clamped: bool = ..., mimic: bool = ..., inertia: bool = ..., armature: _Optional[float] = ..., gain: _Optional[float] = ...) -> None: ...
+    strength: float
+    def __init__(self, undamped: bool = ..., clamped: bool = ..., mimic: bool = ..., inertia: bool = ..., armature: _Optional[float] = ..., gain: _Optional[float] = ..., strength: _Optional[float] = ...) -> None: ...
 
 class LoadBody(_message.Message):
     __slots__ = ("body", "type", "path", "assets", "position", "orientation", "color", "fixed_base", "joints", "robot_description", "loading", "overlaps")

@@ -105,7 +105,7 @@ class RobotDescription:
             return cls(
                 robot=checks.text("robot", table["robot"]),
                 base_link=checks.text("base_link", table["base_link"]),
-                arms={name: read_arm(name, tables.table(arms, name)) for name in arms},
+                arms={checks.text("an arm's name", name): read_arm(name, tables.table(arms, name)) for name in arms},
                 head=read_head(tables.table(table, "head")) if "head" in table else None,
                 camera=read_camera(tables.table(table, "camera")) if "camera" in table else None,
                 torso=tables.record(Torso, tables.table(table, "torso")) if "torso" in table else None,
@@ -178,7 +178,8 @@ class RobotDescription:
         if self.torso:
             values[self.torso.joint] = [self.torso.default]
         for arm in self.arms.values():
-            values |= arm.values()
+            for joint, more in arm.values().items():  # one may turn an arm and the head
+                values.setdefault(joint, []).extend(more)
         return values
 
 

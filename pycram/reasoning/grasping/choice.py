@@ -140,7 +140,7 @@ class _Grasping:
             plan = self._least_touching(grasps, solved, limit, quick=quick)
             if not quick or (plan.grasp is not None and not plan.obstacles and plan.penetrating is None):
                 return plan
-        return self._least_touching(grasps, solver.search(targets), limit)
+        return self._least_touching(grasps, solver.search(targets, thorough=True), limit)
 
     def _least_touching(
         self, grasps: Sequence[Grasp], solved: Sequence[Sequence[Posture]], limit: Cost, *, quick: bool = False

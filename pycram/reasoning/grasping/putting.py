@@ -114,7 +114,7 @@ def placements(
             return
         name = _name(pose[1]) + (f", let go {1e3 * lift:.0f} mm higher" if lift else "")
         tool = geometry.multiply(pose, body_T_tool)
-        for posture in solver.search([(*tool, base)], quick=quick)[0]:
+        for posture in solver.search([(*tool, base)], quick=quick, thorough=not quick)[0]:
             if not posture.reaches():
                 refusals.misses.append(posture.position_error)
                 choice.reject(name, OutOfReach(posture.position_error, posture.turn_error))

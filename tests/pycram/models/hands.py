@@ -43,6 +43,8 @@ def write(folder: Path, jaws: Mapping[str, tuple[float, bool]]) -> tuple[Path, s
     urdf.write_text(urdf.read_text().replace("</robot>", "\n".join([*lines, "</robot>"])))
     moving = [name for name, (_, moves) in jaws.items() if moves]
     ways = [0.0, *(OPEN * math.cos(math.radians(jaws[name][0])) for name in moving)]
+    turns = [math.radians(degrees) for degrees, _ in jaws.values()]
+    low = max((OPEN + 0.0115) * -math.sin(turn) + 0.003 * abs(math.cos(turn)) for turn in turns)
     hand = f"""
 [arms.z-axis.gripper]
 palm = "cup"
@@ -54,7 +56,7 @@ aperture = {max(ways) - min(ways) + 0.003:.4f}
 gap = 0.003
 depth = 0.03
 tips = 0.015
-underside = 0.02
+underside = {max(low, 0.02):.4f}
 """
     before, _, _ = gantry.DESCRIPTION.partition("[arms.z-axis.gripper]")
     offset = f"xyz = [0, 0, {-0.04 - TIP + 0.015:.3f}]"

@@ -23,6 +23,7 @@ LINKS: dict[str, tuple[str, str]] = {
     "box without size": ("<collision><geometry><box/></geometry></collision>", "3 finite numbers, has None"),
     "box of words": ('<collision><geometry><box size="1 x 1"/></geometry></collision>', "'1 x 1'"),
     "box of two": ('<collision><geometry><box size="1 1"/></geometry></collision>', "3 finite numbers"),
+    "box of a Python number": ('<visual><geometry><box size="1_0 1 1"/></geometry></visual>', "has '1_0 1 1'"),
     "negative box": ('<collision><geometry><box size="-1 1 1"/></geometry></collision>', "not above 0"),
     "box of nan": ('<visual><geometry><box size="nan 1 1"/></geometry></visual>', "3 finite numbers"),
     "sphere without radius": ("<collision><geometry><sphere/></geometry></collision>", "radius takes a finite number"),
@@ -77,6 +78,24 @@ def test_invalid_links_are_refused_by_name(tmp_path: Path, world: BulletWorld, s
     assert "'a'" in raised.value.cause
     assert not world.objects
     assert [type(record) for record in sink.records[before:]] == [Refusal]
+
+
+@pytest.mark.parametrize(
+    ("origin", "cause"),
+    [
+        ("1e39 0 0", r"joint 'far': its origin is \(1e\+39, 0.0, 0.0\)"),
+        ("1_0 0 0", "of joint far is '1_0', not a number"),
+    ],
+)
+def test_joints_that_the_engine_would_put_elsewhere_are_refused(
+    tmp_path: Path, world: BulletWorld, origin: str, cause: str
+) -> None:
+    ends = f'<parent link="a"/><child link="b"/><origin xyz="{origin}"/>'
+    joint = f'<joint name="far" type="fixed">{ends}</joint>'
+    file = tmp_path / "r.urdf"
+    file.write_text(f'<robot name="r"><link name="a"/><link name="b"/>{joint}</robot>')
+    with pytest.raises(AssetError, match=cause):
+        Object("r", "r", file)
 
 
 @pytest.mark.parametrize("name", MESHES)

@@ -58,6 +58,26 @@ def test_a_robot_that_nothing_touches_holds_still(
         assert robot.get_joint_positions() == pytest.approx(start, abs=1e-3)
 
 
+def test_an_arm_as_heavy_as_industrial_ones_holds_still(tmp_path: Path, world: BulletWorld) -> None:
+    """Masses and lengths are those of an arm for 210 kg, stretched out; nothing is known of its motors."""
+    masses, lengths = (138, 95, 71, 17, 7), (0.35, 1.15, 0.4, 0.8, 0.2)
+    parts, parent, reach = ['<link name="base"/>'], "base", 0.0
+    for number, (mass, length) in enumerate(zip(masses, lengths, strict=True)):
+        moments = f'ixx="5" iyy="{mass * length**2 / 12}" izz="{mass * length**2 / 12}" ixy="0" ixz="0" iyz="0"'
+        parts.append(
+            f'<link name="l{number}"><inertial><origin xyz="{length / 2} 0 0"/><mass value="{mass}"/>'
+            f'<inertia {moments}/></inertial></link><joint name="j{number}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="l{number}"/><origin xyz="{reach} 0 0"/><axis xyz="0 1 0"/><limit lower="-3" upper="3"/></joint>'
+        )
+        parent, reach = f"l{number}", length
+    file = tmp_path / "heavy.urdf"
+    file.write_text(f'<robot name="heavy">{"".join(parts)}</robot>')
+    robot = Object("heavy", "robot", file, [0, 0, 2])
+    start = robot.get_joint_positions()
+    world.simulate(2)
+    assert robot.get_joint_positions() == pytest.approx(start, abs=1e-3)
+
+
 def test_how_a_body_was_loaded_is_on_record(tmp_path: Path, world: BulletWorld, sink: MemorySink) -> None:
     Object("arm", "robot", arm(tmp_path, '<limit lower="0.4" upper="2"/>'))
     loaded = next(record.load_body for record in sink.of(Mutation) if record.HasField("load_body"))
@@ -68,10 +88,12 @@ def test_how_a_body_was_loaded_is_on_record(tmp_path: Path, world: BulletWorld, 
 
 def test_recordings_of_0_1_0_load_models_as_it_did() -> None:
     then = Loading.of(LoadBody())
-    assert then == Loading(undamped=False, clamped=False, mimic=False, inertia=False, armature=0.0, gain=0.1)
+    assert then == Loading(
+        undamped=False, clamped=False, mimic=False, inertia=False, armature=0.0, gain=0.1, strength=0.0
+    )
     assert then.to_record() is None
     later = LoadBody(loading=LoadingRecord(undamped=True, clamped=True, mimic=True, inertia=True, armature=0.001))
-    assert Loading.of(later) == Loading(armature=0.001, gain=0.1), "motors were softer then"
+    assert Loading.of(later) == Loading(armature=0.001, gain=0.1, strength=0.0), "motors were softer then"
 
 
 GRIPPER = (

@@ -21,6 +21,7 @@ BROKEN = {
     "camera without width": ("width = 640", "width = 0", "width = 0"),
     "field of view of nothing": ("horizontal_fov = ", "horizontal_fov = -", "horizontal_fov = -"),
     "far before near": ("far = 10.0", "far = 0.001", "far = 0.001"),
+    "an arm without a name": ("[arms.left]", '[arms.""]', "an arm's name = '': expected a string that isn't empty"),
     "poses that are no list": ("park = [1.712, ", "park = 1.712 # [", "park"),
 }
 
@@ -44,6 +45,11 @@ def test_invalid_entries_are_refused(name: str) -> None:
     [
         ('"l_gripper_tool_frame"', '"l_gripper_tol_frame"', "l_gripper_tool_frame"),
         ("open = 0.548", "open = 5.48", "outside of its limits"),
+        (
+            'joint = "torso_lift_joint"\ndefault = 0.2',
+            'joint = "l_elbow_flex_joint"\ndefault = 0.2',
+            "to 0.2, outside of its",
+        ),
         ('    "l_shoulder_pan_joint", "l_shoulder_lift_joint",', '    "l_shoulder_lift_joint",', "numbers|joints"),
     ],
 )

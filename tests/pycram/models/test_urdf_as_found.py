@@ -147,6 +147,28 @@ def test_meshes_are_found_in_packages(
     assert body.get_AABB()[1] == pytest.approx([0.1, 0.1, 0.1], abs=5e-3)
 
 
+@pytest.mark.parametrize("way", ["argument", "PYCRAM_PACKAGES", "ROS_PACKAGE_PATH"])
+def test_a_mesh_of_another_package_is_not_taken_for_one_of_the_same_path(
+    tmp_path: Path, robot_in_package: Path, world: BulletWorld, monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    (tmp_path / "home" / "meshes").mkdir()
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "home" / "meshes" / "crate.stl")
+    monkeypatch.setenv(way, str(tmp_path / "ws"))
+    body = Object("thing", "thing", robot_in_package, packages=[tmp_path / "ws"] if way == "argument" else [])
+    assert body.get_AABB()[1] == pytest.approx([0.1, 0.1, 0.1], abs=5e-3)
+
+
+def test_a_folder_that_is_another_package_is_not_searched_for_it(
+    tmp_path: Path, robot_in_package: Path, world: BulletWorld
+) -> None:
+    (tmp_path / "home" / "meshes").mkdir()
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "home" / "meshes" / "crate.stl")
+    Object("in a folder of any name", "thing", robot_in_package)
+    (tmp_path / "home" / "package.xml").write_text("<package><name>another_robot</name></package>")
+    with pytest.raises(AssetError, match="no package 'my_robot' is known"):
+        Object("in another package", "thing", robot_in_package)
+
+
 def test_folders_named_like_a_package_are_packages(tmp_path: Path, robot_in_package: Path, world: BulletWorld) -> None:
     stack = tmp_path / "ws" / "src" / "stack"
     (stack / "folder_of_another_name" / "package.xml").unlink()

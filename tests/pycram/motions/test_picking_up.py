@@ -99,6 +99,12 @@ def test_what_leans_and_fits_from_no_side_says_both(scene: BulletWorld) -> None:
     assert "up to 86 mm fit between the fingers" in str(refused.value)
 
 
+def test_what_is_hardly_too_big_is_not_said_to_be_as_big_as_what_fits() -> None:
+    said = {width: str(DoesNotFit("left", "apple", [width, 0.1], 0.0075, 0.0729)) for width in (0.0748, 0.0731)}
+    assert "measures 75, 100 mm, 7.5-73 mm fit" in said[0.0748]
+    assert "measures 73.1, 100.0 mm, 7.5-72.9 mm fit" in said[0.0731]
+
+
 @pytest.mark.slow
 def test_a_wall_that_slips_through_the_fingers_is_too_thin() -> None:
     """What TIAGo Pro's fingers leave between them when closed is more than the wall of a pot."""

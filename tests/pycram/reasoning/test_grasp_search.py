@@ -9,7 +9,9 @@ import pytest
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
 from pycram.models.visual import pieces_of
+from pycram.process_module import ProcessModule
 from pycram.reasoning.grasping import fingers
 from recorder import geometry
 
@@ -47,6 +49,22 @@ def test_a_free_grasp_is_found_where_those_found_quickly_are_blocked(
     target.set_position(apple)
     world.get_object("cereal").set_position(cereal)
     assert btr.blocking(target, panda, "panda_hand_tcp") == []
+
+
+@pytest.mark.parametrize("at", [(0.3, -0.1), (0.45, -0.1), (0.45, 0.1)])
+def test_an_arm_works_behind_itself_where_its_first_posture_is_blocked(at: tuple[float, float]) -> None:
+    """It is found first with its elbow down, in the table."""
+    with BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("table", "environment", "table.urdf", [-0.35, 0, 0])
+        world.robot = robot = Object("ur5", "robot", "ur5.urdf", [0, 0, 0.72], [0, 0, 1, 0])
+        robot.set_joint_positions(robot.description.arm("ur5").posture("park"))
+        spoon = Object("spoon", "spoon", "spoon.stl", [*at, 0.73])
+        assert btr.blocking(spoon, robot, "gripper_tool") == []
+        spoon.set_position([-0.4, 0.1, 0.73])
+        ProcessModule.perform(MotionDesignator(type="pick-up", object=spoon, arm="ur5"))
+        down = MotionDesignator(type="place", object=spoon, target=[*at, 0.73], orientation=[0, 0, 0, 1], arm="ur5")
+        ProcessModule.perform(down)
 
 
 @pytest.mark.parametrize("model", ["pr2.urdf", "panda.urdf", "ur5.urdf", "tiago_pro.urdf"])
