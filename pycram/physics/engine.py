@@ -17,6 +17,7 @@ import numpy as np
 
 from pycram.foundation.failures import AssetError
 from pycram.foundation.redirect import silenced
+from pycram.physics import motors
 from pycram.physics.body import Body, Joint, Snapshot
 from pycram.physics.contacts import ClosestPoint, Contact
 from pycram.physics.loading import NOW
@@ -28,7 +29,7 @@ from recorder.records import STEPS_PER_SECOND
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -52,11 +53,7 @@ _BUTTON: Final = 2  # a mouse event's kind: a button was pressed or released
 
 _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
 
-#: Least forces (N, Nm) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
-_HOLD_FORCE: Final = {"revolute": 500.0, "prismatic": 1e4}
 _NEXT_TO_NOTHING: Final = 1e-9  # m
-_GRAVITY: Final = 9.81  # m/s^2, of the ground on which robots' motors are to bear what hangs on them
-_GAIN: Final = 0.1  # of motors that aren't a robot's: PyBullet's own
 
 
 def decompose(source: Path, target: Path) -> None:
@@ -131,8 +128,8 @@ class Engine:
                 joints[info[1].decode()] = Joint(info[1].decode(), index, _KINDS[info[2]], lower, upper, link)
         offset = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
         indices = tuple(joint.index for joint in joints.values())
-        gain = loading.gain if robot else _GAIN
-        forces = self._forces(number, joints.values(), loading.strength if robot else 0.0)
+        gain, strength = (loading.gain, loading.strength) if robot else (motors.GAIN, 0.0)
+        forces = motors.holding_forces(joints.values(), self._loads(number) if strength else (), strength)
         body = Body(number, links, joints, None if offset == IDENTITY else offset, indices, gain, forces)
         if robot or fixed:
             self.reset_collision_filter(body, fixed=fixed, robot=robot)
@@ -149,28 +146,15 @@ class Engine:
             self.set_joints(body, start)
         return body
 
-    def _forces(self, number: int, joints: Collection[Joint], strength: float) -> dict[str, float]:
-        """Return the forces (N, N m) of motors by joint: some times the most that gravity may pull in any posture."""
-        least = {joint.name: _HOLD_FORCE[joint.kind] for joint in joints}
-        if not strength:
-            return least
-        c = self._client
-        count = bullet.getNumJoints(number, physicsClientId=c)
-        places = [bullet.getLinkState(number, index, physicsClientId=c)[4] for index in range(count)]
-        slides = [joint for joint in joints if joint.kind == "prismatic" and np.isfinite(joint.upper - joint.lower)]
-        travels = {joint.index: max(abs(joint.lower), abs(joint.upper)) for joint in slides}
-        weights, torques = [0.0] * count, [0.0] * count  # of what hangs on each joint
-        for index in reversed(range(count)):  # what hangs on a link comes after it
-            dynamics = bullet.getDynamicsInfo(number, index, physicsClientId=c)
-            weights[index] += _GRAVITY * dynamics[0]
-            torques[index] += _GRAVITY * dynamics[0] * math.hypot(*dynamics[3])
-            parent = bullet.getJointInfo(number, index, physicsClientId=c)[16]
-            if parent >= 0:
-                lever = math.dist(places[index], places[parent]) + travels.get(index, 0.0)
-                weights[parent] += weights[index]
-                torques[parent] += torques[index] + weights[index] * lever
-        by_kind = {"prismatic": weights, "revolute": torques}
-        return {joint.name: max(least[joint.name], strength * by_kind[joint.kind][joint.index]) for joint in joints}
+    def _loads(self, number: int) -> list[motors.Load]:
+        """Return what hangs on the joints of a body that has just been loaded, by index."""
+        loads = []
+        for index in range(bullet.getNumJoints(number, physicsClientId=self._client)):
+            parent = bullet.getJointInfo(number, index, physicsClientId=self._client)[16]
+            place = bullet.getLinkState(number, index, physicsClientId=self._client)[4]
+            mass, _, _, center, *_ = bullet.getDynamicsInfo(number, index, physicsClientId=self._client)
+            loads.append(motors.Load(parent, place, mass, math.hypot(*center)))
+        return loads
 
     def reset_collision_filter(self, body: Body, *, fixed: bool, robot: bool = False) -> None:
         """Let a body's links collide as when it was loaded; the engine forgets its earlier contacts.
