@@ -8,6 +8,7 @@ import subprocess
 import sys
 from contextlib import chdir
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -300,6 +301,19 @@ def test_heads_and_fingers_that_curl_are_no_arms_and_no_grippers(describe: Calla
     arms = RobotDescription.parse(ended.stdout).arms
     assert {name: arm.joints[0] for name, arm in arms.items()} == {"left": "LShoulderPitch", "right": "RShoulderPitch"}
     assert all(arm.hand is None for arm in arms.values())
+
+
+def test_a_robot_without_arms_is_said_to_have_none(describe: Callable[..., Ended], tmp_path: Path) -> None:
+    links = ("base", "first", "second")
+    joints = "".join(
+        f'<joint name="{child}" type="continuous"><parent link="{parent}"/><child link="{child}"/></joint>'
+        for parent, child in pairwise(links)
+    )
+    named = "".join(f'<link name="{link}"/>' for link in links)
+    (tmp_path / "mine.urdf").write_text(f'<robot name="mine">{named}{joints}</robot>')
+    ended = describe("mine.urdf")
+    assert not RobotDescription.parse(ended.stdout).arms
+    assert "# no arms: nowhere do 4 joints follow one another" in ended.stdout
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])

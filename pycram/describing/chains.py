@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from recorder.geometry.joints import Joint
     from recorder.geometry.urdf import Urdf
 
-_ARM: Final = 4  # joints one after the other that make an arm
+ARM: Final = 4
+"""Joints one after the other that make an arm."""
 _SEVERAL: Final = 2  # fingers
 _TURNS_ALL: Final = math.pi  # rad between its limits: more than any jaw's, a wrist's
 _HEAD: Final = re.compile(r"head|neck", re.IGNORECASE)
@@ -107,7 +108,7 @@ class Tree:
             text = " ".join(joint.name for joint in run)
             while run and run[0].type == "prismatic" and self._upright(run[0]):
                 run.pop(0)  # a torso
-            if len(run) >= _ARM and not _LEG.search(text) and not _HEAD.search(text) and not _branches(below):
+            if len(run) >= ARM and not _LEG.search(text) and not _HEAD.search(text) and not _branches(below):
                 found.append((run, below))
             else:
                 pending += self._next[last.name]

@@ -6,6 +6,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Final
 
+from pycram.describing.chains import ARM
 from pycram.describing.guess import TIPS
 from recorder import geometry
 from recorder.geometry import IDENTITY
@@ -71,6 +72,8 @@ def as_toml(
             ]
         lines += ["", "[camera]", f"frame = {quoted(guess.camera)}"]
         lines += [_USUAL] if "optical" in guess.camera.lower() else [_OPTICAL_OFFSET, _USUAL]
+    if not guess.arms:
+        lines += ["", f"# no arms: nowhere do {ARM} joints follow one another that aren't a leg's or a head's"]
     for arm, hand in guess.arms:
         lines += _arm(arm, hand, (postures or {}).get(arm.name))
     return "\n".join(lines) + "\n"
