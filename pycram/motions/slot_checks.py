@@ -109,8 +109,8 @@ def posture(name: str, value: Value) -> Value:
         if described is not None and checks.text(name, value) not in described.poses:
             raise BadArgument(name, value, f"one of {', '.join(described.poses)}, or a list of joint values")
         return value
-    if not isinstance(value, Iterable | np.ndarray):
-        raise BadArgument(name, value, '"park" or a list of joint values')
+    if isinstance(value, Mapping) or not isinstance(value, Iterable | np.ndarray):
+        raise BadArgument(name, value, '"park", or a list of the values of all its joints')
     values = [checks.number(name, item) for item in value]
     if described is not None and len(values) != len(described.joints):
         raise BadArgument(name, value, f"{len(described.joints)} joint values, for {', '.join(described.joints)}")

@@ -40,9 +40,10 @@ def check_ground(robot: Object, target: Sequence[float], orientation: Quaternion
         NotDrivable: Its wheels would leave the ground, or it would lean over.
     """
     position, heading = robot.get_position_and_orientation()
-    if abs(target[2] - position[2]) > _UNEVEN:
-        reason = f"its wheels would leave the ground, which is {target[2] - position[2]:+.2f} m away there"
-        raise NotDrivable(target, orientation, reason)
+    height = target[2] - position[2]
+    if abs(height) > _UNEVEN:
+        side = "above" if height > 0 else "below"
+        raise NotDrivable(target, orientation, f"its wheels would be {abs(height):.2f} m {side} the ground")
     lean = geometry.lean(orientation, heading)
     if lean > _TILT:
         raise NotDrivable(target, orientation, f"it would lean over by {math.degrees(lean):.0f} degrees")

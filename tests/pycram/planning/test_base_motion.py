@@ -94,8 +94,10 @@ def test_goals_where_it_cannot_be_are_refused_before_searching(robot: Object, tm
         base_motion(robot, AHEAD, UPRIGHT)
     assert failure.value.position == AHEAD
     assert failure.value.pairs[0].depth > 0.1
-    with pytest.raises(NotDrivable, match=r"its wheels would leave the ground, which is \+0.50 m away there"):
+    with pytest.raises(NotDrivable, match=r"its wheels would be 0.50 m above the ground"):
         base_motion(robot, [1, 1, 0.5], UPRIGHT)
+    with pytest.raises(NotDrivable, match=r"its wheels would be 0.10 m below the ground"):
+        base_motion(robot, [1, 1, -0.1], UPRIGHT)
     with pytest.raises(NotDrivable, match="it would lean over by 29 degrees"):
         base_motion(robot, [1, 1, 0], geometry.from_rpy(0.5, 0, 0))
     checks = [json.loads(each.json) for query in sink.of(records.Query) for each in query.evidence]

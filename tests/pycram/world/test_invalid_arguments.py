@@ -136,6 +136,11 @@ CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] =
         DesignatorError,
         "7 joint values",
     ),
+    "joints by name": (
+        lambda w: perform(**{"type": "move-arm-joints", "left-arm": {"l_elbow_flex_joint": -1.5}}),
+        DesignatorError,
+        '"park", or a list of the values of all its joints',
+    ),
 }
 
 
