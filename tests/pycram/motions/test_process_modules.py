@@ -364,7 +364,7 @@ def test_arm_motions_refuse_collisions(scene: BulletWorld) -> None:
 
 @pytest.mark.parametrize(
     ("target", "orientation", "message"),
-    [([0, 0, 3], [0, 0, 0, 1], "leave the ground"), ([-0.3, -3, 0], [0.7, 0, 0, 0.7], "lean over by 90")],
+    [([0, 0, 3], [0, 0, 0, 1], "3.00 m above the ground"), ([-0.3, -3, 0], [0.7, 0, 0, 0.7], "lean over by 90")],
 )
 def test_a_base_moves_only_on_its_ground_and_upright(
     scene: BulletWorld, target: list[float], orientation: list[float], message: str
