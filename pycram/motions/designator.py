@@ -25,7 +25,7 @@ from pycram.foundation.names import qualified_name
 from pycram.foundation.refusals import refusing
 from pycram.motions import motion_types
 from pycram.motions.equated import Equated
-from pycram.motions.requests import is_performed, recorded
+from pycram.motions.requests import recorded
 from pycram.motions.resolvers import Resolvers
 from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same, slot_name
 from pycram.motions.solutions import Resolution, Solution, Solutions
@@ -162,8 +162,6 @@ class Designator(Equated, ABC):
         Raises:
             DesignatorError: There is none.
         """
-        if is_performed(self):
-            return self._referenced()
         with recorded("reference", self) as asked:
             asked.answer = solution = self._referenced()
         return solution

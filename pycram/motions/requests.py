@@ -5,7 +5,7 @@ What a motion does to carry its designator out is part of the motion, whose task
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
@@ -27,13 +27,7 @@ def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
     return Binding(_performed, (*_performed.get(), designator))
 
 
-def is_performed(designator: Designator) -> bool:
-    """Return whether a designator is carried out in this context."""
-    return any(each is designator for each in _performed.get())
-
-
-@contextmanager
-def recorded(name: str, designator: Designator, index: int | None = None) -> Iterator[Question]:
+def recorded(name: str, designator: Designator, index: int | None = None) -> AbstractContextManager[Question]:
     """Put a request that the block answers on record, unless its designator is being carried out.
 
     One that fails with a UsageError is a refusal, which its caller records; another has its failure in the record.
@@ -45,8 +39,12 @@ def recorded(name: str, designator: Designator, index: int | None = None) -> Ite
     """
     request = Question(name, {"designator": designator})
     if any(each is designator for each in _performed.get()) or not journal.recording():
-        yield request
-        return
+        return nullcontext(request)
+    return _on_record(request, designator, index)
+
+
+@contextmanager
+def _on_record(request: Question, designator: Designator, index: int | None) -> Iterator[Question]:
     with performing(designator), request.recorded(journal.current_world):  # with what its resolvers ask of it
         try:
             yield request
