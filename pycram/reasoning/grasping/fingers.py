@@ -105,8 +105,7 @@ def moved(
         palm = geometry.multiply(base or robot.get_position_and_orientation(), frame)
     others = _near(clone, robot, gripper, palm, there, [o for o in robot.world.objects if o not in (robot, release)])
     if not others and release is None:  # in free air, without a copy of the hand
-        free, _ = _sweep(_nothing, _share_open(gripper, now), goal)
-        return FingerMotion(gripper.at(free), free)
+        return FingerMotion(gripper.at(goal), goal)
     engine, hand = clone.engine, clone.body(robot.name)
 
     def depths(share: float) -> Depths:
@@ -117,7 +116,7 @@ def moved(
         if base is not None:
             engine.set_pose(hand, base)
         engine.pose_joints(hand, there)
-        free, stops = _sweep(depths if others else _nothing, _share_open(gripper, now), goal)
+        free, stops = _sweep(depths, _share_open(gripper, now), goal) if others else (goal, {})
         gap = 2 * CLEAR
         if release is not None:
             copy = clone.body(release.name)
@@ -256,11 +255,6 @@ def _depths(engine: Engine, hand: Body, gripper: Gripper, others: Mapping[Part, 
                 key = finger, body, link or touch.link_b
                 found[key] = max(found.get(key, 0.0), -touch.distance)
     return found
-
-
-def _nothing(_share: float) -> Depths:
-    """Return what fingers overlap where there is nothing, however far they are open."""
-    return {}
 
 
 def _pairs(robot: Object, depths: Depths) -> list[CollisionPair]:
