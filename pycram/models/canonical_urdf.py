@@ -114,10 +114,6 @@ def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
     for joint in root.findall("joint"):
         _normalize(joint, tree)
     check_size(source, tree)
-    for name, placed in tree.joints.items():
-        if max(map(abs, placed.origin[0])) > links.LARGEST:
-            cause = f"joint {name!r}: its origin is {placed.origin[0]}: numbers go up to {links.LARGEST:g}"
-            raise AssetError(source, cause)
     ET.indent(root, " ")
     content = ET.tostring(root)
     return content, parse_urdf(content, source)
@@ -136,7 +132,7 @@ def _normalize(element: ET.Element, tree: Urdf) -> None:
 
 
 def check_size(source: Path, tree: Urdf) -> None:
-    """Refuse a robot of more joints, or with longer names, than the engine takes.
+    """Refuse a robot of more joints, with longer names, or with joints farther away, than the engine takes.
 
     Raises:
         AssetError: It is one.
@@ -151,6 +147,10 @@ def check_size(source: Path, tree: Urdf) -> None:
         if len(name.encode()) > _MAX_NAME:
             reason = f"has a name of {len(name.encode())} bytes, {name[:20]}...: the physics engine takes {_MAX_NAME}"
             raise AssetError(source, reason)
+    for joint in tree.joints.values():
+        at, _ = joint.origin
+        if max(map(abs, at)) > links.LARGEST:
+            raise AssetError(source, f"joint {joint.name!r}: its origin is {at}: numbers go up to {links.LARGEST:g}")
 
 
 def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:

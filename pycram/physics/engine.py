@@ -119,8 +119,10 @@ class Engine:
         base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
         links = {base: -1}
         joints = {}
+        parents = []
         for index in range(bullet.getNumJoints(number, physicsClientId=c)):
             info = bullet.getJointInfo(number, index, physicsClientId=c)
+            parents.append(info[16])
             link = info[12].decode()
             links[link] = index
             if info[2] in _KINDS:
@@ -128,8 +130,11 @@ class Engine:
                 joints[info[1].decode()] = Joint(info[1].decode(), index, _KINDS[info[2]], lower, upper, link)
         offset = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
         indices = tuple(joint.index for joint in joints.values())
-        gain, strength = (loading.gain, loading.strength) if robot else (motors.GAIN, 0.0)
-        forces = motors.holding_forces(joints.values(), self._loads(number) if strength else (), strength)
+        gain, forces = (
+            (loading.gain, motors.holding_forces(joints.values(), self._loads(number, parents), loading.strength))
+            if robot
+            else (motors.GAIN, motors.least_forces(joints.values()))
+        )
         body = Body(number, links, joints, None if offset == IDENTITY else offset, indices, gain, forces)
         if robot or fixed:
             self.reset_collision_filter(body, fixed=fixed, robot=robot)
@@ -146,11 +151,10 @@ class Engine:
             self.set_joints(body, start)
         return body
 
-    def _loads(self, number: int) -> list[motors.Load]:
+    def _loads(self, number: int, parents: Sequence[int]) -> list[motors.Load]:
         """Return what hangs on the joints of a body that has just been loaded, by index."""
         loads = []
-        for index in range(bullet.getNumJoints(number, physicsClientId=self._client)):
-            parent = bullet.getJointInfo(number, index, physicsClientId=self._client)[16]
+        for index, parent in enumerate(parents):
             place = bullet.getLinkState(number, index, physicsClientId=self._client)[4]
             mass, _, _, center, *_ = bullet.getDynamicsInfo(number, index, physicsClientId=self._client)
             loads.append(motors.Load(parent, place, mass, math.hypot(*center)))

@@ -35,17 +35,19 @@ class Load(NamedTuple):
     lever: float
 
 
+def least_forces(joints: Collection[Joint]) -> dict[str, float]:
+    """Return the forces (N, N m) that the motors of all bodies' joints have, by joint."""
+    return {joint.name: _LEAST[joint.kind] for joint in joints}
+
+
 def holding_forces(joints: Collection[Joint], loads: Sequence[Load], strength: float) -> dict[str, float]:
-    """Return the forces of motors (N, N m) by joint.
+    """Return the forces (N, N m) of motors that bear what hangs on a robot's joints, by joint; the least, or more.
 
     Args:
         joints: those that have motors.
-        loads: of all joints, also fixed ones, by index; needed if there is a strength.
-        strength: how many times the most that gravity may pull in any posture they hold; at least what all have.
+        loads: of all joints, also fixed ones, by index.
+        strength: how many times the most that gravity may pull in any posture they hold.
     """
-    least = {joint.name: _LEAST[joint.kind] for joint in joints}
-    if not strength:
-        return least
     slides = [joint for joint in joints if joint.kind == "prismatic" and math.isfinite(joint.upper - joint.lower)]
     travels = {joint.index: max(abs(joint.lower), abs(joint.upper)) for joint in slides}
     weights = [_GRAVITY * load.mass for load in loads]  # of all that hangs on each joint
@@ -57,4 +59,5 @@ def holding_forces(joints: Collection[Joint], loads: Sequence[Load], strength: f
             weights[load.parent] += weights[index]
             torques[load.parent] += torques[index] + weights[index] * lever
     pulls = {"prismatic": weights, "revolute": torques}
+    least = least_forces(joints)
     return {joint.name: max(least[joint.name], strength * pulls[joint.kind][joint.index]) for joint in joints}
