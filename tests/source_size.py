@@ -19,7 +19,7 @@ BROAD = {"Exception", "BaseException"}
 
 def source_files() -> list[Path]:
     """Return the files that are counted."""
-    listed = subprocess.run(["git", "ls-files", *PACKAGES], capture_output=True, text=True, check=True).stdout.split()  # noqa: S607
+    listed = subprocess.run(["git", "ls-files", *PACKAGES], capture_output=True, text=True, check=True).stdout.split()
     return [
         Path(name) for name in listed if name.endswith(".py") and not name.endswith(GENERATED) and Path(name).exists()
     ]
@@ -31,16 +31,16 @@ def short_functions_used_once(trees: dict[Path, ast.Module]) -> list[str]:
     for file, tree in trees.items():
         uses = Counter(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
         uses += Counter(node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute))
-        for node in ast.walk(tree):
-            if (
-                isinstance(node, ast.FunctionDef)
-                and node.name.startswith("_")
-                and not node.name.endswith("__")
-                and not node.decorator_list
-                and node.end_lineno - node.lineno < SHORT
-                and uses[node.name] == 1
-            ):
-                found.append(f"{file}:{node.lineno} {node.name}")
+        found += [
+            f"{file}:{node.lineno} {node.name}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.FunctionDef)
+            and node.name.startswith("_")
+            and not node.name.endswith("__")
+            and not node.decorator_list
+            and (node.end_lineno or node.lineno) - node.lineno < SHORT
+            and uses[node.name] == 1
+        ]
     return found
 
 
