@@ -8,18 +8,19 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pycram.options import WITH_ROBOTS, demos, options_parser
-from pycram.running import INTERRUPTED, SUCCEEDED, WRONG_USAGE, run, tell
+from pycram.running import INTERRUPTED, SUCCEEDED, WRONG_USAGE, RunSpec, run, tell
 from pycram.seeding import chosen_seed, restart
 from recorder.closed_output import discard, until_closed
 from recorder.packages import NotInstalled, needed, versions
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -77,21 +78,18 @@ def _run_command(argv: Sequence[str] | None) -> int:
         log = recording_path(options.log or "{plan}.mcap", plan.stem, seed)
     except ValueError as error:
         parser.error(str(error))
+    spec = RunSpec(
+        plan, tuple(arguments), seed, options.order, options.motion, values, local_variables=not options.no_locals
+    )
     if options.explore is not None and seed is not None:
-        return _explore(options, plan, log, arguments, values, seed)
+        return _explore(options, spec, log, seed)
     return run(
-        plan,
+        spec,
         log,
-        arguments,
         options.rerun,
-        seed=seed,
-        order=options.order,
-        motion=options.motion,
-        local_variables=not options.no_locals,
         overwrite=options.overwrite,
         durable=options.durable,
         debug=options.debug_on_failure,
-        parameters=values,
     )
 
 
@@ -123,35 +121,17 @@ def _values(parser: argparse.ArgumentParser, plan: Path, given: Sequence[str]) -
     return values
 
 
-def _explore(
-    options: argparse.Namespace,
-    plan: Path,
-    log: Path,
-    arguments: Sequence[str],
-    values: Mapping[str, Any],
-    seed: int,
-) -> int:
+def _explore(options: argparse.Namespace, spec: RunSpec, log: Path, seed: int) -> int:
     from pycram import exploration  # noqa: PLC0415  needs the engine
     from pycram.exploration import command  # noqa: PLC0415  as above
 
     def run_once(order: str, file: Path) -> None:
-        kept = not options.no_locals
-        run(
-            plan,
-            file,
-            arguments,
-            seed=seed,
-            order=order,
-            motion=options.motion,
-            local_variables=kept,
-            overwrite=True,
-            parameters=values,
-        )
+        run(replace(spec, order=order), file, overwrite=True)
 
     return command.run(
         run_once,
-        str(plan),
-        arguments,
+        str(spec.plan),
+        spec.arguments,
         options.explore,
         seed=seed,
         motion=options.motion,

@@ -9,6 +9,7 @@ import shlex
 import subprocess
 import sys
 import threading
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,72 +30,75 @@ _MAX_PRINTED = 1000  # frames of an error, and errors in a chain, that are print
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
+@dataclass(frozen=True, slots=True)
+class RunSpec:
+    """A plan, and everything that its run depends on."""
+
+    plan: Path
+    arguments: tuple[str, ...] = ()
+    seed: int | None = None  # of random numbers; None leaves them as they are
+    order: str = ""  # of branches; "" for the one that the seed draws
+    motion: str = ""  # the execution environment where the plan names none; "" for "simulated"
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # values; the plan's other parameters have defaults
+    local_variables: bool = True  # whether failures hold the plan's local variables
+
+
 def run(
-    plan: Path,
+    spec: RunSpec,
     log: Path,
-    arguments: Sequence[str] = (),
     live: str | None = None,
     *,
-    seed: int | None = None,
-    order: str = "",
-    motion: str = "",
-    local_variables: bool = True,
     overwrite: bool = False,
     durable: bool = False,
     debug: bool = False,
-    parameters: Mapping[str, Any] | None = None,
 ) -> int:
     """Run a plan as a main program, record it, and return the exit code, as :func:`pycram.cli.main` does.
 
     Args:
-        plan: The Python file.
-        log: The recording; one that is there stays, and the next free name is taken.
-        arguments: Of the plan.
+        spec: The plan, and what its run depends on.
+        log: The recording. Without ``overwrite``, the next free name is taken if it exists.
         live: The live viewer; see :func:`recorder.record`.
-        seed: Of random numbers; None to leave them as they are.
-        order: Of branches; "" for the one that the seed draws.
-        motion: The execution environment where the plan names none; "" for "simulated".
-        local_variables: Whether failures hold the plan's local variables.
-        overwrite: Whether a recording that is there is replaced.
-        durable: Whether records survive the loss of power.
-        debug: Whether the debugger opens where the plan has failed.
-        parameters: Values of the plan's parameters; of others it has the defaults.
+        overwrite: Whether an existing recording is replaced.
+        durable: Whether records survive a power cut.
+        debug: Whether the debugger opens at a failure.
     """
     before = sys.argv, list(sys.path)
-    sys.argv = [str(plan), *arguments]
-    sys.path.insert(0, str(plan.parent.resolve()))
+    sys.argv = [str(spec.plan), *spec.arguments]
+    sys.path.insert(0, str(spec.plan.parent.resolve()))
     folder, file = Path.cwd(), log.absolute()  # a plan may change the working directory
     recording: Recording | None = None
     code = SUCCEEDED
     error: BaseException | None = None
-    given = dict(parameters or {})
-    seed_random_numbers(seed)
+    parameters = dict(spec.parameters)
+    seed_random_numbers(spec.seed)
     try:
         with needed():
             from pycram.motions.environments import set_default  # noqa: PLC0415  --version and --help need no executor
             from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  --version needs no executor
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
-        seed_order(seed, order)
-        set_default(motion)
+        seed_order(spec.seed, spec.order)
+        set_default(spec.motion)
         recorded = recorder.record(
             file,
             live,
-            name=plan.stem,
-            arguments=arguments,
-            source=plan,
-            seed=seed,
-            order=order,
-            environment=motion,
+            name=spec.plan.stem,
+            arguments=spec.arguments,
+            source=spec.plan,
+            seed=spec.seed,
+            order=spec.order,
+            environment=spec.motion,
             output=True,
-            locals=local_variables,
+            locals=spec.local_variables,
             overwrite=overwrite,
             durable=durable,
-            parameters=given,
+            parameters=parameters,
         )
-        with recorded as recording, giving(given):
+        with recorded as recording, giving(parameters):
             try:
-                arguments_for_main = arguments_of_main(plan, given)
-                names = runpy.run_path(str(plan.absolute()), run_name=plan.stem if arguments_for_main else "__main__")
+                arguments_for_main = arguments_of_main(spec.plan, parameters)
+                names = runpy.run_path(
+                    str(spec.plan.absolute()), run_name=spec.plan.stem if arguments_for_main else "__main__"
+                )
                 if arguments_for_main:
                     names["main"](**arguments_for_main)
             finally:
@@ -105,11 +109,12 @@ def run(
     finally:
         sys.argv, sys.path[:] = before
     if recording is not None and recording.path.is_file() and not (_was_lost(error) or isinstance(error, NotInstalled)):
-        _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
+        shown = recording.path if log.is_absolute() else Path(os.path.relpath(recording.path, folder))
+        _print_next_steps(shown, recording.path.stat().st_size / 1e6, code)
         if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
         if debug and code == FAILED:
-            _debug(recording.path, arguments)
+            _debug(recording.path, spec.arguments)
     return code
 
 
@@ -150,11 +155,6 @@ def tell(text: str) -> None:
 def _was_lost(error: BaseException | None) -> bool:
     """Whether the recording failed, before the plan did or when it was closed after that."""
     return isinstance(error, RecordingError) or (error is not None and isinstance(error.__context__, RecordingError))
-
-
-def _shown(file: Path, folder: Path, log: Path) -> Path:
-    """Return the path of a recording as the user wrote it."""
-    return file if log.is_absolute() else Path(os.path.relpath(file, folder))
 
 
 def _keep_page(recording: Recording) -> None:

@@ -188,16 +188,15 @@ def run_once(
         if lost:
             _record_loss(spec, values, seed, lost)
         else:
-            running.run(
+            one = running.RunSpec(
                 plan,
-                part,
                 spec.arguments,
-                seed=seed,
+                seed,
                 motion=spec.motion,
-                local_variables=spec.local_variables,
-                overwrite=True,
                 parameters=values,
+                local_variables=spec.local_variables,
             )
+            running.run(one, part, overwrite=True)
     sink = sinks[0] if sinks else None
     name = spec.name(number)
     if sink is None or sink.lost or sink.end is None:

@@ -288,7 +288,7 @@ def run_plan(
         else:
             order, motion = getattr(began, "order", ""), getattr(began, "environment", "")
             given = {each.name: json.loads(each.value_json) for each in getattr(began, "parameters", ())}
-            running.run(Path(plan), file, arguments, seed=seed, order=order, motion=motion, parameters=given)
+            running.run(running.RunSpec(Path(plan), tuple(arguments), seed, order, motion, given), file)
 
 
 def _run_program(plan: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from pycram.cli import run
+from pycram.running import RunSpec, run
 from recorder.records import Mutation
 from recorder.tracing.span import span
 from replay.cli.main import main
@@ -104,7 +104,7 @@ with BulletWorld():
 def test_call_stacks_lead_through_modules_blocks_and_threads(tmp_path: Path) -> None:
     (tmp_path / "moves_of_robots.py").write_text(IN_A_MODULE)
     (tmp_path / "plan.py").write_text(OF_A_PLAN)
-    assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
+    assert run(RunSpec(tmp_path / "plan.py"), tmp_path / "x.mcap") == 0
     with replay.open(tmp_path / "x.mcap") as log:
         moves = [mutation(log, "move_body", number) for number in range(3)]
         loaded, *causes = [log.blame("ball", step).causes for step in (mutation(log, "load_body"), *moves)]
@@ -134,7 +134,7 @@ with BulletWorld():
 
 def test_within_a_task_the_call_stack_is_that_of_the_change(tmp_path: Path) -> None:
     (tmp_path / "plan.py").write_text(OF_A_BRANCH)
-    assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
+    assert run(RunSpec(tmp_path / "plan.py"), tmp_path / "x.mcap") == 0
     with replay.open(tmp_path / "x.mcap") as log:
         causes = log.blame("ball").causes
     assert [line.text for line in causes.call_stack] == ["block(lift, ball)", "ball.set_position([0, 0, 1])"]

@@ -10,8 +10,8 @@ import pytest
 
 import recorder
 import replay
-from pycram.cli import run
 from pycram.failures import PlanFailure
+from pycram.running import RunSpec, run
 from recorder.records import Run
 from recorder.tracing.span import span
 from replay.cli.main import main
@@ -49,7 +49,7 @@ def quiet(monkeypatch: pytest.MonkeyPatch) -> list[threading.ExceptHookArgs]:
 
 def recorded(second: str, tmp_path: Path) -> Path:
     (tmp_path / "plan.py").write_text(PLAN.format(second=second))
-    assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
+    assert run(RunSpec(tmp_path / "plan.py"), tmp_path / "x.mcap") == 0
     return tmp_path / "x.mcap"
 
 
@@ -158,7 +158,7 @@ def test_an_error_without_message_is_recorded_with_its_lines(
     (tmp_path / "plan.py").write_text(
         "class Odd(Exception):\n    def __str__(self):\n        raise RuntimeError\n\nraise Odd\n"
     )
-    assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 1
+    assert run(RunSpec(tmp_path / "plan.py"), tmp_path / "x.mcap") == 1
     assert "recorded to" in capsys.readouterr().err
     with replay.open(tmp_path / "x.mcap") as log:
         assert [line.text for line in log.why().exceptions[-1].lines] == ["raise Odd"]

@@ -13,9 +13,9 @@ from PIL import Image
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from pycram.cli import run
 from pycram.failures import PlanFailure
 from pycram.language import par
+from pycram.running import RunSpec, run
 from recorder.records import Query, Run
 from recorder.records.choices import is_choice
 from recorder.tracing.span import span
@@ -129,7 +129,7 @@ def test_file_paths_are_relative_to_the_working_directory(
     (tmp_path / "plans" / "broken_part.py").write_text("def fail():\n    raise ValueError\n")
     (tmp_path / "plans" / "plan.py").write_text("from broken_part import fail\nfail()\n")
     monkeypatch.chdir(tmp_path)
-    assert run(Path("plans/plan.py"), Path("x.mcap")) == 1
+    assert run(RunSpec(Path("plans/plan.py")), Path("x.mcap")) == 1
     assert main(["why", "x.mcap"]) == 0
     where = capsys.readouterr().out.partition("Where in the plan\n")[2].splitlines()
     assert [line.split()[0] for line in where if ".py:" in line] == ["plans/plan.py:2", "plans/broken_part.py:2"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import replay
 from pycram.bullet_world import BulletWorld
-from pycram.cli import run
+from pycram.running import RunSpec, run
 from replay.cli.main import main
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def explain(folder: Path, text: str, code: int = 1) -> Why:
 
 def executed(file: Path) -> int:
     """Run a plan, close the worlds that it left open, and return its exit code."""
-    code = run(file, file.parent / "x.mcap")
+    code = run(RunSpec(file), file.parent / "x.mcap")
     while BulletWorld.current_bullet_world is not None:
         BulletWorld.current_bullet_world.exit()
     return code

@@ -22,7 +22,7 @@ import psutil
 import pytest
 
 from pycram.bullet_world import BulletWorld
-from pycram.cli import run
+from pycram.running import RunSpec, run
 from replay.cli.main import main
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def record(plan: Path) -> Path:
     with warnings.catch_warnings():
         warnings.simplefilter("default")  # a warning is no error for who runs a plan
         try:
-            run(plan, log)
+            run(RunSpec(plan), log)
         finally:
             sys.modules.pop(SHARED.stem, None)
             while BulletWorld.current_bullet_world is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from pycram.cli import run
+from pycram.running import RunSpec, run
 from recorder.records import Run
 from replay.cli.main import main
 from replay.explain.causes import cause as kinds
@@ -158,7 +158,7 @@ def test_a_program_s_own_handler_of_sigterm_stays(explained: Callable[..., Why],
     (tmp_path / "plan.py").write_text("import signal\nassert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN\n")
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
+        assert run(RunSpec(tmp_path / "plan.py"), tmp_path / "x.mcap") == 0
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGTERM, before)
