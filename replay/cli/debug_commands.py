@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 from replay.cli import main
 from replay.cli.console import print_message, visible
 from replay.cli.debug_frames import FramesPrompt
-from replay.debug.breakpoints import breakpoint_of
-from replay.debug.quantities import quantity_names
+from replay.debug.expressions import quantity_names
+from replay.debug.session import breakpoint_of
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
 from replay.cli import formatting, record_text
 from replay.cli.console import visible
 from replay.cli.debug_prompt import LinePrompt
-from replay.debug.guided_plan import Interrupted
 from replay.errors import ReplayError
 from replay.state.json_data import kind_of
 
@@ -52,7 +51,7 @@ class FramesPrompt(LinePrompt):
         """Go to the first step; where Ctrl-C ends the plan on its way there, to the start."""
         try:
             halt = self.session.go(step)
-        except Interrupted as interrupted:
+        except PlanInterrupted as interrupted:
             if interrupted.step < 0:
                 raise
             self.print_error(str(interrupted))

@@ -1,8 +1,7 @@
-"""Runs a plan to debug it: ``python -P -m replay.debug JSON``, from :mod:`.copies`."""
+"""Runs a plan to debug it: ``python -P -m replay.debug JSON``, from :mod:`.guided_plan`."""
 
-import json
 import sys
 
-from replay.debug.process import main
+from replay.debug.stopped_plan import main
 
-main(**json.loads(sys.argv[1]))
+main(sys.argv[1])

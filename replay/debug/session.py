@@ -1,21 +1,38 @@
-"""A session of the debugger: a guided plan, its breakpoints, and what leads from step to step."""
+"""A session of the debugger: a guided plan, its breakpoints, and what leads from step to step.
+
+What the steps of a recording are part of, read once: to which step a command of the debugger leads.
+
+A step's level is the innermost task that encloses it; the start and the end of a task are on the level around it. So
+``next`` goes from the start of a task to its end, as a debugger of programs goes over a call.
+
+Breakpoints and watches: each is the steps of the recording at which it stops the plan, known when it is set.
+
+Only a watch on the plan's own variables has none: these are in no recording, so the plan runs to find out.
+"""
 
 from __future__ import annotations
 
+import re
+from bisect import bisect_left, bisect_right
+from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, TypeAlias
 
-from replay.debug.breakpoints import breakpoint_at, watch_of
-from replay.debug.stops import Watched
-from replay.debug.timeline import Timeline, first_after, last_before
-from replay.errors import ReplayError
+from recorder.records import Envelope, Event, Keyframe, Output, Run, Task
+from recorder.suggestions import suggestion
+from replay.debug.expressions import NoQuantity, changes
+from replay.debug.stopped_plan import WatchedExpression
+from replay.errors import NoSuchName, NoSuchStep, ReplayError
+from replay.explain.plan_source import is_file, name_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from replay.debug.breakpoints import Breakpoint
+    from recorder.records import Record
+    from replay.debug.expressions import Change
     from replay.debug.guided_plan import Arrival, GuidedPlan
+    from replay.file.record_reader import RecordReader
     from replay.recording import Recording
 
 
@@ -93,14 +110,14 @@ class Session:
     def _watch(self, expression: str, frame: int) -> Breakpoint:
         return watch_of(self.log, self._numbers + 1, expression, lambda: self._watched(expression, frame))
 
-    def _watched(self, expression: str, frame: int) -> Watched | None:
+    def _watched(self, expression: str, frame: int) -> WatchedExpression | None:
         """Return what is watched in a frame's function; None if the expression has no value there."""
         stack = self.plan.ask("where")
         if not frame < len(stack) or "error" in self.plan.ask(
             "evaluate", frame=frame, expression=expression, pretty=False
         ):
             return None
-        return Watched(expression, stack[frame]["file"], stack[frame]["first"])
+        return WatchedExpression(expression, stack[frame]["file"], stack[frame]["first"])
 
     # --- from step to step ------------------------------------------------------------------------------------------
 
@@ -168,10 +185,12 @@ class Session:
         return NoFurther(self.step, f"the plan comes to step {last}: {parted}" if parted else "the recording ends here")
 
     @staticmethod
-    def _on_plan(enabled: Iterable[Breakpoint]) -> list[Watched]:
+    def _on_plan(enabled: Iterable[Breakpoint]) -> list[WatchedExpression]:
         return [each.watched for each in enabled if each.watched is not None]
 
-    def _last_change(self, watched: list[Watched], after: int, before: int) -> tuple[int, dict[int, tuple[str, str]]]:
+    def _last_change(
+        self, watched: list[WatchedExpression], after: int, before: int
+    ) -> tuple[int, dict[int, tuple[str, str]]]:
         """Return the last step between two at which what is watched changed, and how, by its place; else the first.
 
         The plan runs to find out, from the nearest copy that waits, then from the one before.
@@ -200,3 +219,283 @@ class Session:
             if each.temporary and each in self.breakpoints:
                 self.breakpoints.remove(each)
         return Halt(arrival, met, {on_plan[place].number: change for place, change in found.items()})
+
+
+Site: TypeAlias = "tuple[str, int]"  # a file and a line
+
+
+class Timeline:
+    """The steps of a recording.
+
+    Args:
+        log: the recording.
+
+    Attributes:
+        steps: how many there are.
+        paths: names of tasks from the outside in, by the steps of their starts.
+        kinds: kinds of tasks, by the same.
+        failures: steps at which something failed.
+        events: steps of events, by their names.
+    """
+
+    def __init__(self, log: RecordReader) -> None:
+        self.steps = len(log)
+        self.paths: dict[int, tuple[str, ...]] = {}
+        self.kinds: dict[int, str] = {}
+        self.failures: list[int] = []
+        self.events: dict[str, list[int]] = defaultdict(list)
+        self._levels = [0] * self.steps
+        self._parents: dict[int, int] = {}
+        self._names: dict[int, tuple[str, ...]] = {0: ()}
+        self._ends: dict[int, int] = {}
+        self._stacks: list[tuple[Site, ...]] = [()] * self.steps
+        self._lines: dict[Site, list[int]] = defaultdict(list)
+        task_stacks: dict[int, tuple[Site, ...]] = {}
+        latest: dict[str, tuple[Site, ...]] = {}  # by thread or branch
+        for record in log.records():
+            self._note(record)
+            own = _own_stack(record)
+            stack = own or task_stacks.get(record.task, ())
+            if isinstance(record, Task) and record.phase in (Task.STARTED, Task.ASKED):
+                task_stacks[record.task] = stack
+            self._stacks[record.seq] = stack
+            before = latest.get(record.thread, ())
+            again = bool(own) and not isinstance(record, Output)  # what a line prints comes with its other records
+            for depth, site in enumerate(stack):
+                if before[: depth + 1] != stack[: depth + 1] or (again and depth == len(stack) - 1):
+                    hits = self._lines[site]
+                    if hits[-1:] != [record.seq]:
+                        hits.append(record.seq)
+            latest[record.thread] = stack
+
+    def _note(self, record: Record) -> None:
+        self._levels[record.seq] = record.task
+        if isinstance(record, Task):
+            self._levels[record.seq] = record.parent
+            self._parents[record.task] = record.parent
+            if record.phase == Task.STARTED:
+                names = (*self._names.get(record.parent, ()), record.name)
+                self._names[record.task] = self.paths[record.seq] = names
+                self.kinds[record.seq] = record.kind
+            elif record.phase != Task.ASKED:
+                self._ends[record.task] = record.seq
+        if isinstance(record, Event):
+            self.events[record.name].append(record.seq)
+        if "failure" in record.DESCRIPTOR.fields_by_name and record.HasField("failure"):
+            self.failures.append(record.seq)
+
+    # --- where commands lead ----------------------------------------------------------------------------------------
+
+    def following(self, step: int) -> int:
+        """Return the next step on the level of a step, or on one around it; the last step if there is none."""
+        around = {self._levels[step], *self._around(self._levels[step])}
+        return next((at for at in range(step + 1, self.steps) if self._levels[at] in around), self.steps - 1)
+
+    def preceding(self, step: int) -> int:
+        """Return the step before on the level of a step, or on one around it; the first step if there is none."""
+        around = {self._levels[step], *self._around(self._levels[step])}
+        return next((at for at in range(step - 1, -1, -1) if self._levels[at] in around), 0)
+
+    def end(self, step: int) -> int:
+        """Return the end of the task that a step is in; the last step if it is in none, or that has no end."""
+        return self._ends.get(self._levels[step], self.steps - 1)
+
+    def onwards(self, step: int) -> int:
+        """Return the next step at a later line of the same file, on the level of a step; or on one around it."""
+        site, level = self.site(step), self._levels[step]
+        around = {level, *self._around(level)}
+        for at in range(step + 1, self.steps):
+            if self._levels[at] in around:
+                file, line = self.site(at)
+                if self._levels[at] != level or (file == site[0] and line > site[1]):
+                    return at
+        return self.steps - 1
+
+    def _around(self, task: int) -> Iterator[int]:
+        while task:
+            task = self._parents.get(task, 0)
+            yield task
+
+    # --- lines ------------------------------------------------------------------------------------------------------
+
+    def site(self, step: int) -> Site:
+        """Return the plan's line that led to a step; ("", 0) if none is known."""
+        return self._stacks[step][-1] if self._stacks[step] else ("", 0)
+
+    def stack(self, step: int) -> Sequence[Site]:
+        """Return the plan's lines that led to a step, outermost first."""
+        return self._stacks[step]
+
+    @property
+    def files(self) -> set[str]:
+        """The plan's files."""
+        return {file for file, _ in self._lines}
+
+    def line(self, file: str, number: int) -> tuple[int, list[int]]:
+        """Return the first line of a file from one on that led to a record, and the steps at which it was come to.
+
+        That is the first record of each execution of the line; of a line that calls a function again and again, without
+        a record of another line between, only the first.
+        """
+        numbers = sorted(line for named, line in self._lines if named == file)
+        at = bisect_left(numbers, number)
+        return (numbers[at], self._lines[file, numbers[at]]) if at < len(numbers) else (0, [])
+
+
+def first_after(steps: Sequence[int], step: int) -> int | None:
+    """Return the first of some steps, in their order, after one."""
+    at = bisect_right(steps, step)
+    return steps[at] if at < len(steps) else None
+
+
+def last_before(steps: Sequence[int], step: int) -> int | None:
+    """Return the last of some steps, in their order, before one."""
+    at = bisect_left(steps, step)
+    return steps[at - 1] if at else None
+
+
+def _own_stack(record: Record) -> tuple[Site, ...]:
+    if isinstance(record, Run | Keyframe | Envelope) or not record.source_file:
+        return ()
+    callers = () if isinstance(record, Output) else record.callers
+    file = record.source_file
+    return (*((caller.file or file, caller.line) for caller in callers), (file, record.source_line))
+
+
+_LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
+
+
+class NoSuchPlace(ReplayError, LookupError):
+    """A breakpoint was asked for where nothing happens in the recording.
+
+    Attributes:
+        place: as it was asked for.
+    """
+
+    def __init__(self, place: str, cause: str) -> None:
+        super().__init__(f"{place}: {cause}")
+        self.place = place
+
+
+@dataclass(slots=True)
+class Breakpoint:
+    """Where the plan stops.
+
+    Attributes:
+        number: by which it is called, from 1.
+        text: what it is, in words.
+        steps: at which it stops the plan, in their order.
+        temporary: whether it ends when it has stopped the plan.
+        enabled: whether it stops the plan.
+        line: of a breakpoint at a line of the plan: its file and number.
+        changes: of a watch: the changes, by their steps.
+        watched: of a watch on the plan's variables.
+    """
+
+    number: int
+    text: str
+    steps: list[int] = field(default_factory=list)
+    temporary: bool = False
+    enabled: bool = True
+    line: tuple[str, int] | None = None
+    changes: dict[int, Change] = field(default_factory=dict)
+    watched: WatchedExpression | None = None
+
+    @property
+    def counted(self) -> str:
+        """How often it stops the plan, in words."""
+        if self.watched is not None:
+            return "the plan runs to find out where it changes"
+        count = len(self.steps)
+        some = ", ".join(map(str, self.steps[:6])) + (", ..." if count > 6 else "")
+        return f"step{'s' if count > 1 else ''} {some}" if count else "it never changes"
+
+
+def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -> Breakpoint:
+    """Return a breakpoint: at a step, ``failure``, ``event [NAME]``, FILE:LINE, or tasks by path or kind.
+
+    Raises:
+        NoSuchPlace: nothing in the recording is there.
+        NoSuchStep: there is no such step.
+    """
+    word, _, rest = place.partition(" ")
+    if place == "failure":
+        return Breakpoint(number, "failures", _some(place, timeline.failures, "nothing failed"))
+    if word == "event":
+        names = [rest.strip()] if rest.strip() else list(timeline.events)
+        steps = sorted(step for name in names for step in timeline.events.get(name, ()))
+        hint = suggestion(rest.strip(), timeline.events) if timeline.events else "there were none"
+        return Breakpoint(number, f"event {rest.strip()}".strip(), _some(place, steps, f"no such event; {hint}"))
+    match = _LINE.fullmatch(place)
+    if match is not None and not place.startswith("task:"):
+        return _at_line(timeline, number, match["file"], int(match["line"]))
+    searched = tuple(place.strip("/").casefold().split("/"))
+    steps = [
+        step
+        for step, path in timeline.paths.items()
+        if tuple(name.casefold() for name in path)[-len(searched) :] == searched or timeline.kinds[step] == place
+    ]
+    if steps:
+        return Breakpoint(number, f"task {place}", steps)
+    try:
+        return Breakpoint(number, f"step {place}", [log.step(place)])
+    except NoSuchStep as error:
+        if re.fullmatch(r"-?[\d.]+s?|last|task:.*", place):
+            raise
+        known = {*timeline.kinds.values(), *(path[-1] for path in timeline.paths.values())}
+        raise NoSuchPlace(place, f"no step, and no task is called so; {suggestion(place, known)}") from error
+
+
+def _some(place: str, steps: list[int], otherwise: str) -> list[int]:
+    if not steps:
+        raise NoSuchPlace(place, otherwise)
+    return steps
+
+
+def _at_line(timeline: Timeline, number: int, name: str, line: int) -> Breakpoint:
+    files = [file for file in timeline.files if is_file(file, name)]
+    if not files:
+        known = ", ".join(sorted({name_of(file) for file in timeline.files})) or "none"
+        raise NoSuchPlace(f"{name}:{line}", f"no line of such a file led to a record; the plan's files are {known}")
+    if len(files) > 1:
+        known = ", ".join(sorted(files))
+        raise NoSuchPlace(f"{name}:{line}", f"several of the plan's files are called so: {known}")
+    at, steps = timeline.line(files[0], line)
+    if not at:
+        raise NoSuchPlace(f"{name}:{line}", "neither it nor a later line of that file led to a record")
+    moved = "" if at == line else f" (line {line} leads to no record)"
+    return Breakpoint(number, f"{name_of(files[0])}:{at}{moved}", steps, line=(files[0], at))
+
+
+def watch_of(log: Recording, number: int, expression: str, plan: Callable[[], WatchedExpression | None]) -> Breakpoint:
+    """Return a watch on an expression about states of the recording, or else about the plan's variables.
+
+    Args:
+        log: the recording.
+        number: by which it is called.
+        expression: the expression.
+        plan: gives the same in a function of the plan; None where it has no value there.
+
+    Raises:
+        NoQuantity: it is neither.
+    """
+    try:
+        found = {change.step: change for change in changes(log, expression)}
+    except NoQuantity:
+        watched = plan()
+        if watched is None:
+            raise
+        return Breakpoint(number, f"watch {expression}", watched=watched)
+    return Breakpoint(number, f"watch {expression}", sorted(found), changes=found)
+
+
+def breakpoint_of(known: list[Breakpoint], number: str) -> Breakpoint:
+    """Return a breakpoint by its number.
+
+    Raises:
+        NoSuchName: there is none.
+    """
+    for each in known:
+        if str(each.number) == number:
+            return each
+    raise NoSuchName("breakpoint", number, [str(each.number) for each in known])

@@ -2,6 +2,6 @@
 
 import sys
 
-from replay.retrace.process import main
+from replay.retrace.guided_run import main
 
 main(sys.argv[1])

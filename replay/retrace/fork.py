@@ -15,17 +15,15 @@ from recorder.records import Change, Query, Run
 from recorder.secrets import LEFT_OUT
 from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
-from replay.retrace.answers import parse_answer
-from replay.retrace.changes import BadChange, seed_change, settings as settings_of, text_of
-from replay.retrace.outside import reads_before
+from replay.retrace.changes import BadChange, parse_answer, seed_change, settings as settings_of, text_of
 from replay.retrace.plan_process import PlanProcess
-from replay.retrace.retrace import compared
+from replay.retrace.retrace import compared, reads_before
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from replay.retrace.guide import Difference
+    from replay.retrace.guide import FirstDifference
     from replay.retrace.retrace import Retracing
 
 
@@ -37,7 +35,7 @@ class NotForked(ReplayError):
         difference: the first record that came out differently.
     """
 
-    def __init__(self, step: int, difference: Difference) -> None:
+    def __init__(self, step: int, difference: FirstDifference) -> None:
         reads = "".join(f"; {each}" for each in reads_before(difference))
         super().__init__(f"it is another run before step {step}: at step {difference.step} {difference.text}{reads}")
         self.step = step

@@ -1,48 +1,66 @@
-"""The sink that a plan which runs again records to: it compares each record with the recorded one, at once.
+"""Guides a run by its recording: each record is compared with the recorded one as soon as it is made.
 
-It guides a fork, too, which is compared up to the step at which it leaves the recording.
-
-What differs from run to run (clocks, durations, ids of tasks) and where in the source a call stands is not compared:
-see :func:`replay.explain.compare_runs.differing`. The order of records is.
+Clocks, durations, ids of tasks and source lines differ from run to run and aren't compared (see
+:func:`replay.explain.compare_runs.differing`); the order of records is.
 """
 
 from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from recorder.records import Run, Task, format_failure
+from recorder.records import Change, Run, Task, format_failure
 from recorder.records.text import text_of, values
 from recorder.tracing.journal import NullSink
 from replay.explain.compare_runs import differing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
+    from google.protobuf.message import Message
+
     from recorder.records import Plain, Record
+    from recorder.records.asset import AssetFile
+    from recorder.tracing.journal import Sink
     from replay.file.record_reader import RecordReader
 
 _Stack: TypeAlias = "tuple[str, ...]"  # the plan's lines that called one another, outermost first
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
-    """The first record that came out differently.
+class Guidance:
+    """How a recording guides a run. Where deadlines and workers struck, the recording says itself."""
 
-    Attributes:
-        step: in the recording; its length where the plan goes on after its end.
-        text: one sentence, in the plan's words.
-        line: the plan's line that made the new record, as FILE:LINE; that of the recorded one where the plan ended.
-        callers: the plan's lines that called it, innermost first.
-        fields: recorded and new values that differ, by the path of the field; empty where it is another record.
-    """
+    log: str  # the recording's file
+    by_program: bool  # whether the plan begins the recording itself
+    until: int | None = None  # the last step that is compared; None for all
+    take_answers: bool = False  # whether queries get their recorded answers instead of being asked
+    changes: tuple[Change, ...] = ()  # made after their steps
+    moved: tuple[str, str] | None = None  # the folder with the plan's recorded source, and the plan's own folder
 
-    step: int
-    text: str
-    line: str = ""
-    callers: tuple[str, ...] = ()
+    def as_json(self) -> dict[str, object]:
+        """Return it as JSON data."""
+        facts = {name: getattr(self, name) for name in self.__slots__}
+        changes = [{each.name: value for each, value in change.ListFields()} for change in self.changes]
+        return {**facts, "changes": changes}
+
+    @classmethod
+    def of_json(cls, facts: Mapping[str, Any]) -> Guidance:
+        """Return the guidance of JSON data."""
+        return cls(**{**facts, "changes": tuple(Change(**each) for each in facts["changes"])})
+
+
+@dataclass(frozen=True, slots=True)
+class FirstDifference:
+    """The first record that came out differently."""
+
+    step: int  # in the recording; its length where the plan goes on after its end
+    text: str  # one sentence, in the plan's words
+    line: str = ""  # FILE:LINE of the plan that made the new record; of the recorded one where the plan ended
+    callers: tuple[str, ...] = ()  # lines of the plan, innermost first
+    #: Recorded and new values that differ, by the path of the field; empty where it is another kind of record.
     fields: dict[str, tuple[Plain, Plain]] = field(default_factory=dict)
 
 
@@ -51,21 +69,19 @@ class Guide(NullSink):
 
     Args:
         log: the recording.
-        report: called once: with the number of equal records, and the first difference if there is one. It need not
-            return, where the plan is of no interest any more.
+        report: called once, with the number of equal records and the first difference or None. It need not return.
         until: the last step that is compared; by default the recording's last.
-        path: what would be its file, beside which the plan's projections are recorded.
+        path: the file that the run would record to; recordings of its projections go beside it.
 
     Attributes:
         equal: number of records that were the same so far.
         recorded_ns: when the last of them was made, by the recording's clock.
-        path: as given.
     """
 
     def __init__(
         self,
         log: RecordReader,
-        report: Callable[[int, Difference | None], None],
+        report: Callable[[int, FirstDifference | None], None],
         until: int | None,
         path: Path,
     ) -> None:
@@ -73,12 +89,12 @@ class Guide(NullSink):
         self._log = log
         self._until = until
         self._recorded = log.records()
-        self._ahead: Record | None = None  # what was looked up of them
+        self._ahead: Record | None = None  # read ahead of the comparison
         self._reading = threading.Lock()
         self._report = report
         self._ended = False
         self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # of tasks that run, recorded and now
-        self._strikes: dict[int, Collection[int]] | None = None  # by their looks; None until they matter
+        self._strikes: dict[int, Collection[int]] | None = None  # by the number of the look; None until needed
         self.equal = 0
         self.recorded_ns = 0
 
@@ -111,9 +127,9 @@ class Guide(NullSink):
             return self._ahead if self._ahead is not None and self._ahead.seq == self.equal else None
 
     def foreseen(self, look: int) -> Collection[int] | None:
-        """Return what struck at a look of the recorded run; None where it isn't guided any more.
+        """Return what struck at a look of the recorded run; None after the comparison has ended.
 
-        They are read ahead: a record that tells one comes after it, and those of a worker come when they do.
+        All are read ahead, as the record with a strike comes after it.
         """
         if self._ended:
             return None
@@ -138,19 +154,21 @@ class Guide(NullSink):
                 return
             stack = _stack(recorded, self._stacks[0])
             text = f"the plan ended where step {recorded.seq} has {_words(recorded)}{_at(stack)}"
-            self._end(Difference(recorded.seq, text, *_lines(stack)))
+            self._end(FirstDifference(recorded.seq, text, *_lines(stack)))
 
-    def _goes_on(self, record: Record) -> Difference:
+    def _goes_on(self, record: Record) -> FirstDifference:
         stack = _stack(record, self._stacks[1])
         text = f"the plan goes on with {_words(record)}{_at(stack)} where the recording ends"
-        return Difference(self.equal, text, *_lines(stack))
+        return FirstDifference(self.equal, text, *_lines(stack))
 
-    def _end(self, difference: Difference | None) -> None:
+    def _end(self, difference: FirstDifference | None) -> None:
         self._ended = True
         self._report(self.equal, difference)
 
 
-def _difference(recorded: Record, record: Record, fields: dict[str, tuple[Plain, Plain]], stack: _Stack) -> Difference:
+def _difference(
+    recorded: Record, record: Record, fields: dict[str, tuple[Plain, Plain]], stack: _Stack
+) -> FirstDifference:
     before, now = _words(recorded), _words(record)
     same = type(recorded) is type(record)
     if before == now and same:
@@ -158,7 +176,7 @@ def _difference(recorded: Record, record: Record, fields: dict[str, tuple[Plain,
     else:
         verb = "asks for" if isinstance(record, Task) and record.phase == Task.STARTED else "comes to"
         text = f"the plan {verb} {now}{_at(stack)} where step {recorded.seq} has {before}"
-    return Difference(recorded.seq, text, *_lines(stack), fields if same else {})
+    return FirstDifference(recorded.seq, text, *_lines(stack), fields if same else {})
 
 
 def _words(record: Record) -> str:
@@ -196,3 +214,70 @@ def _lines(stack: _Stack) -> tuple[str, tuple[str, ...]]:
 
 def _at(stack: _Stack) -> str:
     return f" at {stack[-1]}" if stack else ""
+
+
+class GuidedSink(NullSink):
+    """Passes the records of a guided run on to several sinks.
+
+    Args:
+        path: the file that is recorded to, or would be.
+        sinks: where records go, in order; they are closed in reverse order.
+        complete: called with each record before that.
+        passed: called with each step after that.
+        moved: see :class:`Guidance`; records name the plan's own folder.
+        lock: of the file that is recorded to.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        sinks: Sequence[Sink],
+        complete: Callable[[Record], None],
+        passed: Callable[[int], None],
+        moved: tuple[str, str] | None,
+        lock: threading.Lock | None = None,
+    ) -> None:
+        self.path = path
+        self.lock = lock
+        self._sinks = sinks
+        self._complete = complete
+        self._passed = passed
+        self._moved = moved
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  it is completed first
+        """Complete a record, and pass it on."""
+        self._complete(record)
+        if self._moved is not None:
+            _rename(record, *self._moved)
+        completed = record.SerializeToString()
+        for sink in self._sinks:
+            sink.write(topic, record, completed)
+        self._passed(record.seq)
+
+    def attach(self, asset: AssetFile) -> None:
+        """Pass a file on."""
+        for sink in self._sinks:
+            sink.attach(asset)
+
+    def flush(self) -> None:
+        """Flush all sinks."""
+        for sink in self._sinks:
+            sink.flush()
+
+    def close(self) -> None:
+        """Close all sinks."""
+        for sink in reversed(self._sinks):
+            sink.close()
+
+
+def _rename(message: Message, old: str, new: str) -> None:
+    """Replace a folder's name in all texts of a message."""
+    for each, value in message.ListFields():
+        repeated = hasattr(value, "append")
+        if each.cpp_type == each.CPPTYPE_MESSAGE:
+            for part in value if repeated else [value]:
+                _rename(part, old, new)
+        elif each.type == each.TYPE_STRING and repeated:
+            value[:] = [text.replace(old, new) for text in value]
+        elif each.type == each.TYPE_STRING and old in value:
+            setattr(message, each.name, value.replace(old, new))

@@ -1,4 +1,9 @@
-"""Runs a recorded plan again in a process of its own, with what the recording says it was given."""
+"""Runs a recorded plan again in a process of its own, under the conditions that the recording has.
+
+With ``recorded_source`` the source that is attached to the recording runs, written out to a folder, instead of the
+files on the disk. Attached are the plan and those of its modules that stand in a call stack, by their file names.
+Modules and other files beside the plan that aren't attached are linked to from the folder where they were.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
@@ -17,8 +22,8 @@ from recorder.provenance import pycram_revision
 from recorder.records import Mutation, Output, Run, Task
 from recorder.secrets import LEFT_OUT
 from replay.errors import ReplayError
-from replay.retrace.guide import Difference
-from replay.retrace.recorded_source import NoSource, RecordedSource
+from replay.explain.plan_source import name_of
+from replay.retrace.guide import FirstDifference, Guidance
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -28,6 +33,7 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 2000  # characters of stderr that a process which gave no result has last written
 _STDERR: Final = 2
+_CACHE: Final = "__pycache__"  # has the compiled files of the disk
 
 
 class CantRetrace(ReplayError):
@@ -43,18 +49,12 @@ class CantRetrace(ReplayError):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What has become of a plan that ran again.
+class GuidedResult:
+    """The result of a plan that ran again."""
 
-    Attributes:
-        equal: number of records, from the first on, that came out the same.
-        difference: the first one that didn't; None if all did that were compared.
-        taken: number of answers that were taken from the recording.
-    """
-
-    equal: int
-    difference: Difference | None
-    taken: int
+    equal: int  # number of records, from the first on, that came out the same
+    difference: FirstDifference | None  # the first one that didn't; None if all did that were compared
+    taken: int  # number of answers that were taken from the recording
 
 
 class PlanProcess:
@@ -94,13 +94,10 @@ class PlanProcess:
         self._began = began
         self._until = until
         self._edited = plan is not None
-        self._source: RecordedSource | None = None
+        self._source: _RecordedSource | None = None
         if recorded_source:
             self.program = _recorded_program(log, began)
-            try:
-                self._source = RecordedSource(log, self.program)
-            except NoSource:
-                raise CantRetrace(f"{log.path}: the source of {self.program.name} isn't attached to it") from None
+            self._source = _RecordedSource(log, self.program)
         else:
             self.program = _program(log, began, plan)
         self._arguments = list(began.arguments) if arguments is None else list(arguments)
@@ -134,7 +131,9 @@ class PlanProcess:
         if str(self._folder) != began.directory:
             yield f"the working directory {began.directory} isn't there: {self._folder} is taken"
 
-    def run(self, *, file: Path | None = None, changes: Sequence[Change] = (), take_answers: bool = False) -> Outcome:
+    def run(
+        self, *, file: Path | None = None, changes: Sequence[Change] = (), take_answers: bool = False
+    ) -> GuidedResult:
         """Run it to the first difference; or as a fork, to its end.
 
         What was changed of the recorded run, where that is a fork itself, is changed again, each after its step.
@@ -154,21 +153,15 @@ class PlanProcess:
             until = self._interrupted_after if self._log.closed else len(self._log) - 1
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
-        request: dict[str, object] = {
-            "until": until,
-            "file": None if file is None else str(file.absolute()),
-            "take_answers": take_answers,
-            "changes": [*self.recorded_changes(changed=bool(changes)), *map(_fields, changes)],
-        }
         with (
             tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
             tempfile.TemporaryFile() as errors,
             os.fdopen(reading, "rb") as results,
         ):
-            request |= {"result": writing, "output": output, "folder": folder, "parent": os.getpid()}
-            request |= self.placed(folder)
+            facts = {"result": writing, "output": output, "file": None if file is None else str(file.absolute())}
+            guidance = self.guidance(until, changes, take_answers=take_answers)
             try:
-                process = self.start("replay.retrace", request, errors, (writing, output))
+                process = self.start("replay.retrace", guidance, folder, errors, (writing, output), **facts)
             finally:
                 os.close(writing)
                 os.close(output)
@@ -193,7 +186,7 @@ class PlanProcess:
         if "error" in answer:
             raise ReplayError(answer["error"])
         found = answer["difference"]
-        return Outcome(answer["equal"], None if found is None else Difference(**found), answer["taken"])
+        return GuidedResult(answer["equal"], None if found is None else FirstDifference(**found), answer["taken"])
 
     def stop(self) -> None:
         """End it, called from another thread than the one that runs it, where :meth:`run` then raises `CantRetrace`."""
@@ -201,36 +194,50 @@ class PlanProcess:
         if self._running is not None:
             self._running.kill()
 
-    def placed(self, folder: str) -> dict[str, object]:
-        """Write the recorded source into a folder, if it is to run; return what is to be requested because of it."""
-        if self._source is None:
-            return {"moved": None}
-        program = self._source.write(Path(folder).resolve())
-        return {"plan": str(program), "moved": (str(program.parent), str(self.program.parent))}
-
     @property
     def recorded_files(self) -> Mapping[Path, bytes]:
         """The recorded source by its files' paths, if it is to run."""
         return {} if self._source is None else self._source.texts
 
+    def guidance(
+        self, until: int | None = None, changes: Sequence[Change] = (), *, take_answers: bool = False
+    ) -> Guidance:
+        """Return how the recording guides the run; with other changes than the recorded ones, those are added."""
+        recorded = self._recorded_changes(changed=bool(changes))
+        log = str(self._log.path.resolve())
+        return Guidance(log, self._began.by_program, until, take_answers, (*recorded, *changes))
+
     def start(
-        self, module: str, request: Mapping[str, object], errors: IO[bytes], descriptors: Collection[int] = ()
+        self,
+        module: str,
+        guidance: Guidance,
+        folder: str,
+        errors: IO[bytes],
+        descriptors: Collection[int] = (),
+        **facts: object,
     ) -> subprocess.Popen[bytes]:
         """Start a module as a process in which the plan can do the same again; it has no input, and shows nothing.
 
         Args:
             module: its name.
-            request: arguments of its main function, beside the log, the plan, its arguments and seed.
+            guidance: how the recording guides the run.
+            folder: for the recordings of its projections, and the recorded source if that is to run.
             errors: for what is written to stderr.
             descriptors: open files that it gets.
+            facts: more that its main function needs.
         """
         began = self._began
-        given = {
-            "log": str(self._log.path.resolve()),
-            "plan": str(self.program),
+        program = self.program
+        if self._source is not None:
+            program = self._source.write(Path(folder).resolve())
+            guidance = replace(guidance, moved=(str(program.parent), str(self.program.parent)))
+        request = {
+            "plan": str(program),
             "arguments": self._arguments,
-            "seed": int(began.seed) if began.seed.isdecimal() else None,
-            "by_program": began.by_program,
+            "guidance": guidance.as_json(),
+            "parent": os.getpid(),
+            "folder": folder,
+            **facts,
         }
         environment = dict(os.environ)
         if began.hash_seed.isdecimal():
@@ -238,7 +245,7 @@ class PlanProcess:
         else:
             environment.pop("PYTHONHASHSEED", None)
         return subprocess.Popen(  # noqa: S603  no text of users is a command
-            [sys.executable, "-P", "-m", module, json.dumps({**given, **request})],
+            [sys.executable, "-P", "-m", module, json.dumps(request)],
             cwd=self._folder,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -247,11 +254,11 @@ class PlanProcess:
             pass_fds=descriptors,
         )
 
-    def recorded_changes(self, *, changed: bool = False) -> Iterator[dict[str, object]]:
-        """Yield what the recorded run is changed by, where it is a fork; of a changed one up to the last step only."""
+    def _recorded_changes(self, *, changed: bool) -> Iterator[Change]:
+        """Yield the changes of the recorded run, where it is a fork; of a changed one up to the last step only."""
         for change in self._began.origin.changes:
             if not (changed or self._edited) or self._until is None or change.step <= self._until:
-                yield _fields(change)
+                yield change
 
 
 def last_own_step(log: RecordReader) -> int:
@@ -267,10 +274,6 @@ def last_own_step(log: RecordReader) -> int:
 def _is_end(record: Record) -> bool:
     failed = isinstance(record, Task) and record.phase == Task.FINISHED and record.status != Task.SUCCEEDED
     return failed or isinstance(record, Run | Output)
-
-
-def _fields(change: Change) -> dict[str, object]:
-    return {field.name: value for field, value in change.ListFields()}
 
 
 def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
@@ -296,3 +299,80 @@ def _program(log: RecordReader, began: Run, plan: str | Path | None) -> Path:
     if not program.is_file():
         raise CantRetrace(f"{program}: the plan isn't there; give its file with --plan, or run --recorded-source")
     return program.absolute()
+
+
+class _RecordedSource:
+    """The recorded source of a plan, whose file was run as ``program``.
+
+    Attributes:
+        files: the attached files by their paths in the plan's folder.
+        left_out: names of attached files whose places aren't known, or aren't below the plan's folder.
+
+    Raises:
+        CantRetrace: the plan's source isn't attached.
+    """
+
+    def __init__(self, log: RecordReader, program: Path) -> None:
+        self.program = program
+        began = log[0]
+        digest = began.plan.sha256 if isinstance(began, Run) else ""
+        keys = [key for key in log.assets if key.endswith(".py")]
+        main = [key for key in keys if name_of(key) == program.name and key.startswith(digest)]
+        if len(main) != 1:
+            raise CantRetrace(f"{log.path}: the source of {program.name} isn't attached to it")
+        places = _places(log) - {program}
+        self.files = {Path(program.name): log.assets[main[0]]}
+        self.left_out: list[str] = []
+        for key in keys:
+            fitting = [place for place in places if place.name == name_of(key)]
+            shared = sum(name_of(other) == name_of(key) for other in keys) > 1
+            if key == main[0]:
+                continue
+            if len(fitting) == 1 and not shared and fitting[0].is_relative_to(program.parent):
+                self.files[fitting[0].relative_to(program.parent)] = log.assets[key]
+            else:
+                self.left_out.append(name_of(key))
+
+    @property
+    def texts(self) -> dict[Path, bytes]:
+        """The attached files by the paths that they had."""
+        return {self.program.parent / place: text for place, text in self.files.items()}
+
+    def write(self, folder: Path) -> Path:
+        """Write it into a folder, links to everything else beside it, and return the plan's file there."""
+        name = self.program.parent.name
+        target = folder / (name if name not in ("", "..") else "plan")  # it was run as ../plan.py
+        _lay(self.files, self.program.parent, target)
+        return target / self.program.name
+
+    def __str__(self) -> str:
+        names = ", ".join(sorted(map(str, self.files)))
+        outside = (
+            f"; {', '.join(sorted(set(self.left_out)))} and all else come" if self.left_out else "; all else comes"
+        )
+        return f"the recorded source runs: {names}{outside} from the disk"
+
+
+def _lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
+    """Write files below a folder, and links to what else the original has there."""
+    target.mkdir(parents=True)
+    within: dict[str, dict[Path, bytes]] = {}
+    for place, text in texts.items():
+        if len(place.parts) == 1:
+            (target / place).write_bytes(text)
+        else:
+            within.setdefault(place.parts[0], {})[Path(*place.parts[1:])] = text
+    for name, parts in within.items():
+        _lay(parts, original / name, target / name)
+    for other in original.iterdir() if original.is_dir() else ():
+        if other.name != _CACHE and not (target / other.name).exists():
+            (target / other.name).symlink_to(other)
+
+
+def _places(log: RecordReader) -> set[Path]:
+    """Return the paths of all files in call stacks."""
+    files: set[str] = set()
+    for record in log:
+        files.add(getattr(record, "source_file", ""))
+        files.update(caller.file for caller in getattr(record, "callers", ()))
+    return {Path(file) for file in files if file}

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from recorder.errors import PortableError, RecordingError
-from replay.debug.breakpoints import NoSuchPlace
-from replay.debug.copies import PlanEnded
-from replay.debug.guided_plan import Interrupted
-from replay.debug.quantities import NoQuantity
-from replay.debug.session import NoFurther
+from replay.debug.expressions import NoQuantity
+from replay.debug.guided_plan import PlanEnded
+from replay.debug.session import NoFurther, NoSuchPlace
 from replay.errors import (
     Damaged,
     LogClosed,
@@ -29,7 +27,6 @@ from replay.errors import (
 from replay.restore.question import BadQuestion
 from replay.retrace.changes import BadChange
 from replay.retrace.fork import NotForked
-from replay.retrace.guide import Difference
 from replay.retrace.plan_process import CantRetrace
 from replay.runs.folder import NotRead
 from replay.runs.runs import Refused
@@ -50,10 +47,10 @@ ERRORS: tuple[PortableError, ...] = (
     BadQuestion("stable(", "it can't be read"),
     CantRetrace("plan.py: the plan isn't there"),
     BadChange("stable(milk)=maybe", "its answer is true or false"),
-    NotForked(12, Difference(7, "the plan ended where step 7 has pressed", "plan.py:3")),
+    NotForked(12, FirstDifference(7, "the plan ended where step 7 has pressed", "plan.py:3")),
     NoSuchPlace("pick", "no step, and no task is called so"),
     PlanEnded("Killed"),
-    Interrupted(12),
+    PlanInterrupted(12),
     NoQuantity("milc.z", "no body is called so"),
     NoFurther(0, "the recording begins here"),
     MissingModels("00003.mcap", "models-0123456789ab.mcap isn't there"),

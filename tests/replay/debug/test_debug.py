@@ -14,8 +14,8 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Mutation, Run, Task
 from replay.cli.main import main
+from replay.debug.expressions import NoQuantity, changes
 from replay.debug.guided_plan import GuidedPlan
-from replay.debug.quantities import NoQuantity, changes
 from replay.debug.session import Session
 from tests.replay.debug.plans import TEXT, line
 from tests.replay.retrace.test_retrace import record

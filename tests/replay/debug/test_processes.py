@@ -14,9 +14,8 @@ import psutil
 import pytest
 
 import replay
-from replay.debug.copies import PlanEnded
-from replay.debug.guided_plan import GuidedPlan
-from replay.debug.standing_clock import StandingClock
+from replay.debug.guided_plan import GuidedPlan, PlanEnded
+from replay.debug.stopped_plan import PausableClock
 from tests.replay.retrace.test_retrace import record
 
 if TYPE_CHECKING:
@@ -89,10 +88,10 @@ def test_clocks_stand_still_while_a_plan_does(monkeypatch: pytest.MonkeyPatch) -
     for name in ("time", "monotonic", "perf_counter"):
         monkeypatch.setattr(time, name, getattr(time, name))
         monkeypatch.setattr(time, f"{name}_ns", getattr(time, f"{name}_ns"))
-    clock = StandingClock()
+    clock = PausableClock()
     clock.install()
     before, began = time.monotonic(), real()
-    with clock.standing():
+    with clock.paused():
         while real() < began + 0.05:
             pass
     assert time.monotonic() - before < real() - began - 0.04

@@ -14,8 +14,7 @@ from replay.cli.main import main
 from replay.errors import NoSuchName, ReplayError
 from replay.explain.compare_runs import differing
 from replay.restore.verify import verify
-from replay.retrace.answers import parse_answer
-from replay.retrace.changes import BadChange
+from replay.retrace.changes import BadChange, parse_answer
 from replay.retrace.fork import fork
 from replay.retrace.retrace import retrace
 from tests.replay.retrace.bits import assert_same_bits

@@ -18,10 +18,8 @@ from recorder.records import Fluent, Mutation, Task
 from replay.cli.main import main
 from replay.errors import Damaged
 from replay.retrace.fork import fork
-from replay.retrace.guide import Difference
-from replay.retrace.outside import decided_outside, reads_before
 from replay.retrace.plan_process import CantRetrace
-from replay.retrace.retrace import retrace
+from replay.retrace.retrace import decided_outside, reads_before, retrace
 from tests.measures import seeded
 from tests.replay.copies import CHUNK, container_records, zeroed
 from tests.replay.test_verify import rewritten
@@ -222,7 +220,7 @@ def test_what_a_plan_reads_of_the_world_outside_is_told_where_it_matters(
 def test_a_line_that_reads_the_world_outside_is_told_with_the_difference(tmp_path: Path, line: str, said: str) -> None:
     file = tmp_path / "plan.py"
     file.write_text(f"import sys\n{line}\nprint(x)\nopen('later')\n")
-    reads = list(reads_before(Difference(3, "it differs", f"{file}:3")))
+    reads = list(reads_before(FirstDifference(3, "it differs", f"{file}:3")))
     assert [each.startswith(f"plan.py:{said}") for each in reads] == [True] * bool(said)
 
 

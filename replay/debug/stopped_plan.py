@@ -1,0 +1,514 @@
+"""The process of a debugged plan: it compares each record with the recorded one, and stops the plan at a step.
+
+While the plan is stopped, its process answers messages from the prompt: lines of JSON on a socket. To continue, the
+process itself continues, or it stays and a forked child continues, as at checkpoints on the way: so there is a process
+that can continue from here again.
+"""
+
+from __future__ import annotations
+
+import gc
+import inspect
+import json
+import os
+import pprint
+import random
+import rlcompleter
+import select
+import signal
+import socket
+import sys
+import time
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from dataclasses import asdict, dataclass, field
+from io import StringIO
+from itertools import islice
+from pathlib import Path
+from types import BuiltinFunctionType, FunctionType, ModuleType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+
+from pycram.projection import obstacle
+from pycram.projection.child import Child, die_with, has_children
+from pycram.scheduling.locks import is_held
+from pycram.scheduling.schedule import scheduler
+from recorder.records import Task, format_error
+from recorder.tracing import forking, interrupts, journal
+from recorder.tracing.call_stack import is_plan, plan_frames
+from recorder.tracing.journal import NullSink
+from replay.retrace.guide import Guidance
+from replay.retrace.guided_run import GuidedRun
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from types import FrameType, TracebackType
+    from typing import NoReturn
+
+    from recorder.records import Record
+    from replay.retrace.guide import FirstDifference
+
+Message: TypeAlias = "dict[str, Any]"
+
+_BLOCK: Final = 1 << 16
+PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have it
+"""Asks a plan that makes no record, and so reads no message, to stop where it is; ignored where nobody handles it."""
+_IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # a module's imports and definitions
+_MAX_NAMES: Final = 200  # that complete a text
+_CLOCKS: Final = ("time", "monotonic", "perf_counter")
+_NS: Final = 10**9
+
+
+# --- messages ---------------------------------------------------------------------------------------------------------
+
+
+class Channel:
+    """One end of a connection."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        self._socket = connected
+        self._received = b""
+
+    def fileno(self) -> int:
+        """Return what to wait at for messages."""
+        return self._socket.fileno()
+
+    def send(self, message: Message) -> None:
+        """Send a message; to one who is gone, nothing."""
+        with suppress(BrokenPipeError, ConnectionResetError):  # the next receive() tells
+            self._socket.sendall(json.dumps(message).encode() + b"\n")
+
+    def receive(self) -> Message | None:
+        """Wait for a message; None if the other end is gone."""
+        while b"\n" not in self._received:
+            try:
+                part = self._socket.recv(_BLOCK)
+            except ConnectionResetError:
+                part = b""
+            if not part:
+                return None
+            self._received += part
+        line, _, self._received = self._received.partition(b"\n")
+        message: Message = json.loads(line)
+        return message
+
+    @property
+    def pending(self) -> bool:
+        """Whether something has arrived."""
+        return self.has_read or bool(select.select([self._socket], (), (), 0)[0])
+
+    @property
+    def has_read(self) -> bool:
+        """Whether a message was read already, with the one before: the socket doesn't tell."""
+        return b"\n" in self._received
+
+    def close(self) -> None:
+        """Close this end."""
+        self._socket.close()
+
+
+# --- the plan's frames ------------------------------------------------------------------------------------------------
+
+
+class PlanFrame(NamedTuple):
+    """A frame of the plan, and the line that it is at."""
+
+    frame: FrameType
+    line: int
+
+    def facts(self, moved: tuple[str, str] | None) -> dict[str, object]:
+        """Return file, line, function and its first line; the file by the folder that the plan was moved from."""
+        code = self.frame.f_code
+        return {
+            "file": code.co_filename.replace(*moved or ("", "")),
+            "line": self.line,
+            "function": code.co_name,
+            "first": code.co_firstlineno,
+        }
+
+
+def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool) -> list[PlanFrame]:
+    """Return the plan's frames, innermost first; those of a branch are followed by those of the code that waits for it.
+
+    Args:
+        frame: the innermost one.
+        parents: what each task is part of, by their ids.
+        failing: whether an error is on its way out: then frames that it has left come first.
+    """
+    own = [PlanFrame(each, each.f_lineno) for each in plan_frames(frame)]
+    error = sys.exception() if failing else None
+    if error is not None and error.__traceback__ is not None:
+        left = list(_traceback(error.__traceback__))
+        lines = dict(left)
+        running = {each for each, _ in own}
+        own = [PlanFrame(each, lines.get(each, line)) for each, line in own]
+        own = [*(each for each in reversed(left) if each.frame not in running), *own]
+    waiting = {}
+    for suspended, context in scheduler().suspended():
+        task = context.get(journal.current_task)
+        waiting[task.id if task is not None else 0] = suspended
+    number: int | None = journal.task_id()
+    while number is not None:  # 0: outside of all tasks
+        number = parents.get(number)
+        if number in waiting:
+            own += [PlanFrame(each, each.f_lineno) for each in plan_frames(waiting[number])]
+    return own
+
+
+def _traceback(trace: TracebackType | None) -> Iterator[PlanFrame]:
+    while trace is not None:
+        if is_plan(trace.tb_frame):
+            yield PlanFrame(trace.tb_frame, trace.tb_lineno)
+        trace = trace.tb_next
+
+
+def variables(frame: FrameType, *, arguments: bool = False) -> list[tuple[str, str]]:
+    """Return the names and values of a frame's variables, or only of its arguments; of modules no definitions."""
+    values = dict(frame.f_locals)
+    if arguments:
+        info = inspect.getargvalues(frame)
+        names = [*info.args, *filter(None, (info.varargs, info.keywords))]
+        values = {name: values[name] for name in names if name in values}
+    elif frame.f_locals is frame.f_globals:
+        values = {name: each for name, each in values.items() if not issubclass(type(each), _IGNORED)}
+    return [(name, _repr(value)) for name, value in values.items() if not (name[:2] == "__" == name[-2:])]
+
+
+def evaluate(frame: FrameType, expression: str, *, pretty: bool = False) -> dict[str, str]:
+    """Return an expression's value in a frame, or the error that it raised, and what it printed."""
+    printed = StringIO()
+    answer: dict[str, str] = {}
+    with redirect_stdout(printed), redirect_stderr(printed):
+        try:
+            value = value_of(frame, expression)
+            answer["value"] = pprint.pformat(value) if pretty else repr(value)
+        except BaseException as error:  # noqa: BLE001  whatever the user's expression raises
+            answer["error"] = format_error(error)
+    return {**answer, "printed": printed.getvalue()}
+
+
+def value_of(frame: FrameType, expression: str) -> object:
+    """Return an expression's value in a frame."""
+    return eval(expression, {**frame.f_globals, **frame.f_locals})  # noqa: S307  the user's own, as in any debugger
+
+
+def completions(frame: FrameType, text: str) -> list[str]:
+    """Return what a text may be the beginning of, in a frame."""
+    completer = rlcompleter.Completer({**frame.f_globals, **frame.f_locals})
+    found = (completer.complete(text, number) for number in range(_MAX_NAMES))
+    return [each for each in islice(found, _MAX_NAMES) if each is not None]
+
+
+def _repr(value: object) -> str:
+    try:
+        return repr(value)
+    except Exception as error:  # noqa: BLE001  of a user's own type
+        return f"<{type(value).__name__}: {format_error(error)}>"
+
+
+# --- stopping ---------------------------------------------------------------------------------------------------------
+
+
+class PausableClock:
+    """Python's clocks without the time in which the plan was stopped: else its deadlines would pass at the prompt."""
+
+    def __init__(self) -> None:
+        self._now_ns = time.monotonic_ns
+        self._paused_ns = 0
+
+    def install(self) -> None:
+        """Replace the functions of ``time``."""
+        for name in _CLOCKS:
+            setattr(time, f"{name}_ns", self._without(getattr(time, f"{name}_ns")))
+            setattr(time, name, self._in_seconds(getattr(time, name)))
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Stop the clocks while the block runs, also where it goes on in a forked child."""
+        since = self._now_ns()
+        try:
+            yield
+        finally:
+            self._paused_ns += self._now_ns() - since
+
+    def _without(self, clock: Callable[[], int]) -> Callable[[], int]:
+        return lambda: clock() - self._paused_ns
+
+    def _in_seconds(self, clock: Callable[[], float]) -> Callable[[], float]:
+        return lambda: clock() - self._paused_ns / _NS
+
+
+def _refuse(error: Exception) -> NoReturn:
+    sys.stderr.write(f"a change of the fork can't be made again: {error}\n")
+    sys.stderr.flush()
+    os._exit(1)
+
+
+def _can_be_copied() -> bool:
+    """Whether a copy would do what this process does: threads, and processes that are waited for, it would lack."""
+    return not obstacle() and not has_children()
+
+
+@dataclass(frozen=True, slots=True)
+class WatchedExpression:
+    """An expression that is watched where a function of the plan runs."""
+
+    expression: str
+    file: str  # of the function
+    first: int  # its first line
+
+    def value(self, frames: list[PlanFrame]) -> str | None:
+        """Return its value as text; None where no call of the function runs, or it has none there."""
+        for each in frames:
+            code = each.frame.f_code
+            if (code.co_filename, code.co_firstlineno) == (self.file, self.first):
+                try:
+                    return repr(value_of(each.frame, self.expression))
+                except Exception:  # noqa: BLE001  a variable that isn't there yet, say
+                    return None
+        return None
+
+
+@dataclass(slots=True)
+class StopConditions:
+    """What stops a plan that continues."""
+
+    until: int  # step
+    checkpoints: frozenset[int] = frozenset()  # steps at which a copy stays
+    watched: tuple[WatchedExpression, ...] = ()  # a change of a value stops the plan
+    through: bool = False  # whether changes are only noted
+    changes: list[tuple[int, int, str, str]] = field(default_factory=list)  # step, index in watched, before, after
+
+    @classmethod
+    def of(cls, message: Message, moved: tuple[str, str] | None) -> StopConditions:
+        """Return the conditions of a message, which names files by the plan's own folder."""
+        new, old = moved or ("", "")
+        watched = tuple(
+            WatchedExpression(expression, file.replace(old, new), first)
+            for expression, file, first in message["watched"]
+        )
+        return cls(message["until"], frozenset(message["checkpoints"]), watched, message["through"])
+
+
+class StoppingSink(NullSink):
+    """Stops a guided run; :attr:`guided` compares its records before.
+
+    Args:
+        guidance: how the recording guides the run.
+        folder: for the recordings of its projections.
+        address: the prompt's socket.
+        clock: pauses while the plan is stopped.
+        until: the first step at which the plan stops.
+        spacing: nanoseconds of the recording between checkpoints; None for no checkpoints.
+    """
+
+    def __init__(
+        self, guidance: Guidance, folder: Path, address: str, clock: PausableClock, until: int, spacing: int | None
+    ) -> None:
+        self.guided = GuidedRun(guidance, folder, self._report, _refuse)
+        self._address = address
+        self._clock = clock
+        self._conditions = StopConditions(until)
+        self._spacing = spacing
+        self._moved = guidance.moved
+        self._difference: FirstDifference | None = None
+        self._over = False
+        self._last_checkpoint = -float("inf")
+        self._parents: dict[int, int] = {}
+        self._values: list[str | None] = []
+        self._failing = False
+        self._step = -1
+        self._frame: FrameType | None = None  # that the record comes from, while the plan is stopped
+        self._serving = False
+        signal.signal(PAUSE, self._pause)
+        self._channel = self._connected(parent=0)
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
+        """Stop at the record's step, if it is where to."""
+        if self._over:
+            return
+        if isinstance(record, Task) and record.phase in (Task.STARTED, Task.ASKED):
+            self._parents[record.task] = record.parent
+        self._failing = "failure" in record.DESCRIPTOR.fields_by_name and record.HasField("failure")
+        if self._difference is not None:
+            self._end()
+        elif not self._over:
+            self._step = record.seq
+            self._frame = sys._getframe(1)  # noqa: SLF001  inspect.currentframe() gives no other
+            self._pass()
+            self._frame = None
+
+    def close(self) -> None:
+        """Stop for good: the plan has ended where its recording goes on."""
+        if not self._over:
+            self.guided.guide.close()
+            self._end()
+
+    def _report(self, equal: int, difference: FirstDifference | None) -> None:
+        self._difference = difference
+        if difference is None and equal <= self._step + 1:
+            self._over = True  # what comes now isn't in the recording, which was cut
+
+    def _end(self) -> None:
+        self._over = True
+        self._frame = sys._getframe(2)  # noqa: SLF001  as above
+        self._stop("parted")
+
+    # --- on its way -------------------------------------------------------------------------------------------------
+
+    def _pass(self) -> None:
+        """Go on from a record, or stop and go on later."""
+        stopping = self._step >= self._conditions.until
+        changed = self._noted_changes() if self._conditions.watched else False
+        if stopping or (changed and not self._conditions.through) or self._channel.pending:
+            self._stop("step" if stopping else "watch" if changed else "interrupted")
+        elif self._due():
+            self._check_point()
+
+    def _pause(self, _: int, frame: FrameType | None) -> None:
+        """Stop between two records, where the plan makes none: it may hang. In the midst of one, that is to come."""
+        if self._step >= 0 and not (self._over or self._serving or interrupts.is_uninterrupted() or is_held()):
+            self._frame = frame
+            self._stop("interrupted", between=True)
+            self._frame = None
+
+    def _noted_changes(self) -> bool:
+        values = self._watched_values()
+        changes = [
+            (self._step, number, before, value)
+            for number, (before, value) in enumerate(zip(self._values, values, strict=True))
+            if before is not None and value is not None and before != value
+        ]
+        self._values = [
+            value if value is not None else before for before, value in zip(self._values, values, strict=True)
+        ]
+        self._conditions.changes += changes
+        return bool(changes)
+
+    def _watched_values(self) -> list[str | None]:
+        """Return the values of what is watched; the plan's random numbers stay as they are, and nothing is recorded."""
+        stack = self._stack()
+        dice = random.getstate()
+        with journal.unrecorded():
+            values = [each.value(stack) for each in self._conditions.watched]
+        random.setstate(dice)
+        return values
+
+    def _due(self) -> bool:
+        if self._spacing is None:
+            return False
+        return (
+            self._step in self._conditions.checkpoints
+            or self.guided.guide.recorded_ns - self._last_checkpoint >= self._spacing
+        )
+
+    def _check_point(self) -> None:
+        self._last_checkpoint = self.guided.guide.recorded_ns
+        if not _can_be_copied():
+            return
+        if not self._went_on_in_child():
+            self._channel.send({"step": self._step, "reason": "waits"})
+            self._serve()
+
+    def _went_on_in_child(self) -> bool:
+        """Fork; True in the child, which goes on."""
+        parent = os.getpid()
+        if forking.fork_continuation():
+            return False
+        die_with(parent)
+        self._channel.close()
+        self.guided.recorded.after_fork()
+        self._channel = self._connected(parent)
+        return True
+
+    def _connected(self, parent: int) -> Channel:
+        connected = socket.socket(socket.AF_UNIX)
+        connected.connect(self._address)
+        channel = Channel(connected)
+        channel.send({"pid": os.getpid(), "parent": parent, "step": self._step})
+        return channel
+
+    # --- stopped ----------------------------------------------------------------------------------------------------
+
+    def _stop(self, reason: str, *, between: bool = False) -> None:
+        found = None if self._difference is None else asdict(self._difference)
+        can_wait = reason != "parted" and not between and self._spacing is not None and _can_be_copied()
+        self._channel.send(
+            {
+                "step": self._step,
+                "reason": reason,
+                "difference": found,
+                "changes": self._conditions.changes,
+                "can_wait": can_wait,
+                "between": between,
+            }
+        )
+        self._serve()
+
+    def _serve(self) -> None:
+        """Answer messages; return where the plan goes on."""
+        self._serving = True
+        with self._clock.paused():
+            while True:
+                message = self._channel.receive()
+                if message is None:
+                    os._exit(0)
+                if message["do"] == "go":
+                    if not message["stay"] or self._went_on_in_child():
+                        break
+                else:
+                    self._channel.send(self._answer(message))
+        self._serving = False
+        self._conditions = StopConditions.of(message, self._moved)
+        self._values = self._watched_values()
+
+    def _answer(self, message: Message) -> Message:
+        match message:
+            case {"do": "end", "pid": pid}:
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+                return {"answer": pid}
+            case {"do": "interrupt"}:  # of what was done already
+                return {"interrupt": "late"}
+            case {"do": "where"}:
+                return {"answer": [each.facts(self._moved) for each in self._stack()]}
+        frame = self._stack()[message["frame"]].frame
+        doing: dict[str, Callable[[], Any]] = {
+            "variables": lambda: variables(frame, arguments=message["arguments"]),
+            "evaluate": lambda: evaluate(frame, message["expression"], pretty=message["pretty"]),
+            "complete": lambda: completions(frame, message["text"]),
+        }
+        return self._in_copy(doing[message["do"]])
+
+    def _in_copy(self, work: Callable[[], Any]) -> Message:
+        """Do something in a copy of this process, as it may call any code: the plan itself doesn't notice."""
+        if not hasattr(os, "fork"):
+            return {"answer": work()}
+        child = Child(lambda: json.dumps({"answer": work()}).encode())
+        while not child.ended:
+            sources: list[Child | Channel] = [child, self._channel]
+            if self._channel in select.select(sources, (), ())[0]:
+                child.kill()
+                return {"interrupted": True}
+            child.read()
+        if not child.received:
+            return {"error": f"that can't be looked at: the copy of the plan in which it was done {child.how}"}
+        answer: Message = json.loads(child.received)
+        return answer
+
+    def _stack(self) -> list[PlanFrame]:
+        return stack(self._frame, self._parents, failing=self._failing)
+
+
+def main(text: str) -> None:
+    """Run a plan up to a step as a request in JSON says; :class:`replay.debug.guided_plan.PlanCopies` makes it."""
+    request = json.loads(text)
+    gc.freeze()  # to collect garbage is to write to all that is looked through: copies would no longer share it
+    os.setsid()  # Ctrl-C at the prompt isn't the plan's
+    die_with(request.pop("parent"))
+    clock = PausableClock()
+    clock.install()
+    plan, arguments = request.pop("plan"), request.pop("arguments")
+    guidance, folder = Guidance.of_json(request.pop("guidance")), Path(request.pop("folder"))
+    sink = StoppingSink(guidance, folder, clock=clock, **request)
+    sink.guided.run(plan, arguments, lambda _: sink.guided.sink(sink))
+    sink.close()
+    os._exit(0)

@@ -1,0 +1,219 @@
+"""Runs a plan again in this process, guided by its recording; :mod:`.plan_process` starts the process.
+
+Its result is one line of JSON on the file descriptor that it is given: stdout and stderr are the plan's. A run that is
+only compared ends with the comparison, wherever the plan is then. A fork continues, into a recording of its own.
+
+The plan's call stacks end at this module: what it does itself has no line of the plan.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, NoReturn
+
+from pycram import running
+from pycram.projection.child import die_with
+from pycram.reasoning.queries.query import answered_by
+from pycram.scheduling.cancellation import uninterruptible
+from pycram.scheduling.schedule import seed_order
+from pycram.scheduling.strikes import guide_strikes
+from pycram.seeding import seed_random_numbers
+from recorder.errors import PortableError, RecordingError
+from recorder.mcap.sink import McapSink
+from recorder.provenance import metadata
+from recorder.recording import redirected
+from recorder.records import Change, Run, escaped, format_error
+from recorder.tracing.journal import NullSink
+from recorder.tracing.process_identity import process
+from replay.file.record_reader import RecordReader
+from replay.retrace.changes import BadChange, PendingChanges, QueryAnswers, parse_setting, text_of
+from replay.retrace.guide import Guidance, Guide, GuidedSink
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from recorder.tracing.journal import Sink
+    from replay.retrace.guide import FirstDifference
+
+_STDOUT, _STDERR = 1, 2
+
+
+def make_change(change: Change) -> None:
+    """Make a change of a fork."""
+    if change.seed:
+        seed_random_numbers(int(change.seed))
+        seed_order(int(change.seed))
+        return
+    with uninterruptible():
+        parse_setting(change.set, fluent=not change.world).make(change.world)
+
+
+class GuidedRun:
+    """A run of a plan in this process: its records are compared, queries answered, and changes made after their steps.
+
+    Args:
+        guidance: how the recording guides it.
+        folder: for the recordings of its projections.
+        report: see :class:`replay.retrace.guide.Guide`.
+        refuse: called with the error of a change that can't be made; it doesn't return.
+    """
+
+    def __init__(
+        self,
+        guidance: Guidance,
+        folder: Path,
+        report: Callable[[int, FirstDifference | None], None],
+        refuse: Callable[[Exception], NoReturn],
+    ) -> None:
+        self.guidance = guidance
+        self.recorded = RecordReader(guidance.log)
+        began = self.recorded[0]
+        if not isinstance(began, Run):
+            raise TypeError("the recording doesn't begin with a run")  # the other process has checked it
+        self.began = began
+        self.guide = Guide(self.recorded, report, guidance.until, folder / self.recorded.path.name)
+        self.answers = QueryAnswers(self.guide, taken=guidance.take_answers, refuse=refuse)
+        self.changes = PendingChanges(guidance.changes, self.answers, make_change, refuse)
+
+    def sink(self, *sinks: Sink, file: McapSink | None = None, passed: Callable[[], None] = lambda: None) -> GuidedSink:
+        """Return the sink for the run's records: a file if there is one, then the comparison, then other sinks.
+
+        ``passed`` is called after each step and the changes that follow it.
+        """
+        return GuidedSink(
+            self.guide.path if file is None else file.path,
+            [*([] if file is None else [file]), self.guide, *sinks],
+            self.changes.complete,
+            lambda step: self.changes.passed(step, passed),
+            self.guidance.moved,
+            None if file is None else file.lock,
+        )
+
+    def run(
+        self, plan: str, arguments: Sequence[str], sink_of: Callable[[Run], Sink], file: Path = Path(os.devnull)
+    ) -> None:
+        """Run a plan as a program, whatever it ends with.
+
+        Args:
+            plan: its file.
+            arguments: of the plan.
+            sink_of: gives the sink when the plan begins the recording again; see :meth:`sink`.
+            file: where it would be recorded.
+        """
+        owner, began, by_program, guided = process(), self.began, self.guidance.by_program, False
+
+        def redirect(run: Run) -> Sink | None:
+            nonlocal guided
+            if run.by_program != by_program or process() != owner:  # a projection makes a recording of its own
+                return None
+            named = run.name in (began.name, escaped(Path(plan).stem))
+            same_number = run.number == (began.number or 1)  # an older release's: the first
+            if guided or not (named and same_number):
+                return NullSink()  # another recording that the program makes
+            guided = True
+            if began.HasField("looks"):  # else an older release made it
+                guide_strikes(lambda look: self.guide.foreseen(look) if process() == owner else None, began.looks)
+            return sink_of(run)
+
+        with answered_by(self.answers), redirected(redirect):
+            if by_program:
+                sys.argv = [began.called_as or plan, *arguments]
+                sys.path.insert(0, str(Path(plan).parent.resolve()))
+                with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
+                    _run_program(plan)
+            else:
+                seed = int(began.seed) if began.seed.isdecimal() else None
+                given = {each.name: json.loads(each.value_json) for each in began.parameters}
+                spec = running.RunSpec(Path(plan), tuple(arguments), seed, began.order, began.environment, given)
+                running.run(spec, file)
+
+
+def _run_program(plan: str) -> None:
+    """Run a file as Python does, whatever name it was called by: runpy would name it by its path."""
+    module = ModuleType("__main__")
+    module.__file__ = plan
+    sys.modules["__main__"] = module
+    exec(compile(Path(plan).read_bytes(), plan, "exec"), module.__dict__)  # noqa: S102  the plan
+
+
+def main(text: str) -> None:
+    """Run a plan again as a request says, given as JSON; see :meth:`replay.retrace.plan_process.PlanProcess.run`."""
+    request = json.loads(text)
+    die_with(request.pop("parent"))
+    guidance = Guidance.of_json(request.pop("guidance"))
+    plan, arguments = request.pop("plan"), request.pop("arguments")
+    _ReportedRun(guidance, **request).run(plan, arguments)
+
+
+class _ReportedRun:
+    """A guided run whose result another process reads.
+
+    Args:
+        guidance: how the recording guides it.
+        result: file descriptor for the result.
+        output: file descriptor for what a fork prints.
+        file: the fork's recording; None to end with the comparison.
+        folder: for the recordings of its projections.
+    """
+
+    def __init__(self, guidance: Guidance, *, result: int, output: int, file: str | None, folder: str) -> None:
+        self._guided = GuidedRun(guidance, Path(folder), self._report, self._refuse)
+        self._result = result
+        self._output = output
+        self._file = file
+        self._sent = False
+        self._equal: int | None = None  # number of equal records, after the comparison has ended
+
+    def run(self, plan: str, arguments: Sequence[str]) -> None:
+        """Run the plan to its end, unless the process ends before."""
+        self._guided.run(plan, arguments, self._sink_of, Path(self._file or os.devnull))
+        self._guided.guide.close()
+        if self._guided.changes.due:
+            change = self._guided.changes.due[0]
+            self._refuse(BadChange(text_of(change), f"the plan ended before that could be after step {change.step}"))
+
+    def _sink_of(self, run: Run) -> Sink:
+        recorded, began, guidance = self._guided.recorded, self._guided.began, self._guided.guidance
+        if guidance.moved is not None:  # else it would be that of no repository
+            run.plan.CopyFrom(began.plan)
+        file = None
+        if self._file is not None:
+            run.origin.recording, run.origin.wall_time_ns = recorded.path.name, began.wall_time_ns
+            run.origin.step = len(recorded) - 1 if guidance.until is None else guidance.until
+            run.origin.changes.extend(guidance.changes)
+            try:
+                file = McapSink(Path(self._file), metadata(run))
+            except RecordingError as error:
+                self._refuse(error)
+        return self._guided.sink(file=file, passed=self._leave)
+
+    def _report(self, equal: int, difference: FirstDifference | None) -> None:
+        self._equal = equal
+        if self._file is None or difference is not None:
+            self._send(difference=None if difference is None else asdict(difference))
+            os._exit(0)
+
+    def _leave(self) -> None:
+        """Leave the recording after its last step that is compared and the changes that follow it."""
+        if self._equal is None or self._sent:
+            return
+        self._send(difference=None)
+        for stream, descriptor in ((sys.__stdout__, _STDOUT), (sys.__stderr__, _STDERR)):
+            if stream is not None:
+                stream.flush()
+            os.dup2(self._output, descriptor)  # what the plan prints from here on is new
+
+    def _refuse(self, error: Exception) -> NoReturn:
+        self._send(error=str(error) if isinstance(error, PortableError) else format_error(error))
+        os._exit(0)
+
+    def _send(self, **facts: object) -> None:
+        self._sent = True
+        answer = {"equal": self._equal, "taken": self._guided.answers.taken, **facts}
+        os.write(self._result, json.dumps(answer).encode() + b"\n")
