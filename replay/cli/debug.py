@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from replay.cli.console import print_message
 from replay.cli.fork import AGAIN
 from replay.cli.main import FINE
-from replay.cli.retracing import add_source_and_arguments
+from replay.cli.retrace import add_source_and_arguments
 from replay.errors import ReplayError
 from replay.explain.root_cause import uncaught_failure
 from replay.explain.step_names import HINT
@@ -36,7 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Run the plan to the step, and take commands until the end of the input."""
-    from replay.cli.debug_commands import Prompt  # noqa: PLC0415  needs the executor
+    from replay.cli.debug_prompt import Prompt  # noqa: PLC0415  needs the executor
     from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415
     from replay.debug.session import Session  # noqa: PLC0415
     from replay.retrace.plan_process import last_own_step  # noqa: PLC0415

@@ -10,7 +10,7 @@ from recorder.mcap.output_file import free_path
 from replay.cli import formatting
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
-from replay.cli.retracing import add_source_and_arguments, facts_of, lines_of
+from replay.cli.retrace import add_source_and_arguments, facts_of, lines_of
 from replay.explain.step_names import HINT
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message
 from replay.cli.fork import AGAIN, new_file, tell
-from replay.cli.retracing import add_source_and_arguments
+from replay.cli.retrace import add_source_and_arguments
 
 if TYPE_CHECKING:
     import argparse

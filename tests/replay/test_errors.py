@@ -11,7 +11,7 @@ import pytest
 
 from recorder.errors import PortableError, RecordingError
 from replay.debug.expressions import NoQuantity
-from replay.debug.guided_plan import PlanEnded
+from replay.debug.guided_plan import PlanEnded, PlanInterrupted
 from replay.debug.session import NoFurther, NoSuchPlace
 from replay.errors import (
     Damaged,
@@ -27,6 +27,7 @@ from replay.errors import (
 from replay.restore.question import BadQuestion
 from replay.retrace.changes import BadChange
 from replay.retrace.fork import NotForked
+from replay.retrace.guide import FirstDifference
 from replay.retrace.plan_process import CantRetrace
 from replay.runs.folder import NotRead
 from replay.runs.runs import Refused

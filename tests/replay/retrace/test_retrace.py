@@ -18,6 +18,7 @@ from recorder.records import Fluent, Mutation, Task
 from replay.cli.main import main
 from replay.errors import Damaged
 from replay.retrace.fork import fork
+from replay.retrace.guide import FirstDifference
 from replay.retrace.plan_process import CantRetrace
 from replay.retrace.retrace import decided_outside, reads_before, retrace
 from tests.measures import seeded
