@@ -9,7 +9,7 @@ from recorder.mcap.output_file import open_output
 from recorder.mcap.writer import MAGIC
 from replay.cli.console import print_message
 from replay.errors import ReplayError
-from replay.file.file_checks import is_locked
+from replay.file.record_reader import is_locked
 
 if TYPE_CHECKING:
     import argparse

@@ -18,7 +18,7 @@ from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, Met
 
 from recorder.mcap.writer import FREE, MAX_RATIO
 from replay.errors import LogClosed
-from replay.file.arrangement import Arrangement
+from replay.file.chunks import Arrangement
 from replay.file.mcap_format import (
     CHUNK_HEAD,
     CHUNK_INDEX,

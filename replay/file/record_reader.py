@@ -2,16 +2,26 @@
 
 No question costs more than a few chunks, however long the recording is; see :mod:`replay.file.index` and
 :mod:`replay.file.chunks`.
+
+The file of a recording: whether it is one, and whether a recorder is writing it.
+
+Recordings of newer releases: what this one doesn't know of them.
+
+They are read as far as they go: unknown fields are left out, of records of unknown kinds the envelope is read.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
+import stat
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar, overload
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar, overload
 
+from recorder.mcap.shared_models import LIBRARY as SHARED
 from recorder.records import (
     TOPICS,
     UNKNOWN,
@@ -26,13 +36,13 @@ from recorder.records import (
     Subscription,
     Task,
 )
-from replay.errors import Damaged, LogClosed, MissingModels, NoSuchName, NoSuchStep, ReplayError, Unreadable
+from recorder.records.definition import PACKAGE, format_number, unknown
+from replay.errors import Damaged, LogClosed, MissingModels, NoSuchName, NoSuchStep, NotALog, ReplayError, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
-from replay.file.file_checks import check_ours, is_locked, open_file
 from replay.file.index import Index
 from replay.file.lifetimes import Lifetime, closes_world, lifetimes_of
-from replay.file.newer import Newer, format_of, newer_of
+from replay.file.mcap_format import MAGIC
 from replay.file.repair import Losses, lost_before, range_text, write_sound
 
 if TYPE_CHECKING:
@@ -41,6 +51,7 @@ if TYPE_CHECKING:
     from typing import Self
 
     from recorder.records import Record
+
 
 __all__ = ["KINDS", "RecordReader"]
 
@@ -367,3 +378,164 @@ class RecordReader:
                 self._lost = abs(last.seq + 1 - sum(self.counts().values()))
                 return last.seq + 1
         raise Unreadable(self.path, "has no record that can be read")
+
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+
+_MIN_MAGIC: Final = len(MAGIC) - 2  # bytes that must be right: a damaged file may have wrong ones
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a file if it is MCAP's by its first bytes, or was before it was damaged.
+
+    Raises:
+        NotALog: it isn't there, or is something else.
+        Unreadable: it is empty, or cut off within these bytes.
+    """
+    try:
+        file = open(path, "rb", opener=_nonblocking)  # noqa: SIM115  the log closes it
+        try:
+            _check_start(path, file)
+        except BaseException:
+            file.close()
+            raise
+    except OSError as error:
+        raise NotALog(path, error.strerror or str(error)) from error
+    return file
+
+
+def _nonblocking(path: str, flags: int) -> int:
+    """Open a file without blocking: a pipe would wait for a writer."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def _check_start(path: Path, file: BinaryIO) -> None:
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        raise NotALog(path, "is no regular file; recordings are read at random positions: write it to a file first")
+    start = file.read(len(MAGIC))
+    if len(start) < len(MAGIC) and MAGIC.startswith(start):
+        raise Unreadable(path, "is cut off within its first bytes" if start else "is empty")
+    matching = sum(a == b for a, b in zip(start, MAGIC, strict=False))
+    file.seek(-min(len(start), len(MAGIC)), os.SEEK_END)
+    if matching < _MIN_MAGIC and file.read() != MAGIC:
+        raise NotALog(path, "is no MCAP file")
+
+
+def check_ours(path: Path, index: Index) -> None:
+    """Raise the error for a file that has no channel of a recording.
+
+    Raises:
+        NotALog: it is another program's.
+        Unreadable: it is of another release, or too damaged to be recognised.
+    """
+    if kinds_of(index):
+        return
+    names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
+    if names:
+        raise Unreadable(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
+    if index.library == SHARED:
+        raise NotALog(path, "has the models that recordings of a sweep share; it is no recording itself")
+    if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
+        raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
+    raise Unreadable(path, "has no record that can be read")
+
+
+def is_locked(file: BinaryIO) -> bool:
+    """Return whether a recorder holds its lock on the file."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    fcntl.flock(file.fileno(), fcntl.LOCK_UN)
+    return False
+
+
+_MAX_NAMES: Final = 4  # in a message
+_FIRST: Final = [0, 1, 0]  # release: no recording of it is newer
+_MAX_DIGITS: Final = 9  # of a number that is one
+_RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Newer:
+    """A newer release than this one, that wrote a recording.
+
+    Attributes:
+        release: its version.
+        format: its format; see :mod:`recorder.records.definition`.
+        fields: what it has in messages that this one knows: fields, and values of enums, as ``Mutation.force``.
+        kinds: kinds of records that this one doesn't know.
+    """
+
+    release: str
+    format: int
+    fields: tuple[str, ...]
+    kinds: tuple[str, ...]
+
+    def __str__(self) -> str:
+        text = f"written by PyCRAM {self.release or 'of an unknown version'}, which is newer than this one"
+        if self.fields:
+            be = "is" if len(self.fields) == 1 else "are"
+            text += f"; {_counted(self.fields, 'field')} unknown here {be} ignored {_listed(self.fields)}"
+        if self.kinds:
+            text += f"; of {_counted(self.kinds, 'kind')} of records only the envelope is read {_listed(self.kinds)}"
+        return text
+
+
+def _counted(names: Sequence[str], word: str) -> str:
+    return f"{len(names)} {word}{'' if len(names) == 1 else 's'}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = ", ..." if len(names) > _MAX_NAMES else ""
+    return f"({', '.join(names[:_MAX_NAMES])}{more})"
+
+
+def format_of(index: Index) -> int:
+    """Return the format of a recording; 0 of one that doesn't tell it: they are older."""
+    text = index.metadata.get("pycram", {}).get("format", "")
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MAX_DIGITS else 0
+
+
+def newer_of(index: Index) -> Newer | None:
+    """Return the release that wrote a file if it is newer than this one, by its format or its version."""
+    number = format_of(index)
+    release = index.metadata.get("pycram", {}).get("pycram", "")
+    if number <= format_number() and not _is_later(release):
+        return None
+    messages = {name.removeprefix(f"{PACKAGE}."): data for name, data in index.definitions.items() if _is_ours(name)}
+    names = unknown(messages.values())
+    kinds = tuple(name for name in names if name in messages)
+    unknown_messages = {name for name in names if "." not in name}
+    fields = tuple(name for name in names if "." in name and name.partition(".")[0] not in unknown_messages)
+    return Newer(release, number, fields, kinds)
+
+
+def _is_ours(name: str) -> bool:
+    return name.startswith(f"{PACKAGE}.")
+
+
+def _is_later(release: str) -> bool:
+    """Return whether a release is later than this one, as far as that is known."""
+    other = _RELEASE.match(release)
+    if other is None or _numbers(other) <= _FIRST:
+        return False
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import
+
+    try:
+        own = _RELEASE.match(version("pycram"))
+    except PackageNotFoundError:
+        return False
+    return own is not None and _numbers(other) > _numbers(own)
+
+
+def _numbers(release: re.Match[str]) -> list[int]:
+    return [int(part or 0) for part in release.groups()]

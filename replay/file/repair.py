@@ -18,8 +18,7 @@ from mcap.opcode import Opcode
 from recorder.mcap.shared_models import METADATA as MODELS
 from replay.errors import Damaged, LogClosed
 from replay.file.chunks import kinds_of
-from replay.file.mcap_format import HEADER, LENGTH, describe
-from replay.file.payloads import decode
+from replay.file.mcap_format import HEADER, LENGTH, decode, describe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

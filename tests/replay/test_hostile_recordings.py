@@ -32,8 +32,7 @@ from recorder.records.values import MAX_CHARACTERS, MAX_DIGITS, MAX_NESTING
 from recorder.viewer.query_picture import MAX_PIXELS
 from replay.cli.main import main
 from replay.file.chunks import MAX_STEP
-from replay.file.mcap_format import MAX_INFLATED
-from replay.file.payloads import MAX_PARTS
+from replay.file.mcap_format import MAX_INFLATED, MAX_PARTS
 from replay.state.fold import FAR
 from replay.state.task_integrity import MAX_DEPTH
 from tests.measures import seeded

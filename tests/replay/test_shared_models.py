@@ -16,7 +16,7 @@ import pycram
 from recorder.mcap.shared_models import METADATA
 from replay.cli.main import main
 from replay.errors import MissingModels
-from replay.file.shared_models import shared_by
+from replay.file.assets import shared_by
 from replay.recording import Recording
 from replay.restore.verify import verify
 
