@@ -17,12 +17,7 @@ class ReplayError(PortableError):
 
 
 class NotALog(ReplayError):
-    """The file isn't a recording of PyCRAM, or nothing of it can be read.
-
-    Attributes:
-        path: the file.
-        cause: the reason.
-    """
+    """The file isn't a recording of PyCRAM, or nothing of it can be read."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
         super().__init__(f"{path}: {cause}")
@@ -35,29 +30,17 @@ class Unreadable(NotALog):
 
 
 class Damaged(ReplayError):
-    """A part of a recording can't be read; the rest can.
-
-    Attributes:
-        path: the file.
-        where: the part: a step, an attached file.
-        cause: what is wrong with it.
-    """
+    """A part of a recording can't be read; the rest can."""
 
     def __init__(self, path: str | Path, where: str, cause: str) -> None:
         super().__init__(f"{path}: {where} is damaged: {cause}")
         self.path = str(path)
-        self.where = where
-        self.cause = cause
+        self.where = where  # the part: a step, an attached file
+        self.cause = cause  # what is wrong with it
 
 
 class MissingModels(Damaged):
-    """The file of models that recordings of a sweep share isn't beside one of them, or isn't what it was.
-
-    Attributes:
-        path: the recording.
-        where: the part: its models.
-        cause: what is wrong with the file.
-    """
+    """The file of models that recordings of a sweep share isn't beside one of them, or isn't what it was."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
         super().__init__(path, "its models", cause)
@@ -66,11 +49,7 @@ class MissingModels(Damaged):
 
 
 class LogClosed(ReplayError):
-    """A recording was read after it was closed, as after the ``with`` that opened it.
-
-    Attributes:
-        path: the file.
-    """
+    """A recording was read after it was closed, as after the ``with`` that opened it."""
 
     def __init__(self, path: str | Path) -> None:
         super().__init__(f"{path}: it was closed; read it inside its with block, or open it again")
@@ -78,42 +57,27 @@ class LogClosed(ReplayError):
 
 
 class NoSuchStep(ReplayError, LookupError):
-    """The recording has no such step.
-
-    Attributes:
-        step: what was asked for.
-        steps: how many there are.
-    """
+    """The recording has no such step."""
 
     def __init__(self, step: object, steps: int, hint: str = "") -> None:
         super().__init__(f"there is no step {step}: {hint or f'the recording has steps 0 to {steps - 1}'}")
-        self.step = step
-        self.steps = steps
+        self.step = step  # what was asked for
+        self.steps = steps  # how many there are
 
 
 class NoSuchName(ReplayError, LookupError):
-    """There was no such body, joint, link or world at that step.
-
-    Attributes:
-        name: what was asked for.
-        known: the names that there were.
-    """
+    """There was no such body, joint, link or world at that step."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
-        self.name = name
-        self.known = sorted(set(known))
+        self.name = name  # what was asked for
+        self.known = sorted(set(known))  # the names that there were
         super().__init__(f"there is no {kind}{f' {name!r}' if name else ''}; {hint or suggestion(name, self.known)}")
 
 
 class NotRestored(ReplayError):
-    """A world can't be restored.
-
-    Attributes:
-        step: the step that was asked for.
-        cause: the reason.
-    """
+    """A world can't be restored."""
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(f"the world after step {step} can't be restored: {cause}")
-        self.step = step
+        self.step = step  # the step that was asked for
         self.cause = cause

@@ -136,23 +136,17 @@ class FramesPrompt(LinePrompt):
 
     Args:
         session: what it is about.
-
-    Attributes:
-        session: as given.
-        log: its recording.
-        stack: the plan's frames, innermost first.
-        frame: which of them is chosen.
-        follow: brings the viewer to a step; None where there is none.
     """
 
     def __init__(self, session: Session) -> None:
         super().__init__()
         self.session = session
-        self.log = session.log
-        self.stack: list[dict[str, Any]] = []
+        self.log = session.log  # its recording
+        self.stack: list[dict[str, Any]] = []  # the plan's frames, innermost first
+        # which of them is chosen
         self.frame = 0  # 0: the innermost
         self._listed = 0  # the line after the last one that was listed; 0: none was
-        self.follow: Callable[[int], None] | None = None
+        self.follow: Callable[[int], None] | None = None  # brings the viewer to a step; None where there is none
 
     def begin(self, step: int) -> None:
         """Go to the first step; where Ctrl-C ends the plan on its way there, to the start."""

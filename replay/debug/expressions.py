@@ -30,15 +30,11 @@ _FUNCTIONS: Final[Mapping[str, object]] = {
 
 
 class NoQuantity(ReplayError):
-    """An expression that recorded states don't answer: it has other names, say.
-
-    Attributes:
-        expression: the expression.
-    """
+    """An expression that recorded states don't answer: it has other names, say."""
 
     def __init__(self, expression: str, cause: str) -> None:
         super().__init__(f"{expression}: {cause}")
-        self.expression = expression
+        self.expression = expression  # the expression
 
 
 class Change(NamedTuple):

@@ -41,15 +41,11 @@ _FINEST: Final = 4  # steps from a copy to where one goes back to
 
 
 class PlanEnded(ReplayError):
-    """The plan's process has ended by itself, before it came to a step: killed, or by a crash of native code.
-
-    Attributes:
-        printed: what it has last written to stderr.
-    """
+    """The plan's process has ended by itself, before it came to a step: killed, or by a crash of native code."""
 
     def __init__(self, printed: str) -> None:
         super().__init__(f"the plan's process has ended{printed and f':{chr(10)}{printed}'}; goto runs it again")
-        self.printed = printed
+        self.printed = printed  # what it has last written to stderr
 
 
 class EndedByInterrupt(Exception):
@@ -57,32 +53,23 @@ class EndedByInterrupt(Exception):
 
 
 class PlanInterrupted(ReplayError):
-    """Somebody has pressed Ctrl-C until the plan's process was ended; the plan is where it was before, or at its start.
-
-    Attributes:
-        step: where that is; -1: it came to no step at all.
-    """
+    """Ctrl-C ended the plan's process; the plan is where it was before, or at its start."""
 
     def __init__(self, step: int) -> None:
         super().__init__(f"the plan came to no other step; it is at {f'step {step} again' if step >= 0 else 'none'}")
-        self.step = step
+        self.step = step  # where that is; -1: it came to no step at all
 
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Where a plan has stopped.
+    """Where a plan has stopped."""
 
-    Attributes:
-        step: the last recorded step that it has made.
-        reason: "step": it was to come there; "watch": what was watched has changed; "interrupted": by Ctrl-C; "parted":
-            what comes next is another record than the recorded one.
-        text: how it differs.
-        changes: steps, numbers of what was watched, values before and after.
-    """
-
-    step: int
+    step: int  # the last recorded step that it has made
+    #: "step": it was to come there; "watch": what was watched has changed; "interrupted": by Ctrl-C; "parted": what
+    #: comes next is another record than the recorded one.
     reason: str = "step"
-    text: str = ""
+    text: str = ""  # how it differs
+    #: steps, numbers of what was watched, values before and after.
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)
 
 
@@ -95,14 +82,6 @@ class GuidedPlan:
         arguments: other arguments than the recorded ones.
         checkpoints: whether copies of it wait at some steps; else going back is to run it again from its start.
         recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
-
-    Attributes:
-        step: the last recorded step that it has made; -1 before the first.
-        recorded_files: the recorded source by its files' paths, if that runs.
-        notes: what is different from when it was recorded.
-        last: the last step that it can come to.
-        parted: how it differs from the recording after that step, and lines that may be why, as they read the world
-            outside; "" if it isn't known to.
 
     Raises:
         CantRetrace: the plan isn't there, or the recording doesn't tell how it was run.
@@ -119,11 +98,13 @@ class GuidedPlan:
         recorded_source: bool = False,
     ) -> None:
         process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
-        self.recorded_files = process.recorded_files
-        self.notes = tuple(process.notes())
-        self.step = -1
-        self.last = len(log) - 1
+        self.recorded_files = process.recorded_files  # the recorded source by its files' paths, if that runs
+        self.notes = tuple(process.notes())  # what is different from when it was recorded
+        self.step = -1  # the last recorded step that it has made; -1 before the first
+        self.last = len(log) - 1  # the last step that it can come to
         self._log = log
+        # how it differs from the recording after that step, and lines that may be why, as they read the world outside;
+        # "" if it isn't known to
         self.parted = ""
         log.check()  # what is lost is known only then
         gap = next(iter(log.lost()), None)
@@ -249,25 +230,15 @@ def _halving(start: int, step: int) -> Iterator[int]:
 
 @dataclass(eq=False, slots=True)
 class PlanCopy:
-    """A process of the plan that is at a step, or goes on from there.
+    """A process of the plan that is at a step, or goes on from there."""
 
-    Attributes:
-        channel: to it.
-        pid: its number.
-        parent: the copy that it was forked from; None for the first process.
-        step: the last recorded step that it is known to have made.
-        parted: whether it did something else after that than the recording has.
-        can_wait: whether it could be copied there.
-        between: whether it has stopped after that step's record, on its way to the next one.
-    """
-
-    channel: Channel
-    pid: int
-    parent: PlanCopy | None
-    step: int = -1
-    parted: bool = False
-    can_wait: bool = False
-    between: bool = False
+    channel: Channel  # to it
+    pid: int  # its number
+    parent: PlanCopy | None  # the copy that it was forked from; None for the first process
+    step: int = -1  # the last recorded step that it is known to have made
+    parted: bool = False  # whether it did something else after that than the recording has
+    can_wait: bool = False  # whether it could be copied there
+    between: bool = False  # whether it has stopped after that step's record, on its way to the next one
 
 
 class PlanCopies:
@@ -276,17 +247,13 @@ class PlanCopies:
     Args:
         process: starts the first one.
         spacing: nanoseconds of the recording between copies; None for no copies.
-
-    Attributes:
-        waiting: copies that wait, each after its parent.
-        now: the process that has stopped, which may be one of these; None while another one comes.
-        runs: how often the first process was started.
     """
 
     def __init__(self, process: PlanProcess, spacing: int | None) -> None:
-        self.waiting: list[PlanCopy] = []
+        self.waiting: list[PlanCopy] = []  # copies that wait, each after its parent
+        # the process that has stopped, which may be one of these; None while another one comes
         self.now: PlanCopy | None = None
-        self.runs = 0
+        self.runs = 0  # how often the first process was started
         self._process = process
         self._spacing = spacing
         self._root: subprocess.Popen[bytes] | None = None

@@ -37,29 +37,20 @@ if TYPE_CHECKING:
 
 
 class NoFurther(ReplayError):
-    """There is no step to go to: the recording begins or ends there, or the plan parts from it.
-
-    Attributes:
-        step: where the plan is.
-    """
+    """There is no step to go to: the recording begins or ends there, or the plan parts from it."""
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(cause)
-        self.step = step
+        self.step = step  # where the plan is
 
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """Where the plan has stopped, and why there.
+    """Where the plan has stopped, and why there."""
 
-    Attributes:
-        arrival: the step.
-        met: the breakpoints there.
-        changes: values before and after of what was watched on the plan's variables, by the watch's number.
-    """
-
-    arrival: Arrival
-    met: list[Breakpoint] = field(default_factory=list)
+    arrival: Arrival  # the step
+    met: list[Breakpoint] = field(default_factory=list)  # the breakpoints there
+    #: values before and after of what was watched on the plan's variables, by the watch's number.
     changes: dict[int, tuple[str, str]] = field(default_factory=dict)
 
 
@@ -69,17 +60,12 @@ class Session:
     Args:
         log: the recording.
         plan: the plan.
-
-    Attributes:
-        log: as given.
-        plan: as given.
-        breakpoints: those that are set, in the order of their numbers.
     """
 
     def __init__(self, log: Recording, plan: GuidedPlan) -> None:
         self.log = log
         self.plan = plan
-        self.breakpoints: list[Breakpoint] = []
+        self.breakpoints: list[Breakpoint] = []  # those that are set, in the order of their numbers
         self._numbers = 0
 
     @cached_property
@@ -229,21 +215,14 @@ class Timeline:
 
     Args:
         log: the recording.
-
-    Attributes:
-        steps: how many there are.
-        paths: names of tasks from the outside in, by the steps of their starts.
-        kinds: kinds of tasks, by the same.
-        failures: steps at which something failed.
-        events: steps of events, by their names.
     """
 
     def __init__(self, log: RecordReader) -> None:
-        self.steps = len(log)
-        self.paths: dict[int, tuple[str, ...]] = {}
-        self.kinds: dict[int, str] = {}
-        self.failures: list[int] = []
-        self.events: dict[str, list[int]] = defaultdict(list)
+        self.steps = len(log)  # how many there are
+        self.paths: dict[int, tuple[str, ...]] = {}  # names of tasks from the outside in, by the steps of their starts
+        self.kinds: dict[int, str] = {}  # kinds of tasks, by the same
+        self.failures: list[int] = []  # steps at which something failed
+        self.events: dict[str, list[int]] = defaultdict(list)  # steps of events, by their names
         self._levels = [0] * self.steps
         self._parents: dict[int, int] = {}
         self._names: dict[int, tuple[str, ...]] = {0: ()}
@@ -366,40 +345,25 @@ _LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
 class NoSuchPlace(ReplayError, LookupError):
-    """A breakpoint was asked for where nothing happens in the recording.
-
-    Attributes:
-        place: as it was asked for.
-    """
+    """A breakpoint was asked for where nothing happens in the recording."""
 
     def __init__(self, place: str, cause: str) -> None:
         super().__init__(f"{place}: {cause}")
-        self.place = place
+        self.place = place  # as it was asked for
 
 
 @dataclass(slots=True)
 class Breakpoint:
-    """Where the plan stops.
+    """Where the plan stops."""
 
-    Attributes:
-        number: by which it is called, from 1.
-        text: what it is, in words.
-        steps: at which it stops the plan, in their order.
-        temporary: whether it ends when it has stopped the plan.
-        enabled: whether it stops the plan.
-        line: of a breakpoint at a line of the plan: its file and number.
-        changes: of a watch: the changes, by their steps.
-        watched: of a watch on the plan's variables.
-    """
-
-    number: int
-    text: str
-    steps: list[int] = field(default_factory=list)
-    temporary: bool = False
-    enabled: bool = True
-    line: tuple[str, int] | None = None
-    changes: dict[int, Change] = field(default_factory=dict)
-    watched: WatchedExpression | None = None
+    number: int  # by which it is called, from 1
+    text: str  # what it is, in words
+    steps: list[int] = field(default_factory=list)  # at which it stops the plan, in their order
+    temporary: bool = False  # whether it ends when it has stopped the plan
+    enabled: bool = True  # whether it stops the plan
+    line: tuple[str, int] | None = None  # of a breakpoint at a line of the plan: its file and number
+    changes: dict[int, Change] = field(default_factory=dict)  # of a watch: the changes, by their steps
+    watched: WatchedExpression | None = None  # of a watch on the plan's variables
 
     @property
     def counted(self) -> str:

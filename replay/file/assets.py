@@ -35,19 +35,14 @@ if TYPE_CHECKING:
 
 
 class Assets(Mapping[str, bytes]):
-    """Contents by name, ``<sha256>/<file name>``; each is read when it is asked for.
-
-    Attributes:
-        damaged: what is wrong with the damaged ones that were read, by name.
-        shared: the file of models that the recording names; None if it holds all itself.
-    """
+    """Contents by name, ``<sha256>/<file name>``; each is read when it is asked for."""
 
     def __init__(self, path: Path, index: Index) -> None:
         self._path = path
         self._index = index
         self._models: dict[str, Urdf] = {}
-        self.damaged: dict[str, str] = {}
-        self.shared = shared_by(path, index)
+        self.damaged: dict[str, str] = {}  # what is wrong with the damaged ones that were read, by name
+        self.shared = shared_by(path, index)  # the file of models that the recording names; None if it holds all itself
         self._looked = False  # into the shared file
 
     def __getitem__(self, name: str) -> bytes:
@@ -143,16 +138,13 @@ class SharedFile:
     Args:
         recording: the recording.
         stated: how it names the file.
-
-    Attributes:
-        name: of the file, as it is shown.
     """
 
     def __init__(self, recording: Path, stated: Mapping[str, str]) -> None:
         self._folder = Path(os.path.realpath(recording)).parent
         self._sha256 = stated.get("sha256", "")
         self._stated = stated.get("file", "")
-        self.name = self._stated[:_SHOWN].encode("unicode_escape").decode()
+        self.name = self._stated[:_SHOWN].encode("unicode_escape").decode()  # of the file, as it is shown
         self._index: Index | None = None
         self._cause: str | None = None  # why it isn't there; None if it wasn't looked for yet
 

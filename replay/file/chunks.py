@@ -2,11 +2,10 @@
 
 A chunk has about 50 records. What is damaged is noted and left out.
 
-The records of a file that another program has written, in the order of their steps.
-
-Such a copy of a recording may have other chunks or none, and its messages in any order. It is read once, for where each
-record is; then its records are handed out as chunks like those that the recorder makes. What its own chunks hold is
-kept meanwhile in a temporary file: inflated anew for each record, a large chunk could take hours.
+A file that another program has written may have other chunks or none, and its messages in any order. It is read once,
+for where each record is. Then its records are handed out in the order of their steps, in chunks like the recorder's.
+Meanwhile a temporary file holds the inflated contents of its own chunks: to inflate a large chunk anew for each record
+could take hours.
 """
 
 from __future__ import annotations
@@ -58,23 +57,41 @@ class _Entries:
 
 
 class Chunks:
-    """The chunks of a file.
-
-    Attributes:
-        damaged: what is wrong with the damaged ones that were read, by their number.
-    """
+    """The chunks of a file."""
 
     def __init__(self, index: Index) -> None:
         self._index = index
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
         self._cached = 0  # bytes of the chunks in it
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of the chunks that were read
-        self.damaged: dict[int, str] = {}
-        index.arrange(kinds_of)
+        self.damaged: dict[int, str] = {}  # what is wrong with the damaged ones that were read, by their number
+        self._sorted = None if index.ours else SortedMessages.of(index, kinds_of(index))
+        if self._sorted is not None:
+            index.chunks.arrange(self._sorted.chunks)
         self.refresh(0)
 
     def __len__(self) -> int:
         return len(self._index.chunks)
+
+    def close(self) -> None:
+        """Remove the temporary file, if there is one."""
+        if self._sorted is not None:
+            self._sorted.close()
+
+    def contents(self, number: int) -> tuple[bytes, str, int | None]:
+        """Return the messages of a chunk; see :meth:`replay.file.index.Index.contents`."""
+        if self._sorted is None:
+            return self._index.contents(number)
+        self._index.check_open()
+        return self._sorted.contents(number), "", None
+
+    def grow(self) -> bool:
+        """Look for chunks that were written since; return whether there is anything new."""
+        last = len(self) - 1
+        if self._sorted is not None or not self._index.refresh():
+            return False
+        self.refresh(last)
+        return True
 
     def channel_maps(self) -> Iterator[bytes | None]:
         """Return the channels in each chunk, as :class:`replay.file.mcap_format.ChunkExtent` has them."""
@@ -203,7 +220,7 @@ class Chunks:
             return self._cache[number]
         entries = _Entries()
         try:
-            contents, fault, stated = self._index.contents(number)
+            contents, fault, stated = self.contents(number)
             if fault:
                 self.damaged.setdefault(number, fault)
             if text not in contents:
@@ -287,7 +304,7 @@ _LOOSE: Final = -1
 _NUMBER: Final = 40  # bits of a message's number, below its step
 
 
-class _Places:
+class _MessagePlaces:
     """Where the messages of a file are, as compactly as millions of them need it.
 
     Attributes:
@@ -318,14 +335,10 @@ class _Places:
         self.lengths.append(extent.length)
 
 
-class Arrangement:
-    """The records of a file in the order of their steps.
+class SortedMessages:
+    """The records of a file in the order of their steps."""
 
-    Attributes:
-        chunks: what takes the place of the file's.
-    """
-
-    def __init__(self, index: Index, places: _Places) -> None:
+    def __init__(self, index: Index, places: _MessagePlaces) -> None:
         from tempfile import SpooledTemporaryFile  # noqa: PLC0415  slow to import, and seldom needed
 
         self._index = index
@@ -338,6 +351,7 @@ class Arrangement:
                 self._inflated.write(contents)
         numbers = array("Q", (key & ((1 << _NUMBER) - 1) for key in sorted(places.keys)))
         self._groups = [numbers[start : start + _MESSAGES] for start in range(0, len(numbers), _MESSAGES)]
+        # what takes the place of the file's
         self.chunks = [
             ChunkExtent(
                 0, 0, b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in {places.channels[at] for at in group})
@@ -346,7 +360,7 @@ class Arrangement:
         ]
 
     @classmethod
-    def of(cls, index: Index, kinds: Mapping[int, type[Record]]) -> Arrangement | None:
+    def of(cls, index: Index, kinds: Mapping[int, type[Record]]) -> SortedMessages | None:
         """Return the arrangement of a file; None if it needs none: its chunks have all records in their order.
 
         Args:
@@ -376,8 +390,8 @@ class Arrangement:
         return self._inflated.read(extent.length)
 
 
-def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) -> _Places:
-    places = _Places()
+def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) -> _MessagePlaces:
+    places = _MessagePlaces()
     for chunk, offset, message in _messages(index, damage):
         try:
             channel, step = _CHANNEL.unpack_from(message, HEADER)  # a message for other tools has its record's number

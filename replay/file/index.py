@@ -1,13 +1,14 @@
 """The index of a recording's file: its chunks, channels, attached files and metadata.
 
-A closed file has it at its end. Any other file is scanned once, header by header, and whatever is intact is indexed:
-the file may be open or damaged. No record is decoded.
+A closed file has it at its end. Any other file is scanned once, header by header, and past damage to the next intact
+chunk: its process was killed or still runs, or it is damaged. No record is decoded.
 """
 
 from __future__ import annotations
 
 import io
 import os
+import re
 import zlib
 from collections import defaultdict
 from typing import TYPE_CHECKING, BinaryIO, Final
@@ -18,8 +19,8 @@ from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, Met
 
 from recorder.mcap.writer import FREE, MAX_RATIO
 from replay.errors import LogClosed
-from replay.file.chunks import Arrangement
 from replay.file.mcap_format import (
+    CHANNEL_OFFSET,
     CHUNK_HEAD,
     CHUNK_INDEX,
     DAMAGE,
@@ -35,12 +36,12 @@ from replay.file.mcap_format import (
     Extent,
     StatedChunk,
 )
-from replay.file.scan import Scan
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Container, Mapping
 
     from recorder.records import Record
+
 
 _BLOCK: Final = 1 << 20  # bytes that are read at once
 _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
@@ -67,52 +68,33 @@ class _Budget:
 
 
 class Index:
-    """The index of a file, read from its end, or else by scanning it.
-
-    Attributes:
-        closed: whether the file was closed by its recorder.
-        whole: whether its summary is intact, so that no scan was needed.
-        damage: the parts that were left out, in words.
-        chunks: in the file's order.
-        channels: by their id.
-        schemas: names of message types by their id.
-        attachments: by name.
-        metadata: values by key, by name of the metadata.
-        counts: number of messages of each channel in all whole chunks.
-        incomplete_bytes: at the end, of a record that was cut off, or is being written.
-        data_end: where the record that ends the data begins; 0 if there is none, or it wasn't found.
-        library: the library that wrote the file, by its header; "" if that is damaged.
-        definitions: of message types, as in the file, by their names.
-        loose: messages outside of chunks, as some programs write them, in the file's order.
-        size: bytes of the file, when it was looked at last.
-    """
+    """The index of a file, read from its end, or else by scanning it."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
-        self.size = os.fstat(file.fileno()).st_size
+        self.size = os.fstat(file.fileno()).st_size  # bytes of the file, when it was looked at last
         self._decompressor = Decompressor()
-        self.closed = False
-        self.whole = False
-        self.damage: list[str] = []
-        self.chunks = ChunkTable()
-        self.channels: dict[int, Channel] = {}
-        self.schemas: dict[int, str] = {}
-        self.definitions: dict[str, bytes] = {}
-        self.loose: list[Extent] = []
-        self.attachments: dict[str, Extent] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.counts: defaultdict[int, int] = defaultdict(int)
-        self.incomplete_bytes = 0
-        self.data_end = 0
-        self._arrangement: Arrangement | None = None
+        self.closed = False  # whether the file was closed by its recorder
+        self.whole = False  # whether its summary is intact, so that no scan was needed
+        self.damage: list[str] = []  # the parts that were left out, in words
+        self.chunks = ChunkTable()  # in the file's order
+        self.channels: dict[int, Channel] = {}  # by their id
+        self.schemas: dict[int, str] = {}  # names of message types by their id
+        self.definitions: dict[str, bytes] = {}  # of message types, as in the file, by their names
+        self.loose: list[Extent] = []  # messages outside of chunks, as some programs write them, in the file's order
+        self.attachments: dict[str, Extent] = {}  # by name
+        self.metadata: dict[str, dict[str, str]] = {}  # values by key, by name of the metadata
+        self.counts: defaultdict[int, int] = defaultdict(int)  # number of messages of each channel in all whole chunks
+        self.incomplete_bytes = 0  # at the end, of a record that was cut off, or is being written
+        self.data_end = 0  # where the record that ends the data begins; 0 if there is none, or it wasn't found
         self._claimed = 0  # bytes of files and metadata, by the summary
         self._stored = _Budget()  # of the file's own bytes
         self._inflated = _Budget()
-        self._scan = Scan(file, self)
+        self._scan = FileScan(file, self)
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
             self.damage.append("its first bytes are damaged")
-        self.library = self._read_library()
+        self.library = self._read_library()  # the library that wrote the file, by its header; "" if that is damaged
         damaged = len(self.damage)
         try:
             self._read_summary()
@@ -130,14 +112,17 @@ class Index:
 
     def close(self) -> None:
         """Close the file."""
-        if self._arrangement is not None:
-            self._arrangement.close()
         self._file.close()
 
     @property
     def ours(self) -> bool:
         """Whether PyCRAM wrote the file, as far as is known; then it has all checksums, and steps in their order."""
         return not self.library or self.library.startswith("pycram")
+
+    def check_open(self) -> None:
+        """Raise `LogClosed` if the file was closed."""
+        if self._file.closed:
+            raise LogClosed(self._file.name)
 
     def read(self, extent: Extent | ChunkExtent | StatedChunk) -> bytes:
         """Return the content of a record, less if the file ends in it.
@@ -146,8 +131,7 @@ class Index:
             LogClosed: the file was closed.
             EOFError: it is not in the file.
         """
-        if self._file.closed:
-            raise LogClosed(self._file.name)
+        self.check_open()
         offset, length = extent.offset, extent.length
         if not (0 <= offset <= self.size and length >= 0):
             raise EOFError(f"byte {offset} is not in the file, or {length} bytes are no length")
@@ -163,10 +147,7 @@ class Index:
         Raises:
             Exception: it is damaged; what the decompressors raise has no common base.
         """
-        if self._file.closed:
-            raise LogClosed(self._file.name)
-        if self._arrangement is not None:
-            return self._arrangement.contents(number), "", None
+        self.check_open()
         stated = self.chunks.stated(number)
         if stated is None:
             return self._decompressed(number, memoryview(self.read(self.chunks[number]))), "", None
@@ -188,17 +169,6 @@ class Index:
             self._inflated.take(number, size, max(FREE, MAX_RATIO * self.size), _TOO_MUCH)
         return self._decompressor.contents(chunk)
 
-    def arrange(self, kinds_of: Callable[[Index], Mapping[int, type[Record]]]) -> None:
-        """Put the records of a file that another program wrote in the order of their steps; see :class:`Arrangement`.
-
-        Args:
-            kinds_of: returns types of record by channel.
-        """
-        if not self.ours:
-            self._arrangement = Arrangement.of(self, kinds_of(self))
-            if self._arrangement is not None:
-                self.chunks.arrange(self._arrangement.chunks)
-
     def check(self) -> None:
         """Compare the checksum of all bytes with the stored one, and add a difference to ``damage``.
 
@@ -218,7 +188,7 @@ class Index:
 
     def refresh(self) -> bool:
         """Look for what was written since; return whether there is anything new: never in a file that was closed."""
-        return not self.closed and self._arrangement is None and self._scan.resume()
+        return not self.closed and self._scan.resume()
 
     def _read_library(self) -> str:
         self._file.seek(len(MAGIC))
@@ -318,3 +288,219 @@ class Index:
             self.definitions[record.name] = record.data
         elif isinstance(record, Channel):
             self.channels[record.id] = record
+
+
+_MAX_LENGTH: Final = 1 << 32  # bytes; what claims to be longer is damaged
+#: Part of the head of each compressed chunk, by which the next one is found after damage.
+_MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
+
+
+class FileScan:
+    """A scan of a file into an index, which can be resumed when the file has grown."""
+
+    def __init__(self, file: BinaryIO, index: Index) -> None:
+        self._file = file
+        self._index = index
+        self._next = len(MAGIC)
+        self._counted: defaultdict[int, int] = defaultdict(int)  # messages of the last chunk, as far as indexed
+        self._decoded = -1  # the chunk whose messages were counted by decoding it
+
+    def resume(self) -> bool:
+        """FileScan on from where the last scan ended; return whether there is anything new."""
+        index = self._index
+        before = self._next
+        size = index.size = self._file.seek(0, io.SEEK_END)
+        at = self._next
+        while at + HEADER <= size:
+            opcode, extent = self._head(at)
+            if opcode == Opcode.DATA_END and extent.length == 4:
+                self._define_from_summary(extent.stop, size)
+                index.closed = self._has_end(size)
+                if index.closed:
+                    index.data_end = at
+                    index.whole = self._is_summary_intact(at, size)
+                    at = size
+                break
+            beyond = extent.stop > size
+            if beyond and not self._is_damaged(opcode, extent, size):
+                break  # incomplete, or being written
+            if not beyond and self._read(opcode, extent):
+                at = extent.stop
+                continue
+            following = self._next_chunk(at + 1, size)
+            if following is None:
+                break
+            index.damage.append(f"{following - at} bytes at byte {at} are damaged")
+            at = following
+        if index.chunks:
+            self._count_last()  # its index may be cut off, or not written yet
+        self._next = at
+        index.incomplete_bytes = size - at
+        return at > before
+
+    def _has_end(self, size: int) -> bool:
+        self._file.seek(max(size - len(MAGIC), 0))
+        return self._file.read() == MAGIC
+
+    def _is_summary_intact(self, data_end: int, size: int) -> bool:
+        """Return whether the summary is intact, or absent because the recorder wrote none."""
+        behind = data_end + DATA_END
+        self._file.seek(behind)
+        end = self._file.read(size - behind)
+        if len(end) < FOOTER + len(MAGIC):
+            return False
+        footer = Footer.read(ReadDataStream(io.BytesIO(end[-FOOTER - len(MAGIC) + HEADER :])))
+        if not footer.summary_start:
+            return len(end) == FOOTER + len(MAGIC)
+        crc = zlib.crc32(end[: -len(MAGIC) - 4])
+        intact = footer.summary_crc == crc or not (footer.summary_crc or self._index.ours)
+        return intact and footer.summary_start == behind
+
+    def _define_from_summary(self, at: int, size: int) -> None:
+        """Read the definitions of channels from the summary, in case the data's are lost; its offsets may be wrong."""
+        while at + HEADER <= size:
+            opcode, extent = self._head(at)
+            at = extent.stop
+            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or at > size:
+                return
+            try:
+                definition = self._definition(opcode, extent)
+            except DAMAGE:
+                return
+            defined: Container[int] = self._index.schemas if isinstance(definition, Schema) else self._index.channels
+            if definition.id not in defined:
+                self._index.define(definition)
+
+    def _definition(self, opcode: int, extent: Extent) -> Schema | Channel:
+        return _parsed(opcode, self._index.read(extent))
+
+    def _is_damaged(self, opcode: int, extent: Extent, size: int) -> bool:
+        """Return whether a record that reaches beyond the end is damaged, rather than cut off."""
+        if not Opcode.HEADER <= opcode <= Opcode.DATA_END or extent.length > _MAX_LENGTH:
+            return True
+        if opcode == Opcode.CHUNK and extent.offset + CHUNK_HEAD.size + 32 <= size:
+            return not self._is_chunk(extent)
+        # with whole chunks after it, it isn't the end that is cut off
+        return self._next_chunk(extent.offset, size) is not None
+
+    def _is_chunk(self, extent: Extent) -> bool:
+        self._file.seek(extent.offset)
+        head = self._file.read(CHUNK_HEAD.size + 32)
+        if len(head) < CHUNK_HEAD.size + 8:
+            return False
+        name = CHUNK_HEAD.unpack_from(head)[4]
+        at = CHUNK_HEAD.size + name
+        return bool(name <= 16 and extent.length == at + 8 + int.from_bytes(head[at : at + 8], "little"))
+
+    def _read(self, opcode: int, extent: Extent) -> bool:
+        """Read a whole record into the index; return whether it is intact."""
+        try:
+            if opcode == Opcode.CHUNK:
+                if extent.length < CHUNK_HEAD.size + 8 or not self._is_chunk(extent):
+                    return False
+                if self._index.chunks and self._index.chunks[-1].channels is None:
+                    self._count_last()
+                self._counted = defaultdict(int)
+                self._index.chunks.append(ChunkExtent(*extent, None))
+            elif opcode == Opcode.MESSAGE:
+                self._index.loose.append(extent)
+                self._file.seek(extent.offset)
+                self._index.counts[int.from_bytes(self._file.read(2), "little")] += 1
+            elif opcode == Opcode.MESSAGE_INDEX:
+                return self._read_message_index(extent)
+            elif opcode == Opcode.ATTACHMENT:
+                return self._read_attachment(extent)
+            elif opcode == Opcode.METADATA:
+                self._index.read_metadata(extent)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._index.define(self._definition(opcode, extent))
+        except DAMAGE:
+            return False
+        return Opcode.HEADER <= opcode <= Opcode.DATA_END
+
+    def _read_message_index(self, extent: Extent) -> bool:
+        self._file.seek(extent.offset)
+        head = self._file.read(6)
+        channel, length = int.from_bytes(head[:2], "little"), int.from_bytes(head[2:], "little")
+        if extent.length != 6 + length or length % 16:
+            return False
+        if not self._index.chunks or not length or self._decoded == len(self._index.chunks) - 1:
+            return True
+        entry = CHANNEL_OFFSET.pack(channel, extent.offset)
+        self._index.chunks.set_channels((self._index.chunks[-1].channels or b"") + entry)
+        self._counted[channel] += length // 16
+        self._index.counts[channel] += length // 16
+        if channel not in self._index.channels:
+            self._define_from(len(self._index.chunks) - 1)
+        return True
+
+    def _read_attachment(self, extent: Extent) -> bool:
+        self._file.seek(extent.offset + 16)
+        stream = ReadDataStream(self._file)
+        name = stream.read_prefixed_string()
+        stream.read_prefixed_string()
+        size = stream.read8()
+        if extent.length != 16 + stream.count + size + 4:
+            return False
+        self._index.attachments[name] = extent
+        return True
+
+    def _define_from(self, number: int) -> dict[int, int] | None:
+        """Read the channels that a chunk defines; return its messages by channel, None if it is damaged."""
+        counted: defaultdict[int, int] = defaultdict(int)
+        try:
+            contents = self._index.contents(number)[0]
+            at = 0
+            while at < len(contents):
+                opcode, length = LENGTH.unpack_from(contents, at)
+                content = contents[at + HEADER : at + HEADER + length]
+                if opcode == Opcode.MESSAGE:
+                    counted[int.from_bytes(content[:2], "little")] += 1
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._index.define(_parsed(opcode, content))
+                at += HEADER + length
+        except Exception:  # noqa: BLE001  decompressors' errors have no common base; reported when the chunk is read
+            return None
+        return counted
+
+    def _count_last(self) -> None:
+        """Count the last chunk's messages from itself."""
+        number = len(self._index.chunks) - 1
+        if number == self._decoded:
+            return
+        counted = self._define_from(number)
+        if counted is None:
+            return
+        for channel in counted.keys() | self._counted.keys():
+            self._index.counts[channel] += counted.get(channel, 0) - self._counted[channel]
+        self._index.chunks.set_channels(b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in counted))
+        self._decoded = number
+
+    def _next_chunk(self, start: int, size: int) -> int | None:
+        """Return the offset of the first intact chunk at or behind a byte; None if there is none."""
+        at = start
+        while at < size:
+            self._file.seek(at)
+            block = self._file.read(_BLOCK + 64)
+            for mark in _MARK.finditer(block):
+                offset = at + mark.start() - CHUNK_HEAD.size + 4 - HEADER
+                if offset >= start and self._chunk_at(offset, size):
+                    return offset
+            at += _BLOCK
+        return None
+
+    def _chunk_at(self, offset: int, size: int) -> bool:
+        opcode, extent = self._head(offset)
+        return opcode == Opcode.CHUNK and extent.stop <= size and self._is_chunk(extent)
+
+    def _head(self, offset: int) -> tuple[int, Extent]:
+        """Return the opcode of the record at an offset, and the extent of its content."""
+        self._file.seek(offset)
+        opcode, length = LENGTH.unpack(self._file.read(HEADER))
+        return opcode, Extent(offset + HEADER, length)
+
+
+def _parsed(opcode: int, content: bytes) -> Schema | Channel:
+    kind = Schema if opcode == Opcode.SCHEMA else Channel
+    definition: Schema | Channel = kind.read(ReadDataStream(io.BytesIO(content)))
+    return definition

@@ -24,25 +24,15 @@ _Mark: TypeAlias = "tuple[type[Record], Owner]"  # a type of record that a chunk
 
 @dataclass(frozen=True, slots=True)
 class Lifetime:
-    """A world from its opening to its end.
+    """A world from its opening to its end."""
 
-    Attributes:
-        world: its name.
-        number: which world of that name it is, from 1.
-        start: the step at which it was opened; 0 of the first of its name.
-        stop: the step at which the next one of its name was opened; None if there is none.
-        changes: numbers of the chunks with its mutations or keyframes.
-        keyframes: numbers of the chunks with its keyframes.
-        looks: numbers of the chunks with queries that taught its robots where objects are.
-    """
-
-    world: str
-    number: int
-    start: int
-    stop: int | None
-    changes: Sequence[int]
-    keyframes: Sequence[int]
-    looks: Sequence[int]
+    world: str  # its name
+    number: int  # which world of that name it is, from 1
+    start: int  # the step at which it was opened; 0 of the first of its name
+    stop: int | None  # the step at which the next one of its name was opened; None if there is none
+    changes: Sequence[int]  # numbers of the chunks with its mutations or keyframes
+    keyframes: Sequence[int]  # numbers of the chunks with its keyframes
+    looks: Sequence[int]  # numbers of the chunks with queries that taught its robots where objects are
 
     @property
     def title(self) -> str:

@@ -75,21 +75,13 @@ class ChunkExtent(NamedTuple):
 
 
 class StatedChunk(NamedTuple):
-    """What the index at a file's end states of a chunk.
+    """What the index at a file's end states of a chunk."""
 
-    Attributes:
-        offset: where it begins, with opcode and length.
-        length: its bytes, with these.
-        head: its first bytes, opcode and length first, up to its CRC.
-        tail: the bytes after its CRC, up to its data.
-        messages: how many it has; None if that isn't stated.
-    """
-
-    offset: int
-    length: int
-    head: bytes
-    tail: bytes
-    messages: int | None
+    offset: int  # where it begins, with opcode and length
+    length: int  # its bytes, with these
+    head: bytes  # its first bytes, opcode and length first, up to its CRC
+    tail: bytes  # the bytes after its CRC, up to its data
+    messages: int | None  # how many it has; None if that isn't stated
 
 
 class ChunkTable:

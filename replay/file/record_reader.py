@@ -1,13 +1,8 @@
-"""A recording: its records by step, also of a file whose process was killed, or is still running.
+"""A recording: its records by step, also of a file whose process was killed, or that a recorder is writing.
 
 No question costs more than a few chunks, however long the recording is; see :mod:`replay.file.index` and
-:mod:`replay.file.chunks`.
-
-The file of a recording: whether it is one, and whether a recorder is writing it.
-
-Recordings of newer releases: what this one doesn't know of them.
-
-They are read as far as they go: unknown fields are left out, of records of unknown kinds the envelope is read.
+:mod:`replay.file.chunks`. Of a recording of a newer release, unknown fields are left out, and of records of unknown
+kinds only the envelope is read.
 """
 
 from __future__ import annotations
@@ -45,6 +40,11 @@ from replay.file.lifetimes import Lifetime, closes_world, lifetimes_of
 from replay.file.mcap_format import MAGIC
 from replay.file.repair import Losses, lost_before, range_text, write_sound
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from types import TracebackType
@@ -57,21 +57,21 @@ __all__ = ["KINDS", "RecordReader"]
 
 R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output)
 
+_MIN_MAGIC: Final = len(MAGIC) - 2  # bytes that must be right: a damaged file may have wrong ones
+_MAX_NAMES: Final = 4  # in a message
+_FIRST: Final = [0, 1, 0]  # release: no recording of it is newer
+_MAX_DIGITS: Final = 9  # of a number that is one
+_RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
+
 
 class RecordReader:
-    """The records of a recording. Not for several threads at once.
-
-    Attributes:
-        path: the file.
-        assets: the attached files by ``<sha256>/<file name>``.
-        written_ns: when the file was last written to before it was opened, ns since the Unix epoch.
-        lost_before: steps that were lost before the file was repaired.
-    """
+    """The records of a recording. Not for several threads at once."""
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = Path(path)  # the file
         self._file = open_file(self.path)
         try:
+            # when the file was last written to before it was opened, ns since the Unix epoch
             self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns
             self._index = Index(self._file)
             check_ours(self.path, self._index)
@@ -80,8 +80,8 @@ class RecordReader:
         except BaseException:
             self._file.close()
             raise
-        self.assets = Assets(self.path, self._index)
-        self.lost_before = lost_before(self._index)
+        self.assets = Assets(self.path, self._index)  # the attached files by ``<sha256>/<file name>``
+        self.lost_before = lost_before(self._index)  # steps that were lost before the file was repaired
         self._gaps: list[range] = []  # what is lost, when so many chunks were known to be damaged, of so many steps
         self._gaps_of = (-1, -1)
 
@@ -101,6 +101,7 @@ class RecordReader:
     def close(self) -> None:
         """Close the file."""
         self.assets.close()
+        self._chunks.close()
         self._index.close()
 
     def after_fork(self) -> None:
@@ -362,10 +363,8 @@ class RecordReader:
 
     def refresh(self) -> bool:
         """Look for records that were written since, if the file was not closed; return whether there are any."""
-        last = len(self._chunks) - 1
-        if not self._index.refresh():
+        if not self._chunks.grow():
             return False
-        self._chunks.refresh(last)
         self.__dict__.pop("lifetimes", None)
         self._steps = self._count()
         return True
@@ -378,15 +377,6 @@ class RecordReader:
                 self._lost = abs(last.seq + 1 - sum(self.counts().values()))
                 return last.seq + 1
         raise Unreadable(self.path, "has no record that can be read")
-
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
-
-_MIN_MAGIC: Final = len(MAGIC) - 2  # bytes that must be right: a damaged file may have wrong ones
 
 
 def open_file(path: Path) -> BinaryIO:
@@ -458,27 +448,15 @@ def is_locked(file: BinaryIO) -> bool:
     return False
 
 
-_MAX_NAMES: Final = 4  # in a message
-_FIRST: Final = [0, 1, 0]  # release: no recording of it is newer
-_MAX_DIGITS: Final = 9  # of a number that is one
-_RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
-
-
 @dataclass(frozen=True, slots=True)
 class Newer:
-    """A newer release than this one, that wrote a recording.
+    """A newer release than this one, that wrote a recording."""
 
-    Attributes:
-        release: its version.
-        format: its format; see :mod:`recorder.records.definition`.
-        fields: what it has in messages that this one knows: fields, and values of enums, as ``Mutation.force``.
-        kinds: kinds of records that this one doesn't know.
-    """
-
-    release: str
-    format: int
+    release: str  # its version
+    format: int  # its format; see :mod:`recorder.records.definition`
+    #: what it has in messages that this one knows: fields, and values of enums, as ``Mutation.force``.
     fields: tuple[str, ...]
-    kinds: tuple[str, ...]
+    kinds: tuple[str, ...]  # kinds of records that this one doesn't know
 
     def __str__(self) -> str:
         text = f"written by PyCRAM {self.release or 'of an unknown version'}, which is newer than this one"

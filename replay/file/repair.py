@@ -38,23 +38,14 @@ _MAX_TEXT: Final = 1 << 16  # characters of the list of lost steps that are read
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """What a repaired copy lacks.
+    """What a repaired copy lacks."""
 
-    Attributes:
-        problems: of the original, in words.
-        steps: ranges of steps that are lost, as far as is known.
-        records: number of records that were kept.
-        chunks: what is wrong with the chunks that are lost, by their number in the original.
-        messages: number of messages in other chunks that can't be read.
-        files: what is wrong with the attached files that are lost, by their name.
-    """
-
-    problems: str
-    steps: tuple[range, ...]
-    records: int
-    chunks: Mapping[int, str]
-    messages: int
-    files: Mapping[str, str]
+    problems: str  # of the original, in words
+    steps: tuple[range, ...]  # ranges of steps that are lost, as far as is known
+    records: int  # number of records that were kept
+    chunks: Mapping[int, str]  # what is wrong with the chunks that are lost, by their number in the original
+    messages: int  # number of messages in other chunks that can't be read
+    files: Mapping[str, str]  # what is wrong with the attached files that are lost, by their name
 
 
 def write_sound(
@@ -93,7 +84,7 @@ def write_sound(
     records = unread = 0
     for number in range(len(chunks)):
         try:
-            messages = _messages(index.contents(number)[0])
+            messages = _messages(chunks.contents(number)[0])
         except LogClosed:
             raise
         except Exception as error:  # noqa: BLE001  decompressors' errors have no common base

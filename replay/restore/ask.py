@@ -45,38 +45,23 @@ _PARAMETERS: Final = {recorded: parameter for parameter, recorded in RECORDED_AS
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """An object that is moved before the query.
+    """An object that is moved before the query."""
 
-    Attributes:
-        body: name of the object.
-        position: xyz, m.
-        orientation: xyzw; None keeps it.
-    """
-
-    body: str
-    position: Vector
-    orientation: Quaternion | None = None
+    body: str  # name of the object
+    position: Vector  # xyz, m
+    orientation: Quaternion | None = None  # xyzw; None keeps it
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer to a query.
+    """The answer to a query."""
 
-    Attributes:
-        step: the step after which it was asked.
-        world: name of the world.
-        question: the query with its arguments.
-        moves: what was moved before.
-        answer: true or false, names of objects, or true or false for each of several.
-        evidence: what the answer is based on.
-    """
-
-    step: int
-    world: str
-    question: Question
-    answer: bool | list[str | bool]
-    evidence: Mapping[str, Plain]
-    moves: tuple[Move, ...] = ()
+    step: int  # the step after which it was asked
+    world: str  # name of the world
+    question: Question  # the query with its arguments
+    answer: bool | list[str | bool]  # true or false, names of objects, or true or false for each of several
+    evidence: Mapping[str, Plain]  # what the answer is based on
+    moves: tuple[Move, ...] = ()  # what was moved before
 
 
 def ask(

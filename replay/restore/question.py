@@ -49,17 +49,12 @@ class Question:
 
 
 class BadQuestion(ReplayError):
-    """A question that isn't one, or that the world of that step has no answer to.
-
-    Attributes:
-        question: as it was asked.
-        cause: what is wrong with it.
-    """
+    """A question that isn't one, or that the world of that step has no answer to."""
 
     def __init__(self, question: str, cause: str) -> None:
         super().__init__(f"{question}: {cause}")
-        self.question = question
-        self.cause = cause
+        self.question = question  # as it was asked
+        self.cause = cause  # what is wrong with it
 
 
 def question_of(record: Query) -> Question:

@@ -40,12 +40,7 @@ class _LastMutation(NullSink):
 
 
 class Reexecution:
-    """Worlds ``NAME@SUFFIX`` in which recorded changes are made again; a context manager that closes them.
-
-    Attributes:
-        worlds: those that are open, by their recorded names.
-        late: names of those that continue from a keyframe, or from what somebody dragged by hand.
-    """
+    """Worlds ``NAME@SUFFIX`` in which recorded changes are made again; a context manager that closes them."""
 
     def __init__(self, log: RecordReader, suffix: str, mode: str = "DIRECT") -> None:
         self._log = log
@@ -53,7 +48,8 @@ class Reexecution:
         self._mode = mode
         self._last = _LastMutation()
         self._journal = Journal([self._last])
-        self.worlds: dict[str, BulletWorld] = {}
+        self.worlds: dict[str, BulletWorld] = {}  # those that are open, by their recorded names
+        # names of those that continue from a keyframe, or from what somebody dragged by hand
         self.late: set[str] = set()
 
     def __enter__(self) -> Self:

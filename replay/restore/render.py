@@ -46,17 +46,11 @@ _SURROUNDINGS: Final = 0.7  # m of what is around a small thing that its picture
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """A body with where its links are, in the world.
+    """A body with where its links are, in the world."""
 
-    Attributes:
-        body: its state.
-        frames: poses of all its links.
-        parts: numbers of its links that have shapes, in the scene, by name.
-    """
-
-    body: Body
-    frames: Mapping[str, Pose]
-    parts: Mapping[str, int]
+    body: Body  # its state
+    frames: Mapping[str, Pose]  # poses of all its links
+    parts: Mapping[str, int]  # numbers of its links that have shapes, in the scene, by name
 
 
 class Scene:

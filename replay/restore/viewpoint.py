@@ -51,15 +51,10 @@ _CUT_GAP: Final = 0.02  # m before what is seen that a cut ends
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A link of a body, ready to be drawn.
+    """A link of a body, ready to be drawn."""
 
-    Attributes:
-        drawable: the link alone.
-        fixed: whether it is of furniture or of a wall, which may be cut away.
-    """
-
-    drawable: Drawable
-    fixed: bool
+    drawable: Drawable  # the link alone
+    fixed: bool  # whether it is of furniture or of a wall, which may be cut away
 
     @property
     def corners(self) -> NDArray[np.float64]:
@@ -75,30 +70,19 @@ _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for numb
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What a picture is of.
+    """What a picture is of."""
 
-    Attributes:
-        groups: numbers of the parts of each thing.
-        every: whether every single one has to be seen; else most of them.
-    """
-
-    groups: tuple[tuple[int, ...], ...]
-    every: bool
+    groups: tuple[tuple[int, ...], ...]  # numbers of the parts of each thing
+    every: bool  # whether every single one has to be seen; else most of them
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A camera, and what is cut away before it.
+    """A camera, and what is cut away before it."""
 
-    Attributes:
-        camera: the camera.
-        cut: numbers of the parts that are cut.
-        depth: m along the camera's axis up to which they are.
-    """
-
-    camera: Camera
-    cut: frozenset[int] = frozenset()
-    depth: float = 0.0
+    camera: Camera  # the camera
+    cut: frozenset[int] = frozenset()  # numbers of the parts that are cut
+    depth: float = 0.0  # m along the camera's axis up to which they are
 
     def draw(self, parts: Sequence[Part], window: Window, size: tuple[int, int]) -> Rendering:
         """Draw parts; the bodies of the rendering are their numbers."""
@@ -187,13 +171,7 @@ def _seen(view: View, parts: Sequence[Part], subject: Subject, most: float = -1.
 
 
 class _Glance:
-    """One thing alone and among all others, through the window just around it.
-
-    Attributes:
-        share: of its pixels that are seen.
-        hiding: numbers of the parts of furniture and walls that hide others of them.
-        depth: m along the camera's axis at which the nearest hidden one is.
-    """
+    """One thing alone and among all others, through the window just around it."""
 
     def __init__(self, view: View, parts: Sequence[Part], group: tuple[int, ...]) -> None:
         window = _window(view.camera, np.concatenate([parts[number].corners for number in group]))
@@ -201,10 +179,12 @@ class _Glance:
         among = view.draw(parts, window, _GLANCE).bodies
         there = alone.bodies >= 0
         hidden = there & ~np.isin(among, group)
-        self.share = 1.0 - float(hidden.sum() / there.sum()) if there.any() else 0.0
+        self.share = 1.0 - float(hidden.sum() / there.sum()) if there.any() else 0.0  # of its pixels that are seen
+        # numbers of the parts of furniture and walls that hide others of them
         self.hiding = frozenset(
             int(number) for number in np.unique(among[hidden]) if number >= 0 and parts[number].fixed
         )
+        # m along the camera's axis at which the nearest hidden one is
         self.depth = float(alone.depth[hidden].min(initial=np.inf))
 
 

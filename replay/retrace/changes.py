@@ -70,17 +70,12 @@ _ANSWERS: Final = {
 
 
 class BadChange(ReplayError):
-    """A change of a run that can't be made.
-
-    Attributes:
-        change: as it was given.
-        cause: what is wrong with it.
-    """
+    """A change of a run that can't be made."""
 
     def __init__(self, change: str, cause: str) -> None:
         super().__init__(f"{change}: {cause}")
-        self.change = change
-        self.cause = cause
+        self.change = change  # as it was given
+        self.cause = cause  # what is wrong with it
 
 
 # --- settings and the seed --------------------------------------------------------------------------------------------
@@ -88,19 +83,12 @@ class BadChange(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A value for something of an object, or for a fluent.
+    """A value for something of an object, or for a fluent."""
 
-    Attributes:
-        text: as it was given.
-        name: of the object; of the fluent.
-        quantity: "position", "orientation", "color" or a joint of the object; "" for a fluent.
-        value: its numbers; of a fluent any value.
-    """
-
-    text: str
-    name: str
-    quantity: str
-    value: Any
+    text: str  # as it was given
+    name: str  # of the object; of the fluent
+    quantity: str  # "position", "orientation", "color" or a joint of the object; "" for a fluent
+    value: Any  # its numbers; of a fluent any value
 
     def make(self, world: str) -> None:
         """Make it, in a world of this process.
@@ -246,19 +234,12 @@ def object_of(world: BulletWorld, name: str) -> Object:
 
 @dataclass(frozen=True, slots=True)
 class GivenAnswer:
-    """An answer for the next query that fits.
+    """An answer for the next query that fits."""
 
-    Attributes:
-        text: as it was given.
-        query: name of the query.
-        arguments: those that it has to have, by what records call them.
-        answer: true or false; names of objects; true or false for each of several.
-    """
-
-    text: str
-    query: str
-    arguments: Mapping[str, Term]
-    answer: Term
+    text: str  # as it was given
+    query: str  # name of the query
+    arguments: Mapping[str, Term]  # those that it has to have, by what records call them
+    answer: Term  # true or false; names of objects; true or false for each of several
 
     def fits(self, name: str, arguments: Mapping[str, object], world: BulletWorld) -> bool:
         """Return whether a query is the one that is meant."""
@@ -362,9 +343,6 @@ class PendingChanges:
         answers: is told those that are answers.
         make: makes another one.
         refuse: called with the error of one that can't be made; it doesn't return.
-
-    Attributes:
-        due: those whose step has passed, and which aren't made yet.
     """
 
     def __init__(
@@ -381,7 +359,7 @@ class PendingChanges:
         self._process = process()
         self._making = False
         self._done: Callable[[], None] | None = None
-        self.due: list[Change] = []
+        self.due: list[Change] = []  # those whose step has passed, and which aren't made yet
 
     def passed(self, step: int, done: Callable[[], None]) -> None:
         """Take note that a step's record is made; ``done`` is called when nothing is due any more."""
@@ -440,10 +418,6 @@ class QueryAnswers:
         guide: what the recording has next.
         taken: whether answers are taken from the recording.
         refuse: called with what is wrong with a given answer, where only the query itself tells; it doesn't return.
-
-    Attributes:
-        taken: how many were.
-        given: those that are to be given, in their order.
     """
 
     def __init__(self, guide: Guide, *, taken: bool, refuse: Callable[[Exception], NoReturn]) -> None:
@@ -452,8 +426,8 @@ class QueryAnswers:
         self._refuse = refuse
         self._process = process()
         self._beside: dict[int, Query] = {}  # by thread: what the record of its query has beside the answer
-        self.taken = 0
-        self.given: list[GivenAnswer] = []
+        self.taken = 0  # how many were
+        self.given: list[GivenAnswer] = []  # those that are to be given, in their order
 
     def __call__(
         self, question: Asked, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]

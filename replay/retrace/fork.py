@@ -28,38 +28,25 @@ if TYPE_CHECKING:
 
 
 class NotForked(ReplayError):
-    """The plan does something else before the step at which it was to leave the recording.
-
-    Attributes:
-        step: where it was to leave.
-        difference: the first record that came out differently.
-    """
+    """The plan does something else before the step at which it was to leave the recording."""
 
     def __init__(self, step: int, difference: FirstDifference) -> None:
         reads = "".join(f"; {each}" for each in reads_before(difference))
         super().__init__(f"it is another run before step {step}: at step {difference.step} {difference.text}{reads}")
-        self.step = step
-        self.difference = difference
+        self.step = step  # where it was to leave
+        self.difference = difference  # the first record that came out differently
 
 
 @dataclass(frozen=True, slots=True)
 class Fork:
-    """A run that was forked from another one.
+    """A run that was forked from another one."""
 
-    Attributes:
-        file: its recording, which is whole: it has the steps before the fork as well.
-        step: the last one that both have.
-        records: of its recording.
-        succeeded: whether the plan ended well.
-        notes: what else is different from when the first one was recorded.
-        control: the plan run again without the change, compared with the first recording to its end; None if it wasn't.
-    """
-
-    file: Path
-    step: int
-    records: int
-    succeeded: bool
-    notes: tuple[str, ...]
+    file: Path  # its recording, which is whole: it has the steps before the fork as well
+    step: int  # the last one that both have
+    records: int  # of its recording
+    succeeded: bool  # whether the plan ended well
+    notes: tuple[str, ...]  # what else is different from when the first one was recorded
+    #: the plan run again without the change, compared with the first recording to its end; None if it wasn't.
     control: Retracing | None = None
 
 

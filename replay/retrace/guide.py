@@ -72,10 +72,6 @@ class Guide(NullSink):
         report: called once, with the number of equal records and the first difference or None. It need not return.
         until: the last step that is compared; by default the recording's last.
         path: the file that the run would record to; recordings of its projections go beside it.
-
-    Attributes:
-        equal: number of records that were the same so far.
-        recorded_ns: when the last of them was made, by the recording's clock.
     """
 
     def __init__(
@@ -95,8 +91,8 @@ class Guide(NullSink):
         self._ended = False
         self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # of tasks that run, recorded and now
         self._strikes: dict[int, Collection[int]] | None = None  # by the number of the look; None until needed
-        self.equal = 0
-        self.recorded_ns = 0
+        self.equal = 0  # number of records that were the same so far
+        self.recorded_ns = 0  # when the last of them was made, by the recording's clock
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
         """Compare a record."""

@@ -37,15 +37,11 @@ _CACHE: Final = "__pycache__"  # has the compiled files of the disk
 
 
 class CantRetrace(ReplayError):
-    """What a recording tells of its run isn't enough to run it again, or the plan can't be run here.
-
-    Attributes:
-        cause: why, and what to do.
-    """
+    """What a recording tells of its run isn't enough to run it again, or the plan can't be run here."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)
-        self.cause = cause
+        self.cause = cause  # why, and what to do
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +62,6 @@ class PlanProcess:
         arguments: other arguments than the recorded ones.
         until: the last step that is compared; by default all are.
         recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
-
-    Attributes:
-        program: the file that will run, or whose recorded source will.
 
     Raises:
         CantRetrace: the plan isn't there, the recording doesn't tell how it was run, or it wouldn't do the same.
@@ -96,7 +89,7 @@ class PlanProcess:
         self._edited = plan is not None
         self._source: _RecordedSource | None = None
         if recorded_source:
-            self.program = _recorded_program(log, began)
+            self.program = _recorded_program(log, began)  # the file that will run, or whose recorded source will
             self._source = _RecordedSource(log, self.program)
         else:
             self.program = _program(log, began, plan)
@@ -304,10 +297,6 @@ def _program(log: RecordReader, began: Run, plan: str | Path | None) -> Path:
 class _RecordedSource:
     """The recorded source of a plan, whose file was run as ``program``.
 
-    Attributes:
-        files: the attached files by their paths in the plan's folder.
-        left_out: names of attached files whose places aren't known, or aren't below the plan's folder.
-
     Raises:
         CantRetrace: the plan's source isn't attached.
     """
@@ -321,7 +310,8 @@ class _RecordedSource:
         if len(main) != 1:
             raise CantRetrace(f"{log.path}: the source of {program.name} isn't attached to it")
         places = _places(log) - {program}
-        self.files = {Path(program.name): log.assets[main[0]]}
+        self.files = {Path(program.name): log.assets[main[0]]}  # the attached files by their paths in the plan's folder
+        # names of attached files whose places aren't known, or aren't below the plan's folder
         self.left_out: list[str] = []
         for key in keys:
             fitting = [place for place in places if place.name == name_of(key)]

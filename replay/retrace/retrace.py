@@ -49,25 +49,16 @@ _METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # of whatev
 
 @dataclass(frozen=True, slots=True)
 class Retracing:
-    """The result of retracing a recording.
+    """The result of retracing a recording."""
 
-    Attributes:
-        plan: the file that was run.
-        steps: of the recording.
-        equal: number of records, from the first on, that came out the same.
-        difference: the first one that didn't; None if all did, or those up to where the recording was cut or damaged.
-        notes: what else is different from when it was recorded, and may be why.
-        seconds: how long it took.
-        taken: number of queries whose answers were taken from the recording, instead of being asked again.
-    """
-
-    plan: Path
-    steps: int
-    equal: int
+    plan: Path  # the file that was run
+    steps: int  # of the recording
+    equal: int  # number of records, from the first on, that came out the same
+    #: the first one that didn't; None if all did, or those up to where the recording was cut or damaged.
     difference: FirstDifference | None
-    notes: tuple[str, ...]
-    seconds: float
-    taken: int = 0
+    notes: tuple[str, ...]  # what else is different from when it was recorded, and may be why
+    seconds: float  # how long it took
+    taken: int = 0  # number of queries whose answers were taken from the recording, instead of being asked again
 
     @property
     def identical(self) -> bool:
