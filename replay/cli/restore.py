@@ -68,7 +68,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, options: argparse.Namespace) -> int:
-    from replay.restore.session import run_script, shell, variables_of  # noqa: PLC0415  see run
+    from replay.restore.shell import run_script, shell, variables_of  # noqa: PLC0415  see run
 
     variables = variables_of(world, log, step)
     if script is not None:

@@ -38,9 +38,7 @@ from replay.file.mcap_format import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Mapping
-
-    from recorder.records import Record
+    from collections.abc import Container
 
 
 _BLOCK: Final = 1 << 20  # bytes that are read at once

@@ -18,7 +18,7 @@ from pycram.reasoning.queries.query import RECORDED_AS, Verdict
 from recorder.records import Query, format_error, to_json
 from replay.errors import NoSuchName
 from replay.restore.question import BadQuestion, Name, Question, parse, question_of
-from replay.restore.world import unrecorded
+from replay.restore.world import temporary_world
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def ask(
         raise NoSuchName("query", call.query, (*QUERIES, BELIEVED))
     state = state_at(log, step)
     name = state.world(world).name if world is not None else None
-    with unrecorded(log, step, name, moment) as restored:
+    with temporary_world(log, step, name, moment) as restored:
         try:
             for move in moves:
                 _apply(restored, move)

@@ -19,8 +19,7 @@ from recorder.records import Keyframe, Mutation
 from recorder.records.text import text_of
 from recorder.tracing.journal import unrecorded
 from replay.errors import Damaged, ReplayError
-from replay.restore.reexecute import Reexecution
-from replay.restore.world import reading
+from replay.restore.world import Reexecution, reading
 from replay.state.deviation import Deviation, first_deviation
 from replay.state.integrity import Problem
 from replay.state.json_data import record_data
