@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from replay.explain.step_names import moment_of, step_of
 from replay.file.record_reader import RecordReader
+from replay.history.steps import moment_of, step_of
 from replay.state.fold import last_open_step, state_at
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from pycram.world.world import BulletWorld
     from recorder.tasks import Tree
-    from replay.explain.blame import Blame
     from replay.explain.causes.why_data import Why
+    from replay.history.blame import Blame
     from replay.restore.ask import Answer, Move
     from replay.restore.question import Question
     from replay.state.state import Belief, State
@@ -35,7 +35,7 @@ class Recording(RecordReader):
     """
 
     def step(self, name: int | str) -> int:
-        """Return the number of a step; see :func:`replay.explain.step_names.step_of` for the names."""
+        """Return the number of a step; see :func:`replay.history.steps.step_of` for the names."""
         return step_of(self, name)
 
     def state_at(self, step: int | str) -> State:
@@ -65,7 +65,7 @@ class Recording(RecordReader):
 
     def tree(self, step: int | str | None = None) -> Tree:
         """Return the task tree, as it was after a step if one is given; the classes are those of ``pycram.tasks``."""
-        from replay.explain.task_tree import tree  # noqa: PLC0415  these take long to import
+        from replay.history.tasks import tree  # noqa: PLC0415  these take long to import
 
         return tree(self, None if step is None else self.step(step) + 1)
 
@@ -76,8 +76,8 @@ class Recording(RecordReader):
         return why(self, None if step is None else self.step(step))
 
     def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:
-        """Return what last changed a body or joint; see :func:`replay.explain.blame.blame`."""
-        from replay.explain.blame import blame  # noqa: PLC0415  as above
+        """Return what last changed a body or joint; see :func:`replay.history.blame.blame`."""
+        from replay.history.blame import blame  # noqa: PLC0415  as above
 
         return blame(self, target, None if step is None else self.step(step), world)
 

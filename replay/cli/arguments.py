@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message
-from replay.cli.formatting import sampled
 from replay.errors import ReplayError
-from replay.explain.step_names import HINT
+from replay.history.steps import HINT
+from replay.report.phrases import sampled
 
 if TYPE_CHECKING:
     import argparse

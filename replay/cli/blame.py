@@ -6,20 +6,18 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe, argument_values
-from replay.cli import call_stacks, formatting, record_text
 from replay.cli.console import print_result
-from replay.explain.blame import commanded
-from replay.explain.step_names import HINT
-from replay.state.json_data import record_data
+from replay.history.blame import Blame, Carried, commanded
+from replay.history.steps import HINT
+from replay.history.tasks import CausingTask, CausingTasks
+from replay.report import phrases, report
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from recorder.geometry import Pose
-    from replay.cli.call_stacks import CallStack
-    from replay.explain.blame import Blame, Carried
-    from replay.explain.causing_tasks import Causes
+    from replay.history.source import Line
     from replay.recording import Recording
 
 
@@ -36,70 +34,45 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the change and its causes."""
     change = log.blame(options.object, options.at, options.world)
-    print_result(lambda: facts(change), lines(change), as_json=options.json)
+    print_result(lambda: report.data(change), _lines(change, []), as_json=options.json)
     return 0
 
 
-def facts(change: Blame) -> dict[str, object]:
-    """Return the change as JSON data."""
-    return {
-        "world": change.world,
-        "other_worlds": change.other_worlds,
-        "without": change.default_world,
-        "object": change.body,
-        "joint": change.joint,
-        "how": change.how,
-        "before": change.before,
-        "after": change.after,
-        "distance": change.distance if math.isfinite(change.distance) else None,
-        "angle": change.angle,
-        "record": record_data(change.record),
-        "causes": _causes(change.causes),
-        "carried": [
-            {
-                "carrier": carried.held.carrier,
-                "carrier_link": carried.held.carrier_link,
-                "body": carried.held.body,
-                "step": carried.step,
-                "causes": _causes(carried.causes) if carried.causes is not None else None,
-            }
-            for carried in change.carried
-        ],
-        "earlier": facts(change.earlier) if change.earlier is not None else None,
-    }
+@report.data.register(Blame)
+def _(change: Blame) -> dict[str, object]:
+    data = report.fields_data(change, default_world="without", body="object")
+    return data | {"distance": change.distance if math.isfinite(change.distance) else None}
 
 
-def _causes(causes: Causes) -> dict[str, object]:
-    return {
-        "tasks": [
-            {
-                "id": task.started.task,
-                "kind": task.started.kind,
-                "name": task.started.name,
-                "parameters": argument_values(task.started.parameters),
-                "step": task.started.seq,
-                "cause": task.started.cause,
-            }
-            | call_stacks.facts(task.call_stack)
-            for task in causes.tasks
-        ],
-    } | call_stacks.facts(causes.call_stack)
+@report.data.register(Carried)
+def _(carried: Carried) -> dict[str, object]:
+    held = carried.held
+    found = {"carrier": held.carrier, "carrier_link": held.carrier_link, "body": held.body}
+    return found | {"step": carried.step, "causes": report.data(carried.causes)}
 
 
-def lines(change: Blame) -> Iterator[str]:
-    """Yield the change as text."""
-    yield from _lines(change, [], is_earlier=False)
+@report.data.register(CausingTask)
+def _(task: CausingTask) -> dict[str, object]:
+    started = task.started
+    found = {"id": started.task, "kind": started.kind, "name": started.name}
+    found |= {"parameters": argument_values(started.parameters), "step": started.seq, "cause": started.cause}
+    return found | report.call_stack(task.call_stack)
 
 
-def _lines(change: Blame, printed: list[CallStack], *, is_earlier: bool) -> Iterator[str]:
+@report.data.register(CausingTasks)
+def _(causes: CausingTasks) -> dict[str, object]:
+    return {"tasks": report.data(causes.tasks)} | report.call_stack(causes.call_stack)
+
+
+def _lines(change: Blame, printed: list[Sequence[Line]], *, is_earlier: bool = False) -> Iterator[str]:
     yield _headline(change)
-    yield f"  step {change.record.seq}: {record_text.line(change.record)}"
+    yield f"  step {change.record.seq}: {phrases.record_line(change.record)}"
     if not getattr(change.record, "by_fork", False):  # which its line says
         yield from _because(change.causes, "  ", printed)
     for carried in change.carried:
         yield from _held(carried, printed)
     if change.other_worlds and not is_earlier:
-        yield f"  ({change.body} is in {formatting.names(change.other_worlds)} too: --world chooses one)"
+        yield f"  ({change.body} is in {phrases.names(change.other_worlds)} too: --world chooses one)"
     if change.default_world and not is_earlier:
         yield f"  ({change.default_world}, the world opened last, has no {change.body}: --world chooses one)"
     if change.earlier is not None:
@@ -118,48 +91,37 @@ def _headline(change: Blame) -> str:
         return f"{name} was at {where} already when the recording began"
     if change.how == "load":
         return f"{name} has been at {where} since it was loaded"
-    by = {
-        "command": "was moved",
-        "carried": f"was carried by {change.carried[-1].held.carrier}" if change.carried else "was carried",
-        "along": f"moved along with {commanded(change.record)}",
-        "hand": "was dragged by hand in the window",
-        "driven": "followed a trajectory",
-        "physics": "moved in simulation",
-        "reset": "moved when the world was reset",
-        "restored": "moved when a saved state was restored",
-    }
+    carrier = change.carried[-1].held.carrier if change.carried else ""
+    moved = phrases.move(change.how, commanded(change.record) if change.how == "along" else carrier)
     if isinstance(change.before, float) and isinstance(change.after, float):
-        before, after = formatting.apart(change.before, change.after)
-        return f"{name} {by[change.how]}: from {before} to {after}"
-    return f"{name} {by[change.how]}: {_size(change)} to {where}"
+        before, after = phrases.apart(change.before, change.after)
+        return f"{name} {moved}: from {before} to {after}"
+    turned = phrases.turned(change.angle)
+    size = f"by {phrases.length(change.distance)}" + (f", {turned}," if change.angle >= _MIN_TURN else "")
+    if change.angle and not change.distance:
+        size = f"{turned}, not moved away,"
+    return f"{name} {moved}: {size} to {where}"
 
 
 def _value(value: Pose | float) -> str:
-    return formatting.number(value) if isinstance(value, float) else formatting.vector(value[0])
+    return phrases.number(value) if isinstance(value, float) else phrases.vector(value[0])
 
 
-def _size(change: Blame) -> str:
-    turned = f"turned by {formatting.degrees(change.angle)}"
-    if change.angle and not change.distance:
-        return f"{turned}, not moved away,"
-    return f"by {formatting.length(change.distance)}" + (f", {turned}," if change.angle >= _MIN_TURN else "")
-
-
-def _because(causes: Causes, indent: str, printed: list[CallStack]) -> Iterator[str]:
+def _because(causes: CausingTasks, indent: str, printed: list[Sequence[Line]]) -> Iterator[str]:
     for started in (task.started for task in causes.tasks):
-        called = formatting.task(started.kind, started.name, argument_values(started.parameters))
+        called = phrases.task(started.kind, started.name, argument_values(started.parameters))
         by = "by" if started.kind == "handler" else "in"
         event = f", step {started.cause}" if by == "by" and started.cause else ""  # 0: before the recording
         yield f"{indent}{by} {called}{event}  [step {started.seq}]"
     if not causes.tasks:
         yield f"{indent}by the plan itself"
-    yield from (f"{indent}{line}" for line in call_stacks.lines(causes.call_stack, printed))
+    yield from (f"{indent}{line}" for line in phrases.call_stack_lines(causes.call_stack, printed))
 
 
-def _held(carried: Carried, printed: list[CallStack]) -> Iterator[str]:
+def _held(carried: Carried, printed: list[Sequence[Line]]) -> Iterator[str]:
     held = carried.held
     if carried.step is None or carried.causes is None:
-        yield f"  {formatting.carrier(held)} held {held.body} already when the recording began"
+        yield f"  {phrases.carrier(held)} held {held.body} already when the recording began"
         return
-    yield f"  {formatting.carrier(held)} held {held.body} since step {carried.step}, where it was attached"
+    yield f"  {phrases.carrier(held)} held {held.body} since step {carried.step}, where it was attached"
     yield from _because(carried.causes, "    ", printed)

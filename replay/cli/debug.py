@@ -10,8 +10,8 @@ from replay.cli.fork import AGAIN
 from replay.cli.main import FINE
 from replay.cli.retrace import add_source_and_arguments
 from replay.errors import ReplayError
-from replay.explain.root_cause import uncaught_failure
-from replay.explain.step_names import HINT
+from replay.history.failures import uncaught_failure
+from replay.history.steps import HINT
 
 if TYPE_CHECKING:
     import argparse

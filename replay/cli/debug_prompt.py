@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
 from recorder.user_folders import cache_folder
-from replay.cli import formatting, main, record_text
+from replay.cli import main
+from replay.report import phrases
 from replay.cli.console import print_message, visible
 from replay.debug.expressions import quantity_names
 from replay.debug.guided_plan import PlanInterrupted
@@ -201,7 +202,7 @@ class FramesPrompt(LinePrompt):
         time = f"{record.sim_step / STEPS_PER_SECOND:.3f} s"
         print(
             self.painted(f"step {step} of {len(self.log) - 1}  {time}{place}", "36"),
-            visible(f" {kind_of(record)} {record_text.line(record)}"),
+            visible(f" {kind_of(record)} {phrases.record_line(record)}"),
         )
         if self.stack:
             self._tell_frame()
@@ -212,7 +213,7 @@ class FramesPrompt(LinePrompt):
         at = self.frame if number is None else number
         frame = self.stack[at]
         mark = ">" if at == self.frame else " "
-        print(visible(f"{mark} {formatting.path(frame['file'])}({frame['line']}){frame['function']}()"))
+        print(visible(f"{mark} {phrases.path(frame['file'])}({frame['line']}){frame['function']}()"))
         text = linecache.getline(frame["file"], frame["line"]).strip()
         if text:
             print(self.painted(f"-> {text}", "1") if at == self.frame else visible(f"-> {text}"))
@@ -366,7 +367,7 @@ def _short(value: object) -> str:
         return f"{value:.6g}"
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_short, value))}]"
-    return formatting.short(str(value))
+    return phrases.short(str(value))
 
 
 #: Verbs of ``pycram-replay`` as commands: what stands before and after what is typed; "STEP" is where the plan is.

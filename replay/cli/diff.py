@@ -7,24 +7,24 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from replay.cli import formatting, record_text
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE, INCOMPLETE
+from replay.compare.runs import compare
+from replay.compare.states import difference
 from replay.errors import ReplayError
-from replay.explain.compare_runs import compare
-from replay.explain.step_names import HINT
+from replay.history.steps import HINT
 from replay.recording import Recording
-from replay.state.difference import difference
+from replay.report import phrases
 from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.records import Record
-    from replay.explain.compare_runs import Comparison, Divergence
-    from replay.explain.run_summary import Summary
+    from replay.compare.runs import Comparison, Divergence
+    from replay.compare.states import BodyChange, Difference
+    from replay.history.summary import Summary
     from replay.runs.runs import Runs
-    from replay.state.difference import BodyChange, Difference
     from replay.state.state import Attachment
 
 _MAX_LISTED: Final = 8  # joints and fields that are listed one by one
@@ -133,19 +133,19 @@ def lines(delta: Difference, *, whole: bool = False) -> Iterator[str]:
 
 def _plain(value: object) -> str:
     if isinstance(value, tuple):
-        return formatting.vector(value)
+        return phrases.vector(value)
     if value is None:
         return "nowhere"
-    return formatting.number(value) if isinstance(value, float) else str(value) or "none"
+    return phrases.number(value) if isinstance(value, float) else str(value) or "none"
 
 
 def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
     changes = []
     if change.moved or (whole and (change.distance or change.angle)):
         is_turned = change.angle > 0 and (whole or change.angle >= _MIN_TURN)
-        turned = f", turned by {formatting.degrees(change.angle)}" if is_turned else ""
-        before, after = formatting.vectors(change.before[0], change.after[0])
-        changes.append(f"moved by {formatting.length(change.distance)}{turned}: {before} -> {after}")
+        turned = f", turned by {phrases.degrees(change.angle)}" if is_turned else ""
+        before, after = phrases.vectors(change.before[0], change.after[0])
+        changes.append(f"moved by {phrases.length(change.distance)}{turned}: {before} -> {after}")
     if change.carrier_changed:
         holder, former = change.carrier[1], change.carrier[0]
         changes.append(f"held by {_holder(holder)}, before by {_holder(former)}")
@@ -163,7 +163,7 @@ def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
 
 
 def _joint(name: str, pair: tuple[float, float]) -> str:
-    before, after = formatting.apart(*pair)
+    before, after = phrases.apart(*pair)
     return f"{name} {before} -> {after}"
 
 
@@ -172,7 +172,7 @@ def _travel(item: tuple[str, tuple[float, float]]) -> float:
 
 
 def _holder(held: Attachment | None) -> str:
-    return "nothing" if held is None else formatting.carrier(held)
+    return "nothing" if held is None else phrases.carrier(held)
 
 
 # --- two recordings --------------------------------------------------------------------------------------------------
@@ -227,14 +227,14 @@ def _divergence(divergence: Divergence, equal: int) -> Iterator[str]:
         yield f"  {name:6} {_record(record)}"
     for field, (before, after) in list(divergence.fields.items())[:_MAX_LISTED]:
         apart = f"  (by {abs(after - before):.3g})" if isinstance(before, float) and isinstance(after, float) else ""
-        yield f"    {field}: {formatting.value(before)} -> {formatting.value(after)}{apart}"
+        yield f"    {field}: {phrases.value(before)} -> {phrases.value(after)}{apart}"
     if len(divergence.fields) > _MAX_LISTED:
         yield f"    ... {len(divergence.fields) - _MAX_LISTED} more values"
 
 
 def _record(record: Record | None) -> str:
     return (
-        f"step {record.seq}: {formatting.short(record_text.line(record))}"
+        f"step {record.seq}: {phrases.short(phrases.record_line(record))}"
         if record is not None
         else "has no such record"
     )

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.mcap.output_file import free_path
-from replay.cli import formatting
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
 from replay.cli.retrace import add_source_and_arguments, facts_of, lines_of
-from replay.explain.step_names import HINT
+from replay.history.steps import HINT
 
 if TYPE_CHECKING:
     import argparse
@@ -101,7 +100,7 @@ def tell(log: Recording, forked: Fork, *, as_json: bool) -> int:
 
 def _lines(log: Recording, forked: Fork) -> Iterator[str]:
     ended = "succeeded" if forked.succeeded else "failed"
-    file = formatting.path(str(forked.file))
+    file = phrases.path(str(forked.file))
     yield f"{file}: {forked.records} records, the first {forked.step + 1} as in {log.path}; the plan {ended}"
     yield from (f"note  {note}" for note in forked.notes)
     if forked.control is not None:

@@ -7,16 +7,16 @@ import shlex
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import print_result
-from replay.cli.formatting import one_line
-from replay.explain.run_summary import summary
 from replay.file.lifetimes import title
+from replay.history.summary import summary
+from replay.report.phrases import one_line
 from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     import argparse
 
     from recorder.records import Change, Revision, Run
-    from replay.explain.run_summary import Summary
+    from replay.history.summary import Summary
     from replay.recording import Recording
     from replay.runs.runs import Runs
 

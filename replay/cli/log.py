@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
-from replay.cli import record_text
 from replay.cli.console import print_json, print_message, print_text
 from replay.errors import NoSuchName
-from replay.explain.plan_source import Source, is_file
-from replay.explain.step_names import HINT
 from replay.file.chunks import KINDS
+from replay.history.source import PlanSource, is_file
+from replay.history.steps import HINT
+from replay.report import phrases
 from replay.state.json_data import kind_of, mentions, record_data
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ class RecordFilter:
                 raise NoSuchName("object", self.body, bodies)
         if self.where is not None:
             file, number = self.where
-            source = Source(log)
+            source = PlanSource(log)
             if not source.has(file):
                 raise NoSuchName("file of the plan", file, source.files)
             lines = len(source.text(file).splitlines())
@@ -180,7 +180,7 @@ class RecordFilter:
             return None
         if self.body is not None and not mentions(record, self.body):
             return None
-        line = record_text.line(record)
+        line = phrases.record_line(record)
         return line if self.text is None or self.text.casefold() in line.casefold() else None
 
 

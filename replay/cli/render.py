@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from replay.cli.arguments import add_step, numbers, print_moment
 from replay.cli.console import print_message, print_result
-from replay.cli.formatting import names
 from replay.errors import ReplayError
+from replay.report.phrases import names
 
 if TYPE_CHECKING:
     import argparse

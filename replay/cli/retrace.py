@@ -9,7 +9,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from replay.cli import formatting
+from replay.report import phrases
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE, INCOMPLETE, USAGE
 from replay.errors import ReplayError, Unreadable
@@ -109,7 +109,7 @@ def facts_of(result: Retracing) -> dict[str, object]:
 def lines_of(result: Retracing, of: str) -> Iterator[str]:
     """Yield the result as text, with what it is the result of before the plan's name."""
     difference = result.difference
-    of += formatting.path(str(result.plan))
+    of += phrases.path(str(result.plan))
     if difference is None:
         taken = f", with {result.taken} recorded answers" if result.taken else ""
         where = f"{result.equal} records" if result.equal == result.steps else f"first {result.equal} records"
@@ -118,7 +118,7 @@ def lines_of(result: Retracing, of: str) -> Iterator[str]:
         yield f"different  {of}, from step {difference.step} on: {difference.text.replace(*_short(difference.line))}"
         yield from (f"           called from {_short(caller)[1]}" for caller in difference.callers[:_MAX_CALLERS])
         for name, (before, now) in list(difference.fields.items())[:_MAX_FIELDS]:
-            yield f"           {name}: recorded {formatting.short(str(before))}, now {formatting.short(str(now))}"
+            yield f"           {name}: recorded {phrases.short(str(before))}, now {phrases.short(str(now))}"
         left = len(difference.fields) - _MAX_FIELDS
         if left > 0:
             yield f"           and {left} more fields"
@@ -128,4 +128,4 @@ def lines_of(result: Retracing, of: str) -> Iterator[str]:
 def _short(line: str) -> tuple[str, str]:
     """Return a plan's line, and with its file's path from the folder that one is in."""
     file, _, number = line.rpartition(":")
-    return (line, f"{formatting.path(file)}:{number}") if file else ("\0", "")
+    return (line, f"{phrases.path(file)}:{number}") if file else ("\0", "")

@@ -6,9 +6,9 @@ import json
 import textwrap
 from typing import TYPE_CHECKING, Final
 
-from replay.cli import record_text
 from replay.cli.arguments import add_step
 from replay.cli.console import print_result
+from replay.report import phrases
 from replay.state.json_data import kind_of, record_data
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     record = log[log.step(options.step)]
     fields = record_data(record)
     further = {key: item for key, item in fields.items() if key not in ("step", "kind")}
-    lines = [f"step {record.seq}: {kind_of(record)}: {record_text.line(record)}", *_lines(further, "  ")]
+    lines = [f"step {record.seq}: {kind_of(record)}: {phrases.record_line(record)}", *_lines(further, "  ")]
     print_result(lambda: fields, lines, as_json=options.json)
     return 0
 

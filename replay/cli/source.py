@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from replay.cli.console import print_json, print_result, print_text
 from replay.errors import NoSuchName, ReplayError
-from replay.explain.plan_source import name_of
+from replay.history.source import name_of
 
 if TYPE_CHECKING:
     import argparse

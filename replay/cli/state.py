@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND
 from recorder.records.following import time_of
-from replay.cli import formatting
 from replay.cli.arguments import add_step
 from replay.cli.console import print_message, print_result
-from replay.state.difference import NOTABLE_METRES
+from replay.compare.states import NOTABLE_METRES
+from replay.report import phrases
 from replay.state.fold import last_open_step
 from replay.state.json_data import state_data
 
@@ -77,7 +77,7 @@ def _shown(state: State, only: str | None, name: str | None) -> Iterator[tuple[W
 
 
 def _lines(state: State, only: str | None, name: str | None, *, links: bool) -> Iterator[str]:
-    yield f"after step {state.step}" if state.sampled is None else formatting.sampled(state.sampled)
+    yield f"after step {state.step}" if state.sampled is None else phrases.sampled(state.sampled)
     for world, bodies in _shown(state, only, name):
         yield from _world(state, world, bodies, details=only is not None, links=links)
 
@@ -105,7 +105,7 @@ def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
     for belief in reversed(world.believed()):
         if {belief.robot, belief.object}.isdisjoint(shown):
             continue
-        source, since = formatting.learned(belief.source, belief.step), belief.sim_step / STEPS_PER_SECOND
+        source, since = phrases.learned(belief.source, belief.step), belief.sim_step / STEPS_PER_SECOND
         away = math.dist(belief.position, world.bodies[belief.object].position)
         wrong = f"; it is {away:.3f} m from there" if away >= NOTABLE_METRES else ""
         position = ", ".join(f"{part:.4f}" for part in belief.position)
@@ -128,7 +128,7 @@ def _pose(name: str, width: int, pose: Pose) -> str:
 
 def _body(world: World, body: Body, width: int, *, details: bool) -> Iterator[str]:
     held = world.carrier(body.name)
-    by = f"  held by {formatting.carrier(held)}" if held else ""
+    by = f"  held by {phrases.carrier(held)}" if held else ""
     yield f"  {_pose(body.name, width, body.pose)}{by}"
     if details:
         yield f"    type {body.type}{', fixed base' if body.fixed_base else ''}"

@@ -6,8 +6,8 @@ import dataclasses
 import shlex
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.formatting import one_line, short
 from replay.cli.reading_runs import percent, plural, success
+from replay.report.phrases import one_line, short
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

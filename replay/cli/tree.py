@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from replay.cli.console import print_json_list, print_text
-from replay.explain.step_names import HINT
+from replay.history.steps import HINT
 
 if TYPE_CHECKING:
     import argparse

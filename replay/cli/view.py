@@ -12,7 +12,7 @@ from recorder.records import Task
 from recorder.records.projections import recording_name
 from replay.cli.console import native_output_to_stderr, print_json, print_message, print_result, print_text
 from replay.errors import ReplayError
-from replay.explain.step_names import HINT
+from replay.history.steps import HINT
 from replay.recording import Recording
 
 if TYPE_CHECKING:

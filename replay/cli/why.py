@@ -11,7 +11,7 @@ from replay.cli.main import FINE, INCOMPLETE, USAGE
 from replay.cli.why_json import facts
 from replay.cli.why_text import lines
 from replay.errors import Damaged, ReplayError
-from replay.explain.step_names import HINT
+from replay.history.steps import HINT
 
 if TYPE_CHECKING:
     import argparse

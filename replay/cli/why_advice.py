@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING, Final
 
-from replay.cli import record_text
+from replay.report import phrases
 from replay.restore.question import BadQuestion, Name, Question, Term, question_of
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def asked_again(query: Query) -> str:
     try:
         question = question_of(query)
     except BadQuestion:
-        return record_text.question(query)
+        return phrases.question(query)
     for name, term in question.keywords.items():
         if name in ("threshold", "margin", "grasp", "orientation", "collision_free"):
             break

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final
 from recorder.records import Query, argument_values, format_failure
 from recorder.records.choices import rejection_lines
 from recorder.tasks import State
-from replay.cli import formatting, record_text
 from replay.cli.why_phrases import (
     answer_text,
     change_text,
@@ -26,6 +25,7 @@ from replay.cli.why_phrases import (
 )
 from replay.explain.causes import cause as kinds
 from replay.explain.causes.timeout import duration
+from replay.report import phrases
 
 if TYPE_CHECKING:
     from replay.explain.causes.cause import Cause
@@ -66,7 +66,7 @@ def first_line(cause: Cause) -> str:
 
 @singledispatch
 def _words(cause: Cause) -> Iterator[str]:
-    yield f"{cause.kind}: steps {formatting.names([str(step) for step in cause.steps])}"
+    yield f"{cause.kind}: steps {phrases.names([str(step) for step in cause.steps])}"
 
 
 @_words.register
@@ -90,7 +90,7 @@ def _(cause: kinds.Swallowed) -> Iterator[str]:
 @_words.register
 def _(cause: kinds.Refused) -> Iterator[str]:
     asked, failure = cause.asked, cause.asked.failure
-    call = formatting.call(asked.name, argument_values(asked.arguments))
+    call = phrases.call(asked.name, argument_values(asked.arguments))
     at = f" at {place(cause.line)}" if cause.line is not None else ""
     on = f" at {place(cause.went_on)}" if cause.went_on is not None else ""
     inside = f", in {handler_text(cause.handler)}," if cause.handler is not None else ""
@@ -98,7 +98,7 @@ def _(cause: kinds.Refused) -> Iterator[str]:
     lacked = lacked.replace("the  ", "the ")
     refused = f"{call}{at} was refused at step {asked.seq}{inside}"
     yield f"{refused} and the plan went on{on}; {lacked} at step {cause.steps[-1]}"
-    yield f"it was refused with: {formatting.one_line(format_failure(failure))}"
+    yield f"it was refused with: {phrases.one_line(format_failure(failure))}"
 
 
 @_words.register
@@ -120,7 +120,7 @@ def _(cause: kinds.HandState) -> Iterator[str]:
 
 @_words.register
 def _(cause: kinds.Physics) -> Iterator[str]:
-    size = f"by {formatting.length(cause.fall if cause.how == 'fell' else cause.distance)}"
+    size = f"by {phrases.length(cause.fall if cause.how == 'fell' else cause.distance)}"
     if cause.tilt >= math.radians(1):
         size += f" and leant over by {math.degrees(cause.tilt):.0f} degrees"
     at = f" at {place(cause.line)}" if cause.line is not None else ""
@@ -155,7 +155,7 @@ def _removed(cause: kinds.Physics) -> bool:
 def _(cause: kinds.Raised) -> Iterator[str]:
     what = "the plan raised it itself" if cause.own else f"a mistake of the plan's: {cause.type}"
     inside = f", in {task_text(cause.task)}" if cause.task is not None else ""
-    yield f"{what} at {place(cause.line)}{inside}: {formatting.short(cause.line.text)}"
+    yield f"{what} at {place(cause.line)}{inside}: {phrases.short(cause.line.text)}"
     for answer in cause.answers:
         yield f"before that, at step {answer.seq}: {answer_text(answer)}"
 
@@ -169,16 +169,16 @@ def _(cause: kinds.Timeout) -> Iterator[str]:
         yield from pending_lines(pending)
     if cause.took and not any(pending.task.kind == "wait" for pending in cause.pending):
         times = ((task, round(duration(task, cause.clock) * 1e9)) for task in cause.took)
-        took = [f"{task_text(task)} {formatting.seconds(time_ns)}" for task, time_ns in times if time_ns]
+        took = [f"{task_text(task)} {phrases.seconds(time_ns)}" for task, time_ns in times if time_ns]
         if took:
             yield f"until then: {', '.join(took)}"
         for error, tasks in groupby((task for task in cause.took if task.failed), error_text):
-            names = formatting.names([task_text(task) for task in tasks])
+            names = phrases.names([task_text(task) for task in tasks])
             yield f"{names} failed: {error}"
     for each in cause.simulated:
         at = f"{place(each.line)} simulated" if each.line is not None else "simulated were"
         calls = f" in {len(each.steps)} calls" if len(each.steps) > 1 else ""
-        yield f"{at} {formatting.number(each.seconds)} s{calls}"
+        yield f"{at} {phrases.number(each.seconds)} s{calls}"
 
 
 @_words.register
@@ -193,7 +193,7 @@ def _(cause: kinds.Interrupted) -> Iterator[str]:
 @_words.register
 def _(cause: kinds.NoLonger) -> Iterator[str]:
     if isinstance(cause.asked, Query):
-        said = f"{record_text.question(cause.asked)} was answered {record_text.answer(cause.asked)}"
+        said = f"{phrases.question(cause.asked)} was answered {phrases.answer(cause.asked)}"
         step = cause.asked.seq
     else:
         said, step = f"{task_text(cause.asked)} succeeded", cause.asked.last_step
@@ -204,12 +204,12 @@ def _(cause: kinds.NoLonger) -> Iterator[str]:
 
 @_words.register
 def _(cause: kinds.Misbelief) -> Iterator[str]:
-    at = formatting.vector(cause.position)
-    yield f"{cause.body} was believed at {at}, {formatting.learned(cause.source, cause.learned)}; {_whereabouts(cause)}"
+    at = phrases.vector(cause.position)
+    yield f"{cause.body} was believed at {at}, {phrases.learned(cause.source, cause.learned)}; {_whereabouts(cause)}"
 
 
 def _whereabouts(cause: kinds.Misbelief) -> str:
-    was = f"at step {cause.steps[-1]} it was {formatting.length(cause.distance)} from there"
+    was = f"at step {cause.steps[-1]} it was {phrases.length(cause.distance)} from there"
     return was if cause.change is None else f"at step {cause.change.step} {change_text(cause.change)}; {was}"
 
 
@@ -223,14 +223,14 @@ def _(cause: kinds.InTheWay) -> Iterator[str]:
 @_words.register
 def _(cause: kinds.NoCandidate) -> Iterator[str]:
     asked = cause.asked
-    yield f"{record_text.question(asked)} considered {cause.count} at step {asked.seq}, and none would do:"
+    yield f"{phrases.question(asked)} considered {cause.count} at step {asked.seq}, and none would do:"
     yield from rejection_lines(asked)
 
 
 @_words.register
 def _(cause: kinds.OutOfReach) -> Iterator[str]:
     what = cause.body or "the target"
-    miss = f"; the {cause.arm} arm stays {formatting.length(cause.miss)} away" if cause.miss is not None else ""
+    miss = f"; the {cause.arm} arm stays {phrases.length(cause.miss)} away" if cause.miss is not None else ""
     turned = " in the orientation that was asked for" if cause.orientation else ""
     yield f"{what} was {cause.distance:.2f} m from the robot on the ground{miss}{turned}"
     for change in cause.changes:

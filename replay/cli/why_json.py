@@ -10,8 +10,9 @@ from recorder.records import Fluent, Query, Refusal, Task
 from recorder.records.places import fates_text
 from recorder.records.projections import foreseen
 from recorder.tasks import Node
-from replay.cli import call_stacks, diff, why_causes
-from replay.explain.plan_source import Line
+from replay.cli import diff, why_causes
+from replay.history.source import Line
+from replay.report import report
 from replay.state.json_data import message_data, record_data
 
 if TYPE_CHECKING:
@@ -33,14 +34,14 @@ def facts(why: Why) -> dict[str, object]:
             {
                 "type": error.type,
                 "message": error.message,
-                "lines": [call_stacks.line_facts(line) for line in error.lines],
+                "lines": [report.data(line) for line in error.lines],
             }
             for error in why.exceptions
         ],
         "causes": [_cause_facts(cause) for cause in why.causes],
         "task": why.task and _task_facts(why.task),
         "around": [_task_facts(task) for task in why.task.around()] if why.task else [],
-        **call_stacks.facts(why.call_stack),
+        **report.call_stack(why.call_stack),
         "variables": [
             {"file": file, "line": line, "values": dict(values)} for (file, line), values in why.variables.items()
         ],
@@ -49,7 +50,7 @@ def facts(why: Why) -> dict[str, object]:
         "branches": [
             {
                 "task": _task_facts(branch.task),
-                "line": branch.line and call_stacks.line_facts(branch.line),
+                "line": branch.line and report.data(branch.line),
                 "things": [_thing(involved) for involved in branch.bodies],
                 "causes": [_cause_facts(cause) for cause in branch.causes],
             }
@@ -123,7 +124,7 @@ def _plain(value: object) -> object:
     if isinstance(value, Node):
         return _task_facts(value)
     if isinstance(value, Line):
-        return call_stacks.line_facts(value)
+        return report.data(value)
     if isinstance(value, Task | Query | Refusal | Fluent):
         return record_data(value)
     if is_dataclass(value) and not isinstance(value, type):

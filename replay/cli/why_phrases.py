@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Fluent, Query, argument_values, format_failure, from_json
-from replay.cli import formatting, record_text
+from replay.report import phrases
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -14,24 +14,24 @@ if TYPE_CHECKING:
     from recorder.records import Task
     from recorder.tasks import Node
     from replay.explain.causes.cause import Change, Fulfiller, Pending
-    from replay.explain.plan_source import Line
+    from replay.history.source import Line
 
 _MAX_NAMED: Final = 3
 
 
 def task_text(task: Node) -> str:
     """Return a task with what it was given."""
-    return formatting.task(task.kind, task.name, task.parameters)
+    return phrases.task(task.kind, task.name, task.parameters)
 
 
 def error_text(task: Node) -> str:
     """Return what a task failed with, in a line."""
-    return formatting.one_line(task.error[1] or task.error[0]) if task.error is not None else task.status.word
+    return phrases.one_line(task.error[1] or task.error[0]) if task.error is not None else task.status.word
 
 
 def place(line: Line) -> str:
     """Return a line of the plan, as file:line."""
-    return f"{formatting.path(line.file)}:{line.number}"
+    return f"{phrases.path(line.file)}:{line.number}"
 
 
 def originator(change: Change) -> str:
@@ -39,7 +39,7 @@ def originator(change: Change) -> str:
     if change.by_fork:
         return ", by the fork"
     task, handler = change.task, change.handler
-    called = formatting.task(task.kind, task.name, argument_values(task.parameters)) if task is not None else ""
+    called = phrases.task(task.kind, task.name, argument_values(task.parameters)) if task is not None else ""
     by = (
         f", by {handler_text(handler) if handler is not None and task is handler else called}"
         if task is not None
@@ -66,7 +66,7 @@ def since_when(change: Change | None, verb: str) -> str:
 def change_text(change: Change) -> str:
     """Return a change: what, by how much, and by whom."""
     name = f"{change.body}.{change.joint}" if change.joint else change.body
-    size = formatting.length(change.distance) if math.isfinite(change.distance) else ""
+    size = phrases.length(change.distance) if math.isfinite(change.distance) else ""
     words = {
         "detached": f"{name} was detached",
         "attached": f"{name} was taken",
@@ -106,8 +106,8 @@ def pending_lines(pending: Pending) -> Iterator[str]:
     """Yield what it waited for: the values, and who could have fulfilled it."""
     where = f", at {place(pending.line)}" if pending.line is not None else ""
     if pending.task.kind == "wait":
-        values = ", ".join(f"{name} = {formatting.value(value)}" for name, value in pending.values.items())
-        steps = formatting.names([str(step) for step in pending.changed])
+        values = ", ".join(f"{name} = {phrases.value(value)}" for name, value in pending.values.items())
+        steps = phrases.names([str(step) for step in pending.changed])
         changed = f"; it got values at steps {steps}" if pending.changed else ""
         yield f"{pending.task.name}: {values}{changed}  [since step {pending.task.started.seq}{where}]"
         yield from (_fulfiller(each) for each in pending.fulfillers)
@@ -116,7 +116,7 @@ def pending_lines(pending: Pending) -> Iterator[str]:
             yield f"nothing in the plan's source sets {leaves}, and no record tells who could have"
         return
     if pending.holders:
-        names = formatting.names([f"{task_text(task)} (since step {task.started.seq})" for task in pending.holders])
+        names = phrases.names([f"{task_text(task)} (since step {task.started.seq})" for task in pending.holders])
         yield f"{task_text(pending.task)} waited for {names}{where}"
 
 
@@ -125,9 +125,7 @@ def _fulfiller(each: Fulfiller) -> str:
         error = error_text(each.failed)
         return f"{task_text(each.failed)} could have, and failed at step {each.failed.last_step}: {error}"
     inside = f"{each.line.function} at " if each.line is not None and each.line.function not in ("", "<module>") else ""
-    where = (
-        f"{inside}{place(each.line)} would have: {formatting.short(each.line.text)}" if each.line is not None else ""
-    )
+    where = f"{inside}{place(each.line)} would have: {phrases.short(each.line.text)}" if each.line is not None else ""
     text = where or (
         f"{task_text(each.task)} could have" if each.task is not None else "the plan's own code could have"
     )
@@ -140,8 +138,8 @@ def _fulfiller(each: Fulfiller) -> str:
     if each.failed is not None:
         text += f", after {task_text(each.failed)} failed at step {each.failed.last_step}: {error_text(each.failed)}"
     if each.refused is not None:
-        call = formatting.call(each.refused.name, argument_values(each.refused.arguments))
-        error = formatting.one_line(format_failure(each.refused.failure))
+        call = phrases.call(each.refused.name, argument_values(each.refused.arguments))
+        error = phrases.one_line(format_failure(each.refused.failure))
         text += f", after {call} was refused at step {each.refused.seq}: {error}"
     if each.task is None and each.step is None:
         text += "; it never did on record"
@@ -151,12 +149,12 @@ def _fulfiller(each: Fulfiller) -> str:
 def answer_text(record: Query | Task | Fluent) -> str:
     """Return what the plan judged by: an answer, a wait, a failed motion, a fluent's value."""
     if isinstance(record, Query):
-        reasons = record_text.reasons(record) if record.candidates else ""
-        return f"{record_text.question(record)}: {record_text.answer(record)}" + (f"; {reasons}" if reasons else "")
+        reasons = phrases.reasons(record) if record.candidates else ""
+        return f"{phrases.question(record)}: {phrases.answer(record)}" + (f"; {reasons}" if reasons else "")
     if isinstance(record, Fluent):
-        at = f", at {formatting.path(record.source_file)}:{record.source_line}" if record.source_line else ""
-        return f"{record.name} became {formatting.value(from_json(record.after_json))}{at}"
+        at = f", at {phrases.path(record.source_file)}:{record.source_line}" if record.source_line else ""
+        return f"{record.name} became {phrases.value(from_json(record.after_json))}{at}"
     if record.kind != "wait":
-        return f"{record.name} failed: {formatting.short(formatting.one_line(record.failure.message))}"
+        return f"{record.name} failed: {phrases.short(phrases.one_line(record.failure.message))}"
     done = "it came true" if from_json(record.result_json) is True else "it didn't come true in time"
     return f"waited for {record.name}: {done}"

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
 from recorder.records.choices import chosen_name, decision_text, rejection_lines
-from replay.cli import diff, formatting, record_text, why_causes, why_tried
+from replay.cli import diff, why_causes, why_tried
 from replay.cli.why_advice import asked_again, commands
 from replay.explain.causes.cause import Interrupted
 from replay.explain.causes.why_data import heading
+from replay.report import phrases
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from recorder.tasks import Node
     from replay.explain.causes.cause import Cause
     from replay.explain.causes.why_data import Attempt, ChangesSince, FailedBranch, InvolvedBody, Why
-    from replay.explain.plan_source import Line
+    from replay.history.source import Line
 
 _FIRST, _LAST = 2, 5  # attempts that are listed one by one
 _MAX_ROWS: Final = 3  # of local variables
@@ -67,8 +68,8 @@ def _causes(causes: Sequence[Cause]) -> Iterator[str]:
 
 
 def _branch(branch: FailedBranch) -> Iterator[str]:
-    error = formatting.one_line(branch.task.error[1] or branch.task.error[0]) if branch.task.error else ""
-    yield error + (f", at {formatting.path(branch.line.file)}:{branch.line.number}" if branch.line is not None else "")
+    error = phrases.one_line(branch.task.error[1] or branch.task.error[0]) if branch.task.error else ""
+    yield error + (f", at {phrases.path(branch.line.file)}:{branch.line.number}" if branch.line is not None else "")
     yield from _causes(branch.causes)
     for involved in branch.bodies:
         yield from _involved(involved)
@@ -84,7 +85,7 @@ def _headline(why: Why) -> Iterator[str]:
         message = run.failure
         if why.exceptions and why.failure is not None and _is_self_explanatory(why.failure):
             message = why.failure.message
-        yield f"{name} failed after {run.seconds:.1f} s: {formatting.one_line(message)}"
+        yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
         yield f"{name} succeeded{_though(why)}"
     elif run.outcome == "interrupted":
@@ -103,7 +104,7 @@ def _headline(why: Why) -> Iterator[str]:
 
 def _though(why: Why) -> str:
     if why.thread and why.failure is not None:
-        return f", although its thread {why.thread} failed: {formatting.one_line(format_failure(why.failure))}"
+        return f", although its thread {why.thread} failed: {phrases.one_line(format_failure(why.failure))}"
     return ", although a task failed." if why.failure is not None else "."
 
 
@@ -114,7 +115,7 @@ def _is_self_explanatory(failure: Failure) -> bool:
 
 def _summary(why: Why, task: Node) -> Iterator[str]:
     motion = task.motion
-    error = formatting.one_line(task.error[1] or task.error[0]) if task.error else ""
+    error = phrases.one_line(task.error[1] or task.error[0]) if task.error else ""
     if len(why.attempts) > 1:
         name, times = motion.name, f"{'at least ' if why.forgotten else ''}{len(why.attempts)}"
         if why.since_same_success is None:
@@ -128,7 +129,7 @@ def _summary(why: Why, task: Node) -> Iterator[str]:
 
 
 def _call(task: Node) -> str:
-    return formatting.task(task.kind, task.name, task.parameters)
+    return phrases.task(task.kind, task.name, task.parameters)
 
 
 def _unfinished(tasks: Sequence[Node]) -> Iterator[str]:
@@ -161,14 +162,14 @@ def _exceptions_lead_to_task(why: Why) -> bool:
 
 
 def _line(line: Line, why: Why) -> Iterator[str]:
-    yield f"{formatting.path(line.file)}:{line.number}" + (f" in {line.function}" if line.function else "")
+    yield f"{phrases.path(line.file)}:{line.number}" + (f" in {line.function}" if line.function else "")
     if line.text:
         yield f"    {line.text}"
     rows = [""]
     for name, value in why.variables.get((line.file, line.number), {}).items():
         if rows[-1] and len(rows[-1]) + len(name) + len(value) > _WIDTH:
             rows.append("")
-        rows[-1] += f"{', ' if rows[-1] else ''}{name}={formatting.one_line(value)}"
+        rows[-1] += f"{', ' if rows[-1] else ''}{name}={phrases.one_line(value)}"
     yield from (f"    with {row}" for row in rows[:_MAX_ROWS] if row)
     if len(rows) > _MAX_ROWS:
         yield "    and others, which `why --json` has"
@@ -177,7 +178,7 @@ def _line(line: Line, why: Why) -> Iterator[str]:
 def _failed(why: Why) -> Iterator[str]:
     yield from _tasks(why)
     for record in why.failed_threads:
-        failure = formatting.one_line(format_failure(record.failure))
+        failure = phrases.one_line(format_failure(record.failure))
         yield f"also failed: thread {record.thread}, at step {record.seq}: {failure}"
 
 
@@ -193,13 +194,13 @@ def _tasks(why: Why) -> Iterator[str]:
         if task.finished is None and task is not why.task:
             state = "not finished"
         else:
-            took = formatting.seconds(task.finished.duration_ns) if task.finished is not None else ""
+            took = phrases.seconds(task.finished.duration_ns) if task.finished is not None else ""
             state = f"failed after {took}" if task.failed else f"went on, {took}"
         yield f"{'  ' * depth}{_call(task)}  [steps {task.started.seq}-{task.last_step}, {state}]"
         if task is why.task.motion and task.decision is not None:
             yield f"{'  ' * depth}    {decision_text(task.decision, full=True)}"
     for choice in why.choices[-_LAST:]:
-        yield f"{'  ' * len(path)}{record_text.question(choice)}: {chosen_name(choice) or 'none'}  [step {choice.seq}]"
+        yield f"{'  ' * len(path)}{phrases.question(choice)}: {chosen_name(choice) or 'none'}  [step {choice.seq}]"
         yield from (f"{'  ' * len(path)}    {line}" for line in rejection_lines(choice))
     if why.task.failure is not None:
         yield from (f"{'  ' * len(path)}{line}" for line in format_failure(why.task.failure).splitlines())
@@ -210,7 +211,7 @@ def _tasks(why: Why) -> Iterator[str]:
         if part.failed and part not in path and part.origin not in attempted
     ]
     for part in siblings[:_LAST]:
-        yield f"also failed: {_call(part)}: {formatting.one_line(part.error[1]) if part.error else ''}"
+        yield f"also failed: {_call(part)}: {phrases.one_line(part.error[1]) if part.error else ''}"
 
 
 def _in_world(why: Why) -> str:
@@ -231,17 +232,17 @@ def _involved(involved: InvolvedBody) -> Iterator[str]:
     if involved.is_robot or not body.fixed_base or not (involved.links or involved.joints):
         yield _body(involved)
     for name, (position, _) in involved.links.items():
-        yield f"{name} of {body.name} at {formatting.vector(position)}"
+        yield f"{name} of {body.name} at {phrases.vector(position)}"
     for name, value in involved.joints.items():
-        yield f"joint {name} of {body.name} at {formatting.number(value)}"
+        yield f"joint {name} of {body.name} at {phrases.number(value)}"
 
 
 def _body(involved: InvolvedBody) -> str:
     body = involved.body
-    text = f"{body.name} at {formatting.vector(body.position)}"
+    text = f"{body.name} at {phrases.vector(body.position)}"
     if involved.is_robot:
         text += f", facing {_degrees(heading(body))}"
-        text += f", holding {formatting.names([_gripped(held.body, involved) for held in involved.holds])}"
+        text += f", holding {phrases.names([_gripped(held.body, involved) for held in involved.holds])}"
     elif involved.distance is not None and involved.bearing is not None:
         side = math.degrees(involved.bearing)
         turn = (
@@ -259,7 +260,7 @@ def _holder(involved: InvolvedBody) -> str:
     if involved.held is None:
         return ""
     hand = involved.hands.get(involved.body.name)
-    return f"the {hand} gripper of {involved.held.carrier}" if hand else formatting.carrier(involved.held)
+    return f"the {hand} gripper of {involved.held.carrier}" if hand else phrases.carrier(involved.held)
 
 
 def _degrees(angle: float) -> str:
@@ -280,9 +281,9 @@ def _attempts(why: Why) -> Iterator[str]:
     differ = len({pose for pose in poses if pose}) > 1
     groups: list[tuple[str, str, list[int]]] = []  # parameters, error and steps of equal attempts in a row
     for attempt, pose in zip(why.attempts, poses, strict=True):
-        how = [f"{key}={formatting.value(attempt.task.motion.parameters.get(key))}" for key in varying]
+        how = [f"{key}={phrases.value(attempt.task.motion.parameters.get(key))}" for key in varying]
         how += [pose] if pose and differ else []
-        error = formatting.one_line(attempt.task.error[1]) if attempt.task.error else ""
+        error = phrases.one_line(attempt.task.error[1]) if attempt.task.error else ""
         if not groups or groups[-1][:2] != (", ".join(how), error):
             groups.append((", ".join(how), error, []))
         groups[-1][2].append(attempt.task.motion.started.seq)
@@ -298,7 +299,7 @@ def _attempts(why: Why) -> Iterator[str]:
 
 def _robot_pose(attempt: Attempt) -> str:
     robot = attempt.robot
-    return f"{robot.name} at {formatting.vector(robot.position[:2])} facing {_degrees(heading(robot))}" if robot else ""
+    return f"{robot.name} at {phrases.vector(robot.position[:2])} facing {_degrees(heading(robot))}" if robot else ""
 
 
 def _queries(why: Why) -> Iterator[str]:
@@ -306,23 +307,23 @@ def _queries(why: Why) -> Iterator[str]:
         yield f"... {why.earlier_queries} earlier ones ..."
     for relevant in why.queries:
         query = relevant.query
-        reasons = record_text.reasons(query)
-        yield f"step {query.seq}: {record_text.question(query)}"
-        yield f"    {record_text.answer(query)}" + (f": {reasons}" if reasons else "")
+        reasons = phrases.reasons(query)
+        yield f"step {query.seq}: {phrases.question(query)}"
+        yield f"    {phrases.answer(query)}" + (f": {reasons}" if reasons else "")
         if relevant.world:
             yield f"    asked in another world: {relevant.world}"
         if relevant.moved:
-            yield f"    since then {formatting.names(relevant.moved)} moved"
+            yield f"    since then {phrases.names(relevant.moved)} moved"
         if relevant.removed:
             were = "was" if len(relevant.removed) == 1 else "were"
-            yield f"    since then {formatting.names(relevant.removed)} {were} removed"
+            yield f"    since then {phrases.names(relevant.removed)} {were} removed"
 
 
 def _changes(why: Why) -> Iterator[str]:
     if why.task is not None:
         motion = why.task.motion
         if why.since_same_success is None:
-            yield f"No {formatting.task(motion.kind, motion.name, {})} succeeded before."
+            yield f"No {phrases.task(motion.kind, motion.name, {})} succeeded before."
         else:
             yield from _since(why.since_same_success)
     if why.since_last_success is not None and (

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records.places import fates_text
 from recorder.records.projections import foreseen
-from replay.cli import formatting, record_text
+from replay.report import phrases
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,16 +27,16 @@ def lines(tried: TriedAction) -> Iterator[str]:
         if left_out <= 0 or not _FIRST <= number < _FIRST + left_out:
             yield f"step {attempt.started.seq}: {_choice(attempt)}"
             error = attempt.error
-            yield f"    {formatting.one_line(': '.join(filter(None, error)))}" if error else "    it has not ended"
+            yield f"    {phrases.one_line(': '.join(filter(None, error)))}" if error else "    it has not ended"
     for projection in tried.imagined[-_MAX_IMAGINED:]:
         outcome = foreseen(projection.finished) if projection.finished is not None else "it has not ended"
         yield f"step {projection.started.seq}: imagined, {_choice(projection)}"
         yield f"    {outcome}"
     for query in tried.places:
-        yield f"step {query.seq}: {record_text.question(query)}"
+        yield f"step {query.seq}: {phrases.question(query)}"
         yield f"    {fates_text(query) or 'no place was left on its map'}"
     if tried.last:
-        yield f"nothing else could be chosen: {formatting.one_line(tried.last)}"
+        yield f"nothing else could be chosen: {phrases.one_line(tried.last)}"
     elif tried.spent:
         yield "the budget of tries was spent"
     elif tried.attempts:
@@ -51,5 +51,5 @@ def _choice(task: Node) -> str:
 
 def _value(value: object) -> str:
     if isinstance(value, dict) and isinstance(value.get("position"), list):
-        return formatting.vector(value["position"])
-    return formatting.value(value)  # type: ignore[arg-type]
+        return phrases.vector(value["position"])
+    return phrases.value(value)  # type: ignore[arg-type]

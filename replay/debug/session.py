@@ -24,7 +24,7 @@ from recorder.suggestions import suggestion
 from replay.debug.expressions import NoQuantity, changes
 from replay.debug.stopped_plan import WatchedExpression
 from replay.errors import NoSuchName, NoSuchStep, ReplayError
-from replay.explain.plan_source import is_file, name_of
+from replay.history.source import is_file, name_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,1 +1,1 @@
-"""What happened, and why: plain functions from recordings to frozen data."""
+"""Why a plan failed: functions from recordings to frozen data, with its words."""

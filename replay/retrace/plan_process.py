@@ -22,7 +22,7 @@ from recorder.provenance import pycram_revision
 from recorder.records import Mutation, Output, Run, Task
 from recorder.secrets import LEFT_OUT
 from replay.errors import ReplayError
-from replay.explain.plan_source import name_of
+from replay.history.source import name_of
 from replay.retrace.guide import FirstDifference, Guidance
 
 if TYPE_CHECKING:

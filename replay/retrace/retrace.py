@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from recorder.records import Run, Task
-from replay.explain.plan_source import syntax_nodes
+from replay.history.source import syntax_nodes
 from replay.retrace.plan_process import PlanProcess
 
 if TYPE_CHECKING:

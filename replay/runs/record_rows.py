@@ -11,7 +11,7 @@ from recorder.records import STEPS_PER_SECOND, Event, Fluent, Keyframe, Mutation
 from recorder.records.choices import chosen_name
 from recorder.records.text import mutation_text
 from replay.errors import Damaged
-from replay.explain.root_cause import INTERRUPT, root_cause, uncaught_failure
+from replay.history.failures import INTERRUPT, root_cause, uncaught_failure
 from replay.runs.cells import json_of, label, parameters, source
 from replay.runs.failure_causes import cause_of, pairs_of
 from replay.runs.schema import COLUMNS, TABLES, arrow_schema
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from recorder.records import BodyState, Failure, Record
-    from replay.explain.root_cause import RootCause
     from replay.file.record_reader import RecordReader
+    from replay.history.failures import RootCause
 
 _NO_TEXTS: Final = pa.array([], pa.string())  # here pyarrow imports pandas where that is: once, before a process forks
 _NO_EVENT: Final = Event()  # a fluent has nothing of what events have

@@ -10,7 +10,7 @@ from replay.errors import NoSuchName
 from replay.file.lifetimes import title
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from recorder.geometry import Pose, Quaternion, Vector
     from recorder.geometry.urdf import Urdf
@@ -316,3 +316,12 @@ class State:
 
         poses = self.urdf(body).link_poses(body.joints).items()
         return {link: geometry.multiply(body.pose, pose) for link, pose in poses}
+
+
+def turn(before: Sequence[float], after: Sequence[float]) -> float:
+    """Return the angle between two orientations xyzw, rad."""
+    if before == after:
+        return 0.0
+    from recorder import geometry  # noqa: PLC0415  needs numpy
+
+    return geometry.angle(before, after)

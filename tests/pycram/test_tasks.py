@@ -25,7 +25,7 @@ from recorder.tasks import Tree
 from recorder.tasks.packed import PackedTask
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.explain import task_tree
+from replay.history import tasks as task_tree
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -16,8 +16,8 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.world import current
 from recorder.records import Query
-from replay.cli import record_text
 from replay.cli.main import main
+from replay.report import phrases
 from replay.restore.ask import QUERIES, Move
 from replay.restore.question import BadQuestion, Name, Question, parse
 from tests.replay.approximately import assert_approximately
@@ -64,7 +64,7 @@ def test_a_recorded_query_can_be_typed_as_a_question(
             asked = {record.name: record for record in log.records(Query) if record.name in QUERIES}
             assert asked
             for record in asked.values():
-                shown = record_text.question(record)
+                shown = phrases.question(record)
                 assert main(["ask", str(file), str(record.seq), shown, "--json"]) == 0, shown
                 assert json.loads(capsys.readouterr().out)["answer"] == names(record.answer_json), shown
 

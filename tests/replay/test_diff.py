@@ -18,11 +18,11 @@ from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Query, Task
 from recorder.records.asset import AssetFile
 from recorder.tracing.span import span
-from replay.cli import formatting
 from replay.cli.main import main
-from replay.explain.compare_runs import compare
+from replay.compare.runs import compare
+from replay.compare.states import difference
+from replay.report import phrases
 from replay.restore.verify import verify
-from replay.state.difference import difference
 from tests.replay.commands import mutation
 
 if TYPE_CHECKING:
@@ -222,7 +222,7 @@ def test_small_changes_are_printed_with_enough_digits(tmp_path: Path, capsys: py
     ],
 )
 def test_different_numbers_are_printed_differently(before: float, after: float, texts: tuple[str, str]) -> None:
-    assert formatting.apart(before, after) == texts
+    assert phrases.apart(before, after) == texts
 
 
 def move_head(file: Path) -> None:

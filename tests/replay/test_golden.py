@@ -19,7 +19,7 @@ import pytest
 import replay
 from recorder.records import Event, Fluent, Keyframe, Mutation, Output, Query, Refusal, Run, Subscription, Task
 from replay.cli.main import main
-from replay.explain.task_tree import tree
+from replay.history.tasks import tree
 from replay.restore.verify import verify
 from replay.state.json_data import record_data
 

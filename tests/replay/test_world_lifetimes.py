@@ -14,9 +14,9 @@ from recorder.mcap import sink as mcap_sink
 from recorder.mcap.sink import McapSink
 from recorder.records import Mutation
 from replay.cli.main import main
-from replay.explain.run_summary import summary
+from replay.compare.states import difference
 from replay.file.lifetimes import title
-from replay.state.difference import difference
+from replay.history.summary import summary
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation, argument_values
 from replay.errors import NoSuchName
-from replay.explain.blame import blame, commanded
 from replay.explain.causes.cause import Change
 from replay.explain.causes.robot_description import hands
-from replay.explain.causing_tasks import causes
-from replay.explain.parsed_traceback import parse_traceback
-from replay.explain.plan_source import Source, syntax_nodes
+from replay.history.blame import blame, commanded
+from replay.history.source import PlanSource, parse_traceback, syntax_nodes
+from replay.history.tasks import causing_tasks
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -25,11 +24,10 @@ if TYPE_CHECKING:
 
     from recorder.records import Failure, Keyframe, Plain, Refusal, Task
     from recorder.tasks import Node
-    from replay.explain.blame import Blame
-    from replay.explain.failures import Failures
-    from replay.explain.parsed_traceback import ParsedException
-    from replay.explain.plan_source import Line
     from replay.file.record_reader import RecordReader
+    from replay.history.blame import Blame
+    from replay.history.failures import Failures
+    from replay.history.source import Line, ParsedException
     from replay.state.state import Attachment, Body, State, World
 
 _WITH_MOTIONS = ("motion", "process-module")
@@ -63,9 +61,9 @@ class Case:
     # --- the failed task ---------------------------------------------------------------------------------------------
 
     @cached_property
-    def source(self) -> Source:
+    def source(self) -> PlanSource:
         """The plan's source."""
-        return Source(self.log)
+        return PlanSource(self.log)
 
     @cached_property
     def motion(self) -> Node | None:
@@ -198,7 +196,7 @@ class Case:
         size: tuple[float, float] = (0.0, 0.0),
     ) -> Change:
         """Return a record as a change of a body."""
-        because = causes(self.log, record)
+        because = causing_tasks(self.log, record)
         tasks = [each.started for each in because.tasks]
         task = next((each for each in tasks if each.kind in ("motion", HANDLER)), tasks[0] if tasks else None)
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from recorder.records import Fluent, Plain, Query, Refusal, Task
     from recorder.tasks import Node
-    from replay.explain.plan_source import Line
+    from replay.history.source import Line
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Change:
         step: of the record.
         body: name of the body.
         joint: name of its joint; "" for its pose.
-        how: as in :class:`replay.explain.blame.Blame`, or "attached", "detached", "in-hand" (it was moved itself while
+        how: as in :class:`replay.history.blame.Blame`, or "attached", "detached", "in-hand" (it was moved itself while
             a hand held it, and stays in that hand).
         task: the start of the innermost motion or handler, or else task, that it is part of; None if the plan itself
             did it.

@@ -8,7 +8,7 @@ from recorder.records import Run
 from recorder.tasks import State
 from replay.explain.causes.cause import Interrupted
 from replay.explain.causes.pending import pending, steps_of, stopped, subtree
-from replay.explain.root_cause import INTERRUPT
+from replay.history.failures import INTERRUPT
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

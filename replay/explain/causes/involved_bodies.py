@@ -9,7 +9,7 @@ from replay.errors import NoSuchName
 from replay.explain.causes.case import Case, objects_in
 from replay.explain.causes.find import find
 from replay.explain.causes.why_data import FailedBranch, InvolvedBody, heading
-from replay.explain.failures import failures
+from replay.history.failures import failures
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from replay.explain.causes.gone import removal_of
 from replay.explain.causes.preconditions import about, result
 from replay.explain.causes.raised import answers
 from replay.explain.causes.robot_description import joints_of
-from replay.state.difference import turn
 from replay.state.fold import state_at
+from replay.state.state import turn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

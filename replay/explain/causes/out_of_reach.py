@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from replay.explain.causes.cause import NoCandidate, OutOfReach
 from replay.explain.causes.robot_description import joints_of
-from replay.explain.task_tree import choices
+from replay.history.tasks import choices
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,7 +10,7 @@ from recorder.records import Fluent, Refusal, Task, from_json
 from recorder.tasks import State, Tree
 from replay.explain.causes.case import objects_in
 from replay.explain.causes.cause import Fulfiller, Pending
-from replay.explain.plan_source import syntax_nodes
+from replay.history.source import syntax_nodes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
-from replay.explain.blame import commanded
 from replay.explain.causes.case import objects_in
 from replay.explain.causes.cause import Physics
 from replay.explain.causes.preconditions import about, holder, result
+from replay.history.blame import commanded
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from replay.explain.causes.case import Case
-    from replay.explain.plan_source import Line
+    from replay.history.source import Line
 
 _MAX_ANSWERS: Final = 3
 _SEARCHED: Final = 1_000  # changes of fluents

@@ -14,7 +14,7 @@ from replay.explain.causes.preconditions import lacking, lies_in, shut_in
 from replay.explain.causes.raised import is_mistake
 from replay.explain.causes.robot_description import joints_of
 from replay.explain.causes.swallowed import lacks_value, values_from, went_on
-from replay.explain.causing_tasks import causes
+from replay.history.tasks import causing_tasks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -52,7 +52,7 @@ def _refused(case: Case, refusal: Refusal, precondition: str, subject: str) -> R
     stack = case.source.call_stack(refusal)
     stop = min(case.began + 1, refusal.seq + _WENT_ON)
     step, line = went_on(case, refusal.seq + 1, stop, {refusal.task}, refusal.thread, stack)
-    tasks = (each.started for each in causes(case.log, refusal).tasks)
+    tasks = (each.started for each in causing_tasks(case.log, refusal).tasks)
     handler = next((each for each in tasks if each.kind == HANDLER), None)
     event = [handler.cause] if handler is not None and handler.cause else []
     steps = {refusal.seq, *event, *([step] if step else []), case.step}

@@ -11,7 +11,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation, Query, Task
-from replay.explain.plan_source import syntax_nodes
+from replay.history.source import syntax_nodes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from recorder.tasks import Node
     from replay.explain.causes.case import Case
     from replay.explain.causes.preconditions import Lacking
-    from replay.explain.plan_source import Line
+    from replay.history.source import Line
 
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _SEARCHED: Final = 2000  # records in which the plan may have run that part

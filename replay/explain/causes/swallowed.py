@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from recorder.tasks import Node
     from replay.explain.causes.case import Case
     from replay.explain.causes.preconditions import Lacking
-    from replay.explain.plan_source import Line
+    from replay.history.source import Line
 
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = ("DesignatorError", "BadArgument")  # that a plan's None makes, beside Python's own errors

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from recorder.tasks import Node
     from replay.explain.causes.case import Case
     from replay.explain.causes.cause import Pending
-    from replay.explain.plan_source import Line
+    from replay.history.source import Line
 
 SIMULATED: Final = "simulated"  # the clock of a limit in simulated time
 _MAX_TASKS: Final = 3

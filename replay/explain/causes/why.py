@@ -12,18 +12,17 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Failure, Query, argument_values
 from recorder.records.choices import is_choice
+from replay.compare.states import difference
 from replay.errors import NoSuchStep
 from replay.explain.causes.case import Case
 from replay.explain.causes.find import find
 from replay.explain.causes.involved_bodies import bodies, branches
 from replay.explain.causes.why_data import Attempt, ChangesSince, RelevantQuery, Why
-from replay.explain.failures import failed_threads, failures
-from replay.explain.plan_source import Source
-from replay.explain.root_cause import RootCause, root_cause
-from replay.explain.run_summary import summary
-from replay.explain.task_tree import choices
 from replay.explain.tried import tried
-from replay.state.difference import difference
+from replay.history.failures import RootCause, failed_threads, failures, root_cause
+from replay.history.source import PlanSource
+from replay.history.summary import summary
+from replay.history.tasks import choices
 from replay.state.fold import state_at
 from replay.state.json_data import mentions
 
@@ -32,9 +31,9 @@ if TYPE_CHECKING:
 
     from recorder.records import Plain
     from recorder.tasks import Node
-    from replay.explain.failures import Failures
-    from replay.explain.run_summary import Summary
     from replay.file.record_reader import RecordReader
+    from replay.history.failures import Failures
+    from replay.history.summary import Summary
     from replay.state.state import State, World
 
 _MAX_QUERIES: Final = 8
@@ -102,7 +101,7 @@ def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:
 def _task_failure(
     log: RecordReader, run: Summary, task: Node, cause: RootCause, unfinished: tuple[Node, ...] = ()
 ) -> Why:
-    source, motion = Source(log), task.motion
+    source, motion = PlanSource(log), task.motion
     start, end = motion.started.seq, task.last_step
     before = failures(log, end + 1)
     objects = _objects(motion.parameters)

@@ -13,12 +13,11 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.records import Failure, Query, Run
     from recorder.tasks import Node
+    from replay.compare.states import Difference
     from replay.explain.causes.cause import Cause
-    from replay.explain.parsed_traceback import ParsedException
-    from replay.explain.plan_source import Line
-    from replay.explain.run_summary import Summary
     from replay.explain.tried import TriedAction
-    from replay.state.difference import Difference
+    from replay.history.source import Line, ParsedException
+    from replay.history.summary import Summary
     from replay.state.state import Attachment, Body, World
 
 

@@ -13,7 +13,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument, ChangeRefused, ObjectsChanged, WorldClosed
 from pycram.world.snapshot import take_snapshot
 from recorder.records import Mutation
-from replay.explain.blame import blame
+from replay.history.blame import blame
 from replay.restore.verify import verify
 
 if TYPE_CHECKING:

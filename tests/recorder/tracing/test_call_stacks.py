@@ -19,9 +19,9 @@ from recorder.records import Task
 from recorder.tracing.call_stack import MAX_LINES, CallStack
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.explain.blame import blame
-from replay.explain.causing_tasks import causes
-from replay.explain.plan_source import Source
+from replay.history.blame import blame
+from replay.history.source import PlanSource
+from replay.history.tasks import causing_tasks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -70,7 +70,7 @@ def functions(file: Path, name: str) -> list[str]:
     """The functions of a task's call stack, outermost first, from the test's on."""
     with replay.open(file) as log:
         record = next(record for record in log.records(Task) if record.name == name and record.phase == Task.STARTED)
-        names = [line.function for line in Source(log).call_stack(record)]
+        names = [line.function for line in PlanSource(log).call_stack(record)]
     return list(itertools.dropwhile(lambda name: not name, names))  # what runs the tests in many processes
 
 
@@ -213,7 +213,7 @@ def test_reused_call_stacks_equal_those_that_are_walked(tmp_path: Path, monkeypa
                 call_stacks.append(
                     {(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks}
                 )
-                assert Source(log).call_stack(tasks[-1])[-1].text  # the plan's files are in each
+                assert PlanSource(log).call_stack(tasks[-1])[-1].text  # the plan's files are in each
         monkeypatch.setattr(CallStack, "at_line", lambda *_: None)
     assert call_stacks[:2] == call_stacks[2:]
     assert len(call_stacks[0]) > 30
@@ -235,7 +235,7 @@ def ran(tmp_path: Path) -> Path:
 def test_modules_of_the_plan_s_own_are_attached(ran: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with replay.open(ran) as log:
         explained = blame(log, "ball").causes
-        assert explained == causes(log, blame(log, "ball").record)
+        assert explained == causing_tasks(log, blame(log, "ball").record)
         assert [(line.function, line.text) for line in explained.call_stack] == [
             ("<module>", "tidy(ball)"),
             ("tidy", "helpers.put(ball, 2)"),
@@ -259,4 +259,4 @@ def test_files_of_one_name_are_not_confused(tmp_path: Path) -> None:
             exec(compile(file.read_text(), str(file), "exec"), names)
             names["push"]()
     with replay.open(tmp_path / "x.mcap") as log:
-        assert Source(log).text(str(tmp_path / "a" / "same.py")) == ""
+        assert PlanSource(log).text(str(tmp_path / "a" / "same.py")) == ""

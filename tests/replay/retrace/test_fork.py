@@ -18,8 +18,8 @@ import pytest
 import replay
 from recorder.records import Run
 from replay.cli.main import main
+from replay.compare.runs import differing
 from replay.errors import ReplayError
-from replay.explain.compare_runs import differing
 from replay.retrace.fork import NotForked, fork, resume
 from replay.retrace.retrace import retrace
 from tests.measures import seeded

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from recorder.records import Keyframe, Mutation
 from replay.errors import Damaged, NoSuchName
-from replay.explain.causing_tasks import Causes, causes
-from replay.state.difference import turn
+from replay.history.tasks import CausingTasks, causing_tasks
 from replay.state.fold import state_at
+from replay.state.state import turn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -31,56 +31,34 @@ _ROUNDING: Final = 1e-6, 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """An attachment by which a body moved.
+    """An attachment by which a body moved."""
 
-    Attributes:
-        held: the attachment, just before.
-        step: of the record that attached it; None if that was before the recording began.
-        causes: of that record; None as well.
-    """
-
-    held: Attachment
-    step: int | None
-    causes: Causes | None
+    held: Attachment  # just before
+    step: int | None  # of the record that attached it; None: before the recording began
+    causes: CausingTasks | None  # of that record
 
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """What last changed a body or joint.
-
-    Attributes:
-        world: name of the world.
-        other_worlds: names of other open worlds that have a body of that name.
-        default_world: name of the world that is meant where none is named, if that is another one: it has no such body.
-        body: name of the body.
-        joint: name of the joint; "" for the body's pose.
-        record: the record that changed it; a keyframe if nothing did since the recording began.
-        how: "command" (it was moved itself), "load", "carried" (with what holds it), "along" (with what it lies on or
-            in), "hand" (somebody dragged it in the window), "driven" (it followed a trajectory), "physics", "reset",
-            "restored" (a saved state), "removed", or "before" (the recording began later).
-        before: its pose or value before; None if it wasn't there.
-        after: its pose or value after; None if it was removed.
-        distance: how far it moved: m, or of a revolute joint rad.
-        angle: by how much it turned, rad; 0 for joints.
-        carried: the attachments that made it move with the commanded body, the body's own first.
-        causes: of the record.
-        earlier: of a change in simulation the last earlier change that is more than settling; of its removal what last
-            changed it before; None of any other.
-    """
+    """The last change of a body or joint."""
 
     world: str
-    other_worlds: tuple[str, ...]
-    default_world: str
+    other_worlds: tuple[str, ...]  # open, with a body of that name
+    default_world: str  # the world that is meant where none is named, if it has no such body; or ""
     body: str
-    joint: str
-    record: Mutation | Keyframe
+    joint: str  # "": the body's pose changed
+    #: "command" (it was moved itself), "load", "carried" (with what holds it), "along" (with what it lies on or in),
+    #: "hand" (dragged in the window), "driven" (it followed a trajectory), "physics", "reset", "restored" (a saved
+    #: state), "removed", or "before" (the recording began later)
     how: str
-    before: Pose | float | None
-    after: Pose | float | None
-    distance: float
-    angle: float
-    carried: tuple[Carried, ...]
-    causes: Causes
+    before: Pose | float | None  # None: it wasn't there
+    after: Pose | float | None  # None: it was removed
+    distance: float  # m; of a revolute joint rad
+    angle: float  # rad; 0 for joints
+    record: Mutation | Keyframe  # that changed it; a keyframe if nothing did since the recording began
+    causes: CausingTasks  # of the record
+    carried: tuple[Carried, ...]  # the attachments that made it move with the commanded body, its own first
+    #: Before a change in simulation: the last one that is more than settling. Before a removal: the last change.
     earlier: Blame | None = None
 
 
@@ -110,7 +88,7 @@ def blame(log: RecordReader, target: str, at: int | None = None, world: str | No
             distance=math.inf,
             angle=0.0,
             carried=(),
-            causes=causes(log, removal),
+            causes=causing_tasks(log, removal),
             earlier=earlier,
         )
     others = tuple(each.name for each in state.worlds.values() if each is not owner and body in each.bodies)
@@ -271,8 +249,8 @@ class _Search:
             before = self._value(state)
             how, chain = _how(record, state.world(self._world), self._body, self._joint)
         carried = tuple(self._carried(held, record.seq) for held in chain)
-        because = causes(self._log, record)
-        return Blame(*self._subject, record, how, before, after, *_size(before, after), carried, because)
+        because = causing_tasks(self._log, record)
+        return Blame(*self._subject, how, before, after, *_size(before, after), record, because, carried)
 
     def _value(self, state: State) -> Pose | float | None:
         world = state.worlds.get(self._world)
@@ -286,7 +264,7 @@ class _Search:
             if record.world == self._world and record.HasField("attach_body"):
                 command = record.attach_body
                 if (command.carrier, command.body) == (held.carrier, held.body):
-                    return Carried(held, record.seq, causes(self._log, record))
+                    return Carried(held, record.seq, causing_tasks(self._log, record))
         return Carried(held, None, None)
 
 

@@ -1,12 +1,13 @@
-"""The plan's source, as it is attached to a recording: the text and the function of a line."""
+"""The plan's source, as attached to a recording: its lines, and the exceptions of a traceback with their lines."""
 
 from __future__ import annotations
 
 import ast
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Envelope, Keyframe, Output, Run
 from replay.errors import Damaged
@@ -36,7 +37,7 @@ class Line:
         return f"{name_of(self.file)}:{self.number}"
 
 
-class Source:
+class PlanSource:
     """The attached source files of a recording; those that share a name are ambiguous and left out."""
 
     def __init__(self, log: RecordReader) -> None:
@@ -114,3 +115,82 @@ def _function(text: str, number: int) -> str:
     functions = (node for node in syntax_nodes(text) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
     names = [node.name for node in functions if node.lineno <= number <= (node.end_lineno or node.lineno)]
     return names[-1] if names else "<module>"
+
+
+_FRAME: Final = re.compile(r'^[\s|+]*File "(?P<file>[^"]+)", line (?P<line>\d+), in (?P<function>.+)$')
+_NEXT: Final = re.compile(
+    r"^(?:The above exception was the direct cause of|During handling of the above exception).*$", re.MULTILINE
+)
+_START: Final = re.compile(r"^\s*(?:\+ )?(?:Exception Group )?Traceback \(most recent call last\):\s*$")
+_TITLE: Final = re.compile(r"^(?:[\w<>]+\.)*(?P<type>[A-Za-z_]\w*)(?:: (?P<message>.*))?$", re.DOTALL)
+#: The executor's folder, recognised by the modules through which plans enter it.
+_ROOT: Final = re.compile(
+    r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|tracing[/\\]span)"
+    r"|pycram[/\\](?:world|motions|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"
+    r"|recorder[/\\]span|pycram[/\\](?:process_module|designator|blocks|fluent|objects|bullet_world"
+    r"|bullet_world_reasoning|funnel))\.py$"  # as they were named in release 0.1.0
+)
+#: Files that are no plans.
+_FOREIGN: Final = re.compile(r"^<|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]")
+
+
+@dataclass(frozen=True, slots=True)
+class ParsedException:
+    """One exception.
+
+    Attributes:
+        type: its type's name.
+        message: its message.
+        lines: the plan's own lines that led to it, outermost first.
+        own: whether the last of these raised it itself.
+    """
+
+    type: str
+    message: str
+    lines: tuple[Line, ...]
+    own: bool = False
+
+
+def parse_traceback(traceback: str, source: PlanSource) -> list[ParsedException]:
+    """Return the exceptions in a traceback as Python prints it, causes first."""
+    frames = [frame for text in traceback.splitlines() if (frame := _FRAME.match(text))]
+    roots = tuple({root["root"] for frame in frames if (root := _ROOT.match(frame["file"]))})
+    parts = (part.strip("\n") for part in _NEXT.split(traceback))
+    return [_parse(part, source, roots) for part in parts if part.strip()]
+
+
+def _parse(part: str, source: PlanSource, roots: tuple[str, ...]) -> ParsedException:
+    lines = part.splitlines()
+    start = next((at for at, text in enumerate(lines) if _START.match(text)), -1)
+    end = start + 1
+    while end < len(lines) and (lines[end][:1] in (" ", "\t") or not lines[end].strip()):
+        end += 1
+    title = _TITLE.match("\n".join(lines[end:]).strip())
+    innermost = next((frame for text in reversed(lines[:end]) if (frame := _FRAME.match(text))), None)
+    return ParsedException(
+        title["type"] if title else "",
+        (title["message"] or "") if title else "\n".join(lines[end:]).strip(),
+        tuple(_lines(lines[:end], source, roots)),
+        innermost is not None and _is_plan(innermost["file"], source, roots),
+    )
+
+
+def _lines(texts: list[str], source: PlanSource, roots: tuple[str, ...]) -> list[Line]:
+    lines = []
+    for at, text in enumerate(texts):
+        frame = _FRAME.match(text)
+        if frame is None or not _is_plan(frame["file"], source, roots):
+            continue
+        printed = texts[at + 1].strip() if at + 1 < len(texts) and not _FRAME.match(texts[at + 1]) else ""
+        attached = source.line(frame["file"], int(frame["line"]))
+        function = (attached and attached.function) or frame["function"].strip()
+        lines.append(Line(frame["file"], int(frame["line"]), function, (attached and attached.text) or printed))
+    return lines
+
+
+def _is_plan(file: str, source: PlanSource, roots: tuple[str, ...]) -> bool:
+    for root in roots:
+        inside = file.removeprefix(root).replace("\\", "/") if file.startswith(root) else ""
+        if inside.startswith(("pycram/", "recorder/")) and not inside.startswith("pycram/demos/"):
+            return False
+    return source.has(file) or not _FOREIGN.search(file)

@@ -1,21 +1,68 @@
-"""The task tree of a recording: the same classes that a running plan sees of itself (:mod:`recorder.tasks`)."""
+"""The tasks of a recording: those that a record is part of, and the tree of all, as :mod:`recorder.tasks` has it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Output, Query, Task
 from recorder.records.choices import is_choice
 from recorder.tasks import Tree
 from replay.errors import Damaged
-from replay.explain.root_cause import root_cause, uncaught_failure
+from replay.history.failures import root_cause, uncaught_failure
+from replay.history.source import PlanSource
 from replay.state.task_integrity import TaskDepths
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from recorder.records import Record
     from recorder.tasks import Node
     from replay.file.record_reader import RecordReader
+    from replay.history.source import Line
+
+
+@dataclass(frozen=True, slots=True)
+class CausingTask:
+    """A task that a record is part of.
+
+    Attributes:
+        started: the record of its start.
+        call_stack: the plan's lines that led to it, outermost first and that which started it last; empty if unknown.
+    """
+
+    started: Task
+    call_stack: tuple[Line, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CausingTasks:
+    """The causes of a record.
+
+    Attributes:
+        tasks: the tasks that it is part of, innermost first; none if the plan itself did it, outside of any task.
+        call_stack: the plan's lines that led to the record, outermost first and that line last: those that the record
+            has if the plan's own code made it, else those of the innermost task that has them.
+    """
+
+    tasks: tuple[CausingTask, ...]
+    call_stack: tuple[Line, ...]
+
+
+def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
+    """Return the causes of a record; a task's record is part of that task."""
+    source = PlanSource(log)
+    tasks = []
+    number = record.task
+    for started in log.backwards(record.seq, Task) if number else ():
+        if started.phase == Task.STARTED and started.task == number:  # whatever a task is part of started before it
+            tasks.append(CausingTask(started, source.call_stack(started)))
+            number = started.parent
+            if not number:
+                break
+    stacks = [source.call_stack(record), *(task.call_stack for task in tasks)]
+    return CausingTasks(tuple(tasks), next(filter(None, stacks), ()))
+
 
 _UNPACKED: Final = 20_000  # tasks; each takes some 3 kB, packed ones less than 1
 

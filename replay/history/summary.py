@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Run, format_failure
 from replay.errors import Unreadable
-from replay.explain.failures import failed_threads
-from replay.explain.root_cause import INTERRUPT
+from replay.history.failures import INTERRUPT, failed_threads
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,7 +22,7 @@ MAX_CHECKED: Final = 16 << 20
 
 
 @dataclass(frozen=True, slots=True)
-class Simulated:
+class WorldClock:
     """A world and its clock.
 
     Attributes:
@@ -62,7 +61,7 @@ class Summary:
     plan: str
     started: datetime
     seconds: float
-    worlds: tuple[Simulated, ...]
+    worlds: tuple[WorldClock, ...]
     outcome: str
     failure: str
     threads: tuple[tuple[str, str], ...]
@@ -76,9 +75,9 @@ class Summary:
     start: Run | None
 
 
-def _simulated(log: RecordReader, lifetime: Lifetime) -> Simulated:
+def _simulated(log: RecordReader, lifetime: Lifetime) -> WorldClock:
     end = log.end_of(lifetime)
-    return Simulated(lifetime.world, lifetime.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
+    return WorldClock(lifetime.world, lifetime.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
 
 
 def _seconds(first: Record, last: Record) -> float:

@@ -8,9 +8,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from replay.file.lifetimes import title
+from replay.state.state import turn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping
 
     from recorder.geometry import Pose
     from replay.state.state import Attachment, Body, State, World
@@ -165,12 +166,3 @@ def _change(a: World, before: Body, b: World, after: Body) -> BodyChange | None:
         carrier,
         details,
     )
-
-
-def turn(before: Sequence[float], after: Sequence[float]) -> float:
-    """Return the angle between two orientations xyzw, rad."""
-    if before == after:
-        return 0.0
-    from recorder import geometry  # noqa: PLC0415  needs numpy
-
-    return geometry.angle(before, after)

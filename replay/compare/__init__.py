@@ -1,0 +1,1 @@
+"""Comparisons: of two states, two runs, two records."""

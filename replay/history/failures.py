@@ -1,0 +1,178 @@
+"""The failures of a recording, of tasks and of threads of the plan's own; and the root cause.
+
+Tasks are collected in one pass; of those that succeeded only motions, and the last of each kind, are kept. Of very many
+the earliest are forgotten, so that a recording of any length is explained in the same memory.
+
+The root cause is the one failure that explains how a plan ended; ``why``, the step ``failure`` and trees use it. A plan
+that failed did so with an exception: it began in the task that raised it, or that raised the nearest of its
+causes; else in the plan's own code. One that was interrupted ended where the interrupt came, whatever failed before.
+If the plan succeeded, the same holds for an uncaught exception of a thread of its own. Else, or where the recording was
+cut, it is the last failure that no task around it recovered from, or the last.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Run, Task
+from recorder.tasks import Node, decisive
+from replay.history.source import ParsedException, PlanSource, parse_traceback
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from recorder.records import Failure
+    from replay.file.record_reader import RecordReader
+
+
+_RUN_RECORDS: Final = 2  # of a run without failed threads: started, finished
+_MAX_KEPT: Final = 5_000  # failures, and motions: a node with its records takes some 3 kB
+
+
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """What failed, what is unfinished and what succeeded; as parts tasks have those that failed or have not ended.
+
+    Attributes:
+        origins: the tasks in which failures began, in the order of their ends; the last ones.
+        running: the tasks that have not ended, in the order of their starts.
+        successes: the last successful one of each kind and name.
+        motions: the motions that have ended, in the order of their ends; the last ones.
+        forgotten: number of earlier origins that were left out.
+        first_motion: the step at which the first motion began; None if none did.
+    """
+
+    origins: tuple[Node, ...]
+    running: tuple[Node, ...]
+    successes: Mapping[tuple[str, str], Node]
+    motions: tuple[Node, ...] = ()
+    forgotten: int = 0
+    first_motion: int | None = None
+
+    @property
+    def last_success(self) -> Node | None:
+        """The last motion, or else task, that succeeded."""
+        motions = [task for (kind, _), task in self.successes.items() if kind == "motion"]
+        return max(motions or self.successes.values(), key=lambda task: task.last_step, default=None)
+
+
+def failures(log: RecordReader, stop: int | None = None) -> Failures:
+    """Return what failed in a recording before a step, or at all."""
+    running: dict[int, Node] = {}
+    successes: dict[tuple[str, str], Node] = {}
+    origins: deque[Node] = deque()
+    motions: deque[Node] = deque(maxlen=_MAX_KEPT)
+    forgotten, first_motion = 0, None
+    for record in log.records(Task, stop=stop):
+        if first_motion is None and record.kind == "motion":
+            first_motion = record.seq
+        number, parent = record.task, running.get(record.parent)
+        if record.phase == Task.STARTED:
+            running[number] = Node(record, parent)
+            if parent is not None:
+                parent.parts[number] = running[number]
+        elif record.phase == Task.FINISHED:
+            task = running.pop(number, None) or Node(record, parent)
+            task.finished = record
+            if task.is_origin:
+                forgotten += _keep(origins, task)
+            if task.kind == "motion":
+                motions.append(task)
+            if task.parent is not None and not task.failed:
+                task.parent.parts.pop(number, None)
+            if record.status == Task.SUCCEEDED:
+                successes[record.kind, record.name] = task
+    return Failures(tuple(origins), tuple(running.values()), successes, tuple(motions), forgotten, first_motion)
+
+
+def _keep(origins: deque[Node], task: Node) -> int:
+    """Add a task in which a failure began, and return how many had to be dropped, also from what they were part of."""
+    origins.append(task)
+    if len(origins) <= _MAX_KEPT:
+        return 0
+    outer = origins.popleft().outermost_failed
+    if outer.parent is not None:
+        outer.parent.parts.pop(outer.id, None)
+    return 1
+
+
+def failed_threads(log: RecordReader) -> tuple[Run, ...]:
+    """Return the records of threads of the plan's own that ended with a failure while it went on."""
+    if log.counts().get("run", 0) <= _RUN_RECORDS:
+        return ()
+    return tuple(record for record in log.records(Run) if record.phase == Run.THREAD_FAILED)
+
+
+#: What a plan ends with that somebody interrupts.
+INTERRUPT: Final = "KeyboardInterrupt"
+
+
+@dataclass(frozen=True, slots=True)
+class RootCause:
+    """The root cause of a failure.
+
+    Attributes:
+        step: the moment of it: the end of the task in which it began; of a failure of the plan's own code the last step
+            before worlds were closed, or that in which its thread ended.
+        task: the task in which it began; None if the plan's own code did it.
+        failure: what the plan, or a thread of it, failed with; None if neither did.
+        thread: name of that thread; "" if the plan failed.
+        exceptions: those from that task on that led to the plan's failure, causes first.
+    """
+
+    step: int
+    task: Node | None
+    failure: Failure | None = None
+    thread: str = ""
+    exceptions: tuple[ParsedException, ...] = ()
+
+
+def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:
+    """Return where a recording's plan broke; None if nothing failed."""
+    failed = failed if failed is not None else failures(log)
+    end = uncaught_failure(log)
+    if end is None:
+        task = decisive(failed.origins)
+        return RootCause(task.last_step, task) if task is not None else None
+    thread = end.thread if end.phase == Run.THREAD_FAILED else ""
+    exceptions = _exceptions(end.failure, PlanSource(log))
+    earlier = [task for task in failed.origins if task.last_step < end.seq]  # the plan may go on, and fail alike
+    if end.failure.type == INTERRUPT:  # not because of what had failed before
+        exceptions = exceptions[-1:]
+        earlier = [task for task in earlier if task.error is not None and task.error[0] == INTERRUPT]
+    origin = _origin(earlier, exceptions)
+    if origin is None:
+        return RootCause(end.seq if thread else log.final_step(), None, end.failure, thread, exceptions)
+    task, first = origin
+    return RootCause(task.last_step, task, end.failure, thread, exceptions[first:])
+
+
+def uncaught_failure(log: RecordReader) -> Run | None:
+    """Return the record of an uncaught failure: of the plan's end, else of the last thread that failed."""
+    end = log[-1]
+    if isinstance(end, Run) and end.HasField("failure"):
+        return end
+    return next(reversed(failed_threads(log)), None)
+
+
+def _exceptions(failure: Failure, source: PlanSource) -> tuple[ParsedException, ...]:
+    """Return the exceptions, causes first; the last one is the failure itself, whose words the record has."""
+    exceptions = parse_traceback(failure.traceback, source)
+    last = exceptions.pop() if exceptions else ParsedException("", "", ())
+    return (*exceptions, ParsedException(failure.type, failure.message, last.lines, last.own))
+
+
+def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
+    """Return the task that raised the failure or else its nearest cause, and the index of that exception.
+
+    What was raised earlier had been handled, even if Python's traceback still has it. Of all that failed in a block it
+    is the task whose error became the block's, whichever ended last.
+    """
+    for number in range(len(exceptions) - 1, -1, -1):
+        error = exceptions[number].type, exceptions[number].message
+        raising = [task for task in origins if any(outer.error == error for outer in task.around())]
+        if raising:
+            return next((task for task in reversed(raising) if task.error == error), raising[-1]), number
+    return None

@@ -1,0 +1,1 @@
+"""Results of verbs as text and as JSON."""

@@ -1,0 +1,340 @@
+"""The phrases of all texts: values, numbers, tasks, lines of the plan, changes, records, queries and their reasons."""
+
+from __future__ import annotations
+
+import json
+import math
+from contextlib import suppress
+from dataclasses import replace
+from itertools import takewhile
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Final
+
+from recorder.collision_pairs import pair_text
+from recorder.records import STEPS_PER_SECOND, Event, Query, Refusal, Task, argument_values, format_failure, from_json
+from recorder.records.choices import is_choice, rejection_lines, rejections
+from recorder.records.text import text_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from recorder.records import Plain, Record
+    from replay.history.source import Line
+    from replay.state.state import Attachment, Sampled
+
+
+_WIDTH: Final = 100  # characters of a value
+_MAX_NAMES: Final = 4  # that are listed one by one
+_PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling", "attempt"})
+
+
+def value(recorded: Plain) -> str:
+    """Return a user's value: bodies by name, numbers to the millimetre."""
+    if isinstance(recorded, dict):
+        if set(recorded) == {"object", "world"}:
+            return str(recorded["object"])
+        if len(recorded) == 1 and isinstance(next(iter(recorded.values())), str):  # {"repr": ...}, {"callable": ...}
+            return str(next(iter(recorded.values())))
+        text = "{" + ", ".join(f"{key}: {value(item)}" for key, item in recorded.items()) + "}"
+    elif isinstance(recorded, list):
+        text = "[" + ", ".join(value(item) for item in recorded) + "]"
+    elif isinstance(recorded, float):
+        text = number(recorded)
+    elif isinstance(recorded, str):
+        text = recorded
+    else:
+        text = json.dumps(recorded)
+    return short(text)
+
+
+def short(text: str) -> str:
+    """Return a text, cut where it is too long for a line."""
+    return text if len(text) <= _WIDTH else text[: _WIDTH - 3] + "..."
+
+
+def one_line(text: str) -> str:
+    """Return the first line of a text, and whether there are more."""
+    first, _, more = text.strip().partition("\n")
+    return f"{first} ..." if more else first
+
+
+def number(amount: float) -> str:
+    """Return a number with three decimals, without trailing zeros."""
+    text = f"{amount:.3f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+def apart(before: float, after: float) -> tuple[str, str]:
+    """Return two numbers with as many digits as distinguish them."""
+    if number(before) != number(after) or before == after:
+        return number(before), number(after)
+    texts = ((f"{before:.{digits}g}", f"{after:.{digits}g}") for digits in range(3, 17))
+    return next((pair for pair in texts if pair[0] != pair[1]), (repr(before), repr(after)))
+
+
+def vectors(before: Sequence[float], after: Sequence[float]) -> tuple[str, str]:
+    """Return two positions or the like, with as many digits as distinguish them."""
+    pairs = [apart(a, b) for a, b in zip(before, after, strict=True)]
+    return f"[{', '.join(a for a, _ in pairs)}]", f"[{', '.join(b for _, b in pairs)}]"
+
+
+def vector(values: Sequence[float]) -> str:
+    """Return a position or the like."""
+    return "[" + ", ".join(number(part) for part in values) + "]"
+
+
+def call(name: str, parameters: Mapping[str, Plain]) -> str:
+    """Return a task or query with what it was given."""
+    arguments = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
+    return f"{name}({arguments})" if arguments else name
+
+
+def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
+    """Return a task, with its kind if the name doesn't imply it; a process module's parameters are its motion's."""
+    if kind == "handler":
+        return f"handler {name} of event {parameters.get('event', '')}"
+    if kind == "timeout":
+        from recorder.tasks.tree_text import timeout_text  # noqa: PLC0415  most verbs show no tasks
+
+        return timeout_text(name, parameters.get("clock"))
+    called = name if kind == "process-module" else call(name, parameters)
+    return called if kind in _PLAIN_KINDS else f"{called} {kind}"
+
+
+def names(items: Sequence[str]) -> str:
+    """Return names in a row, the first few."""
+    shown = list(items[:_MAX_NAMES])
+    if len(items) > _MAX_NAMES:
+        shown.append(f"{len(items) - _MAX_NAMES} more")
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}" if shown else "nothing"
+
+
+def seconds(duration_ns: int) -> str:
+    """Return how long something took."""
+    return f"{duration_ns / 1e9:.2f} s" if duration_ns >= 1e9 else f"{duration_ns / 1e6:.1f} ms"
+
+
+def length(metres: float) -> str:
+    """Return a distance."""
+    if metres >= 0.1:
+        return f"{metres:.3f} m"
+    return f"{metres * 1e3:.1f} mm" if metres >= 5e-5 else f"{metres * 1e3:.1g} mm"
+
+
+def degrees(angle: float) -> str:
+    """Return an angle."""
+    value = math.degrees(angle)
+    return f"{value:.1f} degrees" if value >= 0.05 else f"{value:.1g} degrees"
+
+
+def path(file: str) -> str:
+    """Return a file's path: from the folder that one is in, if it is below that."""
+    with suppress(ValueError, OSError):  # it is elsewhere; the folder is gone
+        return str(PurePath(file).relative_to(Path.cwd()))
+    return file
+
+
+def location(line: Line) -> str:
+    """Return a line of the plan: its location and its text."""
+    function = f" in {line.function}" if line.function else ""
+    return f"{path(line.file)}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
+
+
+def sampled(moment: Sampled, *, exact: bool = False) -> str:
+    """Return how a moment within a stretch of simulation is known."""
+    stretch = f"step {moment.step} ({moment.world} simulated from {moment.start:.3f} s to {moment.end:.3f} s)"
+    if exact:
+        return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to then"
+    if moment.at == moment.start:
+        return f"at {moment.asked:.3f} s, within {stretch}: as before it, no sample until then has a movement"
+    return f"at {moment.asked:.3f} s, within {stretch}: as sampled at {moment.at:.3f} s, to 0.01 mm"
+
+
+def learned(source: str, step: int) -> str:
+    """Return how a robot came to believe something, as "seen at step 40"."""
+    words = {"held": "in its hand since", "told": "told by the world's state at", "placed": "let go of there at"}
+    word = words.get(source, f"{source} at")
+    return f"{word} step {step}" if step >= 0 else f"{word.rpartition(' ')[0]} before the recording"
+
+
+def carrier(held: Attachment) -> str:
+    """Return a carrier, with the link that holds a body."""
+    return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
+
+
+_MAX_REASONS: Final = 3  # why others wouldn't do, in a line
+
+
+def record_line(record: Record) -> str:
+    """Return a record as one line."""
+    if isinstance(record, Task) and record.phase == Task.STARTED:
+        earlier = ", which runs already" if record.began_ns else ""
+        return f"{record.kind} {call(record.name, argument_values(record.parameters))}{earlier}"
+    if isinstance(record, Query):
+        text = reasons(record)
+        return f"{question(record)}: {answer(record)}" + (f"; {text}" if text else "")
+    if isinstance(record, Event):
+        text = f"event {call(record.name, argument_values(record.arguments))}"
+        return f"{text}, {len(record.handlers)} handlers" if record.handlers else text
+    if isinstance(record, Refusal):
+        asked = call(record.name, argument_values(record.arguments))
+        return f"refused: {asked}: {one_line(format_failure(record.failure))}"
+    return "; ".join(text_of(record)[0].splitlines())
+
+
+def question(query: Query) -> str:
+    """Return what a query asked."""
+    return call(query.name, argument_values(query.arguments))
+
+
+def answer(query: Query) -> str:
+    """Return its answer: yes, no, the objects found, or how it failed; and whether a fork gave it."""
+    if query.HasField("failure"):
+        return one_line(format_failure(query.failure))
+    if query.by_fork:
+        return f"{_answer(query.answer_json)}, by the fork; else {_answer(query.own_answer_json)}"
+    return _answer(query.answer_json)
+
+
+def _answer(text: str) -> str:
+    result = from_json(text)
+    if isinstance(result, bool):
+        return "yes" if result else "no"
+    if isinstance(result, list):
+        return names([value(item) for item in result])
+    return value(result)
+
+
+def reasons(query: Query) -> str:
+    """Return what its answer rests on."""
+    evidence = argument_values(query.evidence)
+    phrases = [text] if is_choice(query) and (text := rejections(query)) else []
+    for key, item in evidence.items():
+        if key in _PHRASES:
+            phrases += _PHRASES[key](item, evidence)
+        elif key not in _INCLUDED and isinstance(item, bool | int | float | str):
+            phrases.append(f"{key.replace('_', ' ')} {value(item)}")
+    return "; ".join(filter(None, (", ".join(phrases), "" if is_choice(query) else _others(query))))
+
+
+def _others(query: Query) -> str:
+    """Return why other candidates for an answer wouldn't do; of one alone the evidence tells."""
+    lines = list(rejection_lines(query))
+    if len(query.candidates) < 2:
+        return ""
+    more = [f"{len(lines) - _MAX_REASONS} more reasons"] if len(lines) > _MAX_REASONS else []
+    return "; ".join((*lines[:_MAX_REASONS], *more))
+
+
+def _share(share: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(share, int | float):
+        visible, unoccluded = evidence.get("pixels_seen"), evidence.get("pixels_alone")
+        how_much = "all" if share >= 1 else "nothing" if not share else f"{share:.0%}"
+        yield f"{how_much} of it is seen" + (f" ({visible} of {unoccluded} pixels)" if unoccluded else "")
+
+
+def _hidden(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(bodies, dict):
+        for name, share in bodies.items():
+            yield f"{name} hides {share:.0%}" if isinstance(share, int | float) else f"{name} hides it"
+
+
+def _distance(distance: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
+    if not isinstance(distance, int | float):
+        return
+    if "joints" not in evidence:
+        yield (f"{number(distance * 1e3)} mm apart" if distance >= 0 else f"{number(-distance * 1e3)} mm deep")
+        return
+    turn = evidence.get("turn")
+    turned = isinstance(turn, int | float) and turn >= math.radians(1)
+    if distance >= 1e-3 or turned:
+        yield f"the nearest posture stays {distance:.3f} m away" + (
+            f" and is turned by {math.degrees(turn):.0f} degrees" if isinstance(turn, int | float) and turned else ""
+        )
+    else:
+        yield "there is a posture for it"
+
+
+def _obstacles(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if not isinstance(bodies, dict) or not bodies:
+        return
+    pairs = [fact["pair"] if isinstance(fact, dict) and "pair" in fact else None for fact in bodies.values()]
+    known = [pair_text(pair) for pair in pairs if isinstance(pair, dict)]
+    if len(known) == len(bodies):
+        yield names(known)
+    else:  # older releases didn't tell the links
+        yield f"the arm would touch {names(list(bodies))}"
+
+
+def _measure(verb: str, factor: float, unit: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
+    def phrase(amount: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+        if isinstance(amount, int | float):
+            yield f"{verb} {amount * factor:.1f} {unit}"
+
+    return phrase
+
+
+def _links(links: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(links, list) and links:
+        pairs = [
+            " and ".join(str(part) or "base" for part in item) if isinstance(item, list) else str(item) or "base"
+            for item in links
+        ]
+        yield f"at {names(pairs)}"
+
+
+def _simulated(steps: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(steps, int):
+        yield f"in {steps / STEPS_PER_SECOND:.2f} s of simulation"
+
+
+#: Phrases for parts of queries' evidence; single values that are not here are printed with their names.
+_PHRASES: Final[Mapping[str, Callable[[Plain, Mapping[str, Plain]], Iterator[str]]]] = {
+    "share": _share,
+    "hidden_by": _hidden,
+    "distance": _distance,
+    "obstacles": _obstacles,
+    "moved": _measure("it moved", 1e3, "mm"),
+    "turned": _measure("turned", math.degrees(1), "degrees"),
+    "links": _links,
+    "simulated_steps": _simulated,
+}
+#: Parts that the phrases of others include.
+_INCLUDED: Final = frozenset({"pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})
+
+
+def turned(angle: float) -> str:
+    """Return by how much something turned."""
+    return f"turned by {degrees(angle)}"
+
+
+#: How something moved, as in :class:`replay.history.blame.Blame`.
+MOVES: Final[Mapping[str, str]] = {
+    "command": "was moved",
+    "carried": "was carried",
+    "along": "moved along",
+    "hand": "was dragged by hand in the window",
+    "driven": "followed a trajectory",
+    "physics": "moved in simulation",
+    "reset": "moved when the world was reset",
+    "restored": "moved when a saved state was restored",
+}
+
+
+def move(how: str, mover: str = "") -> str:
+    """Return how something moved; ``mover`` carried it, or moved it along."""
+    by = {"carried": " by ", "along": " with "}.get(how, "") if mover else ""
+    return f"{MOVES[how]}{by}{mover if by else ''}"
+
+
+def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> Iterator[str]:
+    """Yield the lines of a call stack, innermost first, down to those that were printed with another one."""
+    common = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, earlier, strict=False)) for earlier in printed)
+    shared = max((len(list(pairs)) for pairs in common), default=0)
+    printed.append(stack)
+    word = "from"
+    for line in reversed(stack[shared:] if shared > 1 else stack):
+        yield f"{word} {location(line)}"
+        word = "called from"
+    if shared > 1:
+        yield f"{word} {location(replace(stack[shared - 1], text=''))}, as above"

@@ -1,0 +1,75 @@
+"""A result is rendered here: as JSON data, and as sections of lines.
+
+A verb gives :func:`data` one rule for each class whose JSON has other keys than the class has fields; all else is
+rendered alike everywhere. The keys are part of the command's interface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import singledispatch
+from typing import TYPE_CHECKING
+
+from google.protobuf.message import Message
+
+from recorder.tasks import Node
+from replay.history.source import Line
+from replay.state.json_data import message_data, record_data
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+
+@singledispatch
+def data(value: object) -> object:
+    """Return a value as JSON data: records, tasks, lines of the plan, and what is made of them."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return fields_data(value)
+    if isinstance(value, tuple | list):
+        return [data(item) for item in value]
+    return {key: data(item) for key, item in value.items()} if isinstance(value, Mapping) else value
+
+
+def fields_data(value: object, **keys: str) -> dict[str, object]:
+    """Return the fields of a dataclass, in their order; ``keys`` are those that are called otherwise."""
+    return {
+        keys.get(each.name, each.name): data(getattr(value, each.name))
+        for each in fields(value)  # type: ignore[arg-type]  # it is one
+    }
+
+
+@data.register(Message)
+def _(message: Message) -> object:
+    return record_data(message) if hasattr(message, "seq") else message_data(message)  # type: ignore[arg-type]
+
+
+@data.register(Node)
+def _(task: Node) -> dict[str, object]:
+    return {
+        "id": task.id,
+        "kind": task.kind,
+        "name": task.name,
+        "parameters": task.parameters,
+        "steps": [task.started.seq, task.finished and task.finished.seq],
+        "error": task.error,
+    }
+
+
+@data.register(Line)
+def _(line: Line) -> dict[str, object]:
+    return {"file": line.file, "line": line.number, "function": line.function, "text": line.text}
+
+
+def call_stack(stack: Sequence[Line]) -> dict[str, object]:
+    """Return the plan's lines that led to something."""
+    lines = [data(line) for line in stack]
+    return {"line": lines[-1] if lines else None, "callers": lines[:-1]}
+
+
+def section(title: str, body: Iterable[str]) -> Iterator[str]:
+    """Yield a section of a text, after an empty line; nothing if it would be empty."""
+    for number, line in enumerate(body):
+        if not number:
+            yield from ("", title)
+        yield f"  {line}"
