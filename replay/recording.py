@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
     from pycram.world.world import BulletWorld
     from recorder.tasks import Tree
-    from replay.explain.causes.why_data import Why
+    from replay.explain.why import Why
     from replay.history.blame import Blame
+    from replay.report.question import Question
     from replay.restore.ask import Answer, Move
-    from replay.restore.question import Question
     from replay.state.state import Belief, State
 
 
@@ -70,8 +70,8 @@ class Recording(RecordReader):
         return tree(self, None if step is None else self.step(step) + 1)
 
     def why(self, step: int | str | None = None) -> Why:
-        """Explain a failure; see :func:`replay.explain.causes.why.why`."""
-        from replay.explain.causes.why import why  # noqa: PLC0415  it and what it needs take long to import
+        """Explain a failure; see :func:`replay.explain.why.why`."""
+        from replay.explain.why import why  # noqa: PLC0415  it and what it needs take long to import
 
         return why(self, None if step is None else self.step(step))
 

@@ -92,15 +92,16 @@ def _headline(change: Blame) -> str:
     if change.how == "load":
         return f"{name} has been at {where} since it was loaded"
     carrier = change.carried[-1].held.carrier if change.carried else ""
-    moved = phrases.move(change.how, commanded(change.record) if change.how == "along" else carrier)
+    moved = phrases.change(name, change.how, commanded(change.record) if change.how == "along" else carrier)
     if isinstance(change.before, float) and isinstance(change.after, float):
         before, after = phrases.apart(change.before, change.after)
-        return f"{name} {moved}: from {before} to {after}"
+        return f"{moved}: from {before} to {after}"
     turned = phrases.turned(change.angle)
-    size = f"by {phrases.length(change.distance)}" + (f", {turned}," if change.angle >= _MIN_TURN else "")
     if change.angle and not change.distance:
         size = f"{turned}, not moved away,"
-    return f"{name} {moved}: {size} to {where}"
+    else:
+        size = f"by {phrases.length(change.distance)}" + (f", {turned}," if change.angle >= _MIN_TURN else "")
+    return f"{moved}: {size} to {where}"
 
 
 def _value(value: Pose | float) -> str:

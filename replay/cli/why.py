@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Final
 from recorder.records import format_error
 from replay.cli.console import print_json, print_message, print_text
 from replay.cli.main import FINE, INCOMPLETE, USAGE
-from replay.cli.why_json import facts
-from replay.cli.why_text import lines
 from replay.errors import Damaged, ReplayError
+from replay.explain import why_report
 from replay.history.steps import HINT
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Iterator
 
-    from replay.explain.causes.why_data import Why
+    from replay.explain.why import Why
     from replay.recording import Recording
     from replay.runs.runs import Runs
 
@@ -38,9 +37,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     why = log.why(options.step)
     code, pictures = _pictures(log, why, options.pictures)
     if options.json:
-        print_json(facts(why) | {"pictures": pictures})
+        print_json(why_report.data(why) | {"pictures": pictures})
     else:
-        print_text("\n".join(lines(why, str(log.path))))
+        print_text("\n".join(why_report.lines(why, str(log.path))))
         if pictures:
             print_text("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
     return code
@@ -63,9 +62,14 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     for cause in stats.causes[:_COMMONEST]:
         with Recording(runs.path / cause.first) as log:
             why = log.why()
-            explained.append({"cause": cause.cause, "count": cause.count, "first": cause.first, "why": facts(why)})
+            explained.append(
+                {"cause": cause.cause, "count": cause.count, "first": cause.first, "why": why_report.data(why)}
+            )
             text += ["", f"{plural(cause.count, 'run')}, {percent(cause.share)}: {cause.cause}"]
-            text += [f"first in {cause.first}:", *(f"  {line}".rstrip() for line in _start(lines(why, str(log.path))))]
+            text += [
+                f"first in {cause.first}:",
+                *(f"  {line}".rstrip() for line in _start(why_report.lines(why, str(log.path)))),
+            ]
     if options.json:
         print_json({"runs": stats.success.of, "failed": failed, "causes": explained})
     else:

@@ -20,9 +20,11 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Fluent, Mutation, Query, Refusal, Run, Task, without_addresses
 from recorder.records.choices import is_choice
+from replay.compare import states
 from replay.compare.states import Difference, difference
 from replay.history.summary import Summary, summary
 from replay.history.tasks import causing_tasks
+from replay.report import phrases, report
 from replay.state.fold import state_at
 from replay.state.json_data import kind_of, record_data
 
@@ -46,6 +48,7 @@ _GIVEN: Final = (
     "name", "arguments", "directory", "seed", "order", "hash_seed", "plan", "pycram", "host", "cpu", "program",
     "by_program", "called_as", "number", "origin", "looks", "parameters", "sweep",
 )  # fmt: skip
+_MAX_LISTED: Final = 8  # fields that are listed one by one
 _REQUESTS: Final = ("reference", "next_solution")
 
 _Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's
@@ -54,35 +57,21 @@ _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plai
 
 @dataclass(frozen=True, slots=True)
 class Divergence:
-    """The first record where two runs diverge.
+    """The first record where two runs diverge."""
 
-    Attributes:
-        first: the record in the first run; None if only the second has it.
-        second: the record in the second run; None if only the first has it.
-        task: path of their task; "" for the plan itself.
-        fields: values that differ, by the path of the field.
-    """
-
-    first: Record | None
-    second: Record | None
-    task: str
-    fields: dict[str, tuple[Plain, Plain]]
+    first: Record | None  # None: only the second run has it
+    second: Record | None  # None: only the first run has it
+    task: str  # the path of their task; "" for the plan itself
+    fields: dict[str, tuple[Plain, Plain]]  # values that differ, by the path of the field
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A comparison of two runs.
+    """A comparison of two runs."""
 
-    Attributes:
-        equal: number of records that are equal until the divergence.
-        divergence: None if there is none.
-        difference: of the states at their ends, before worlds were closed.
-        outcomes: summaries of both.
-    """
-
-    equal: int
+    equal: int  # number of records that are equal until the divergence
     divergence: Divergence | None
-    difference: Difference
+    difference: Difference  # of the states at their ends, before worlds were closed
     outcomes: tuple[Summary, Summary]
 
 
@@ -330,3 +319,63 @@ def _pairs(first: list[str], second: list[str]) -> Iterable[tuple[str, str]]:
         [name for name in names if name not in both] for names in others for both in [set(others[0]) & set(others[1])]
     ]
     yield from zip(rest[1], rest[0], strict=False)
+
+
+# --- as JSON data and as text ----------------------------------------------------------------------------------------
+
+
+@report.data.register(Comparison)
+def _(compared: Comparison) -> dict[str, object]:
+    return {
+        "alike": compared.equal,
+        "parting": report.data(compared.divergence),
+        "world": report.data(compared.difference),
+        "outcomes": [_outcome(each) for each in compared.outcomes],
+        "failures": [each.failure for each in compared.outcomes],
+    }
+
+
+def lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
+    """Yield a comparison as text; ``whole`` includes settling of physics and every joint."""
+    first, second = compared.outcomes
+    if compared.divergence is None:
+        yield f"the runs are the same: {compared.equal} records"
+    else:
+        yield from _divergence_lines(compared.divergence, compared.equal)
+    if compared.difference:
+        yield ""
+        yield "at the end, first -> second:"
+        yield from (f"  {line}" for line in states.lines(compared.difference, whole=whole))
+    ends = _ended(first), _ended(second)
+    yield ""
+    yield f"both {ends[0]}" if ends[0] == ends[1] else f"the first {ends[0]}; the second {ends[1]}"
+
+
+def _ended(run: Summary) -> str:
+    """Return how a run ended, as a verb."""
+    verbs = {"cut off": "broke off", "running": "had not ended", "lost": "lost its end"}
+    return verbs.get(run.outcome) or _outcome(run)
+
+
+def _outcome(run: Summary) -> str:
+    return run.outcome + (f" ({run.failure})" if run.failure else "")
+
+
+def _divergence_lines(divergence: Divergence, equal: int) -> Iterator[str]:
+    where = f" in {divergence.task}" if divergence.task else ""
+    yield f"the runs are equal for {equal} records, then they diverge{where}:"
+    for name, record in (("first", divergence.first), ("second", divergence.second)):
+        yield f"  {name:6} {_record(record)}"
+    for field, (before, after) in list(divergence.fields.items())[:_MAX_LISTED]:
+        apart = f"  (by {abs(after - before):.3g})" if isinstance(before, float) and isinstance(after, float) else ""
+        yield f"    {field}: {phrases.value(before)} -> {phrases.value(after)}{apart}"
+    if len(divergence.fields) > _MAX_LISTED:
+        yield f"    ... {len(divergence.fields) - _MAX_LISTED} more values"
+
+
+def _record(record: Record | None) -> str:
+    return (
+        f"step {record.seq}: {phrases.short(phrases.record_line(record))}"
+        if record is not None
+        else "has no such record"
+    )

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from replay.file.lifetimes import title
+from replay.report import phrases, report
 from replay.state.state import turn
 
 if TYPE_CHECKING:
@@ -19,33 +20,23 @@ if TYPE_CHECKING:
 #: Smaller changes are physics settling.
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
+_MAX_LISTED: Final = 8  # joints that are listed one by one
+_MIN_TURN: Final = math.radians(0.05)  # smaller ones are not mentioned
 
 
 @dataclass(frozen=True, slots=True)
 class BodyChange:
-    """A body that is in both states, but not the same.
-
-    Attributes:
-        world: name of its world.
-        body: its name.
-        before: its pose in the first state.
-        after: its pose in the second.
-        distance: how far its base is from where it was, m.
-        angle: by how much it is turned, rad.
-        joints: values before and after, of those that differ.
-        carrier: how it is carried, before and after.
-        details: names of further fields that differ: color, type, fixed_base, models.
-    """
+    """A body that is in both states, but not the same."""
 
     world: str
     body: str
     before: Pose
     after: Pose
-    distance: float
-    angle: float
-    joints: Mapping[str, tuple[float, float]]
-    carrier: tuple[Attachment | None, Attachment | None]
-    details: tuple[str, ...] = ()
+    distance: float  # of its base from where it was, m
+    angle: float  # by which it is turned, rad
+    joints: Mapping[str, tuple[float, float]]  # values before and after, of those that differ
+    carrier: tuple[Attachment | None, Attachment | None]  # how it is carried, before and after
+    details: tuple[str, ...] = ()  # further fields that differ: color, type, fixed_base, models
 
     @property
     def moved(self) -> bool:
@@ -71,23 +62,15 @@ class BodyChange:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The difference of a second state from a first.
+    """The difference of a second state from a first."""
 
-    Attributes:
-        opened: titles of worlds that are open in the second only.
-        closed: titles of worlds that are open in the first only.
-        added: bodies that are in the second only, as pairs of world and body.
-        removed: bodies that are in the first only.
-        changed: the others that are not the same, to the last bit.
-        facts: values of worlds that differ, before and after, by world and name: gravity, robot, realtime, seconds, and
-            where a robot believes an object, a position or None.
-    """
-
-    opened: tuple[str, ...] = ()
-    closed: tuple[str, ...] = ()
-    added: tuple[tuple[str, str], ...] = ()
-    removed: tuple[tuple[str, str], ...] = ()
-    changed: tuple[BodyChange, ...] = ()
+    opened: tuple[str, ...] = ()  # titles of worlds that are open in the second only
+    closed: tuple[str, ...] = ()  # titles of worlds that are open in the first only
+    added: tuple[tuple[str, str], ...] = ()  # bodies that are in the second only, as pairs of world and body
+    removed: tuple[tuple[str, str], ...] = ()  # bodies that are in the first only
+    changed: tuple[BodyChange, ...] = ()  # the others that are not the same, to the last bit
+    #: Values of worlds that differ, before and after, by world and name: gravity, robot, realtime, seconds, and where a
+    #: robot believes an object, a position or None.
     facts: Mapping[tuple[str, str], tuple[object, object]] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
@@ -166,3 +149,86 @@ def _change(a: World, before: Body, b: World, after: Body) -> BodyChange | None:
         carrier,
         details,
     )
+
+
+# --- as JSON data and as text ----------------------------------------------------------------------------------------
+
+
+@report.data.register(Difference)
+def _(delta: Difference) -> dict[str, object]:
+    return {
+        "opened": delta.opened,
+        "closed": delta.closed,
+        "came": [{"world": world, "object": body} for world, body in delta.added],
+        "went": [{"world": world, "object": body} for world, body in delta.removed],
+        "changed": report.data(delta.changed),
+        "facts": [{"world": world, "fact": name, "values": pair} for (world, name), pair in delta.facts.items()],
+    }
+
+
+@report.data.register(BodyChange)
+def _(change: BodyChange) -> dict[str, object]:
+    joints = {name: [None if math.isnan(value) else value for value in pair] for name, pair in change.joints.items()}
+    carrier = [held and {"object": held.carrier, "link": held.carrier_link} for held in change.carrier]
+    return report.fields_data(change, body="object") | {"joints": joints, "carrier": carrier, "notable": change.notable}
+
+
+def lines(delta: Difference, *, whole: bool = False) -> Iterator[str]:
+    """Yield a difference as text; ``whole`` includes settling of physics and every joint."""
+    yield from (f"{world} was opened" for world in delta.opened)
+    yield from (f"{world} was closed" for world in delta.closed)
+    yield from (f"{body} is new" for _, body in delta.added)
+    yield from (f"{body} is gone" for _, body in delta.removed)
+    for (world, name), (before, after) in delta.facts.items():
+        yield f"{world}: {name} {_plain(before)} -> {_plain(after)}"
+    shown = delta.changed if whole else delta.notable
+    for change in shown:
+        yield from _change_lines(change, whole=whole)
+    rest = len(delta.changed) - len(shown)
+    if rest:
+        yield (f"{rest} more settled by less than 1 mm" if shown else f"{rest} objects settled by less than 1 mm")
+    if not delta:
+        yield "no difference"
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, tuple):
+        return phrases.vector(value)
+    if value is None:
+        return "nowhere"
+    return phrases.number(value) if isinstance(value, float) else str(value) or "none"
+
+
+def _change_lines(change: BodyChange, *, whole: bool) -> Iterator[str]:
+    changes = []
+    if change.moved or (whole and (change.distance or change.angle)):
+        is_turned = change.angle > 0 and (whole or change.angle >= _MIN_TURN)
+        turned = f", turned by {phrases.degrees(change.angle)}" if is_turned else ""
+        before, after = phrases.vectors(change.before[0], change.after[0])
+        changes.append(f"moved by {phrases.length(change.distance)}{turned}: {before} -> {after}")
+    if change.carrier_changed:
+        holder, former = change.carrier[1], change.carrier[0]
+        changes.append(f"held by {_carrier(holder)}, before by {_carrier(former)}")
+    changes += [f"has another {detail}" for detail in change.details]
+    joints = change.joints if whole else change.moved_joints
+    if len(joints) > _MAX_LISTED and not whole:
+        changes.append(
+            f"{len(joints)} joints moved, most of all "
+            + _joint(*max(joints.items(), key=lambda item: abs(item[1][1] - item[1][0])))
+        )
+        joints = {}
+    changes += [_joint(name, pair) for name, pair in joints.items()]
+    if len(changes) == 1:
+        yield f"{change.body} {changes[0]}"
+    else:
+        yield change.body
+        yield from (f"  {line}" for line in changes)
+
+
+def _joint(name: str, pair: tuple[float, float]) -> str:
+    before, after = phrases.apart(*pair)
+    return f"{name} {before} -> {after}"
+
+
+def _carrier(held: Attachment | None) -> str:
+    return "nothing" if held is None else phrases.carrier(held)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from recorder.records import Plain, Record
+    from recorder.tasks import Node
     from replay.history.source import Line
     from replay.state.state import Attachment, Sampled
 
@@ -308,8 +309,8 @@ def turned(angle: float) -> str:
     return f"turned by {degrees(angle)}"
 
 
-#: How something moved, as in :class:`replay.history.blame.Blame`.
-MOVES: Final[Mapping[str, str]] = {
+#: How something changed, as in :class:`replay.history.blame.Blame` and the causes of failures.
+_CHANGES: Final[Mapping[str, str]] = {
     "command": "was moved",
     "carried": "was carried",
     "along": "moved along",
@@ -318,13 +319,20 @@ MOVES: Final[Mapping[str, str]] = {
     "physics": "moved in simulation",
     "reset": "moved when the world was reset",
     "restored": "moved when a saved state was restored",
+    "load": "was loaded",
+    "removed": "was removed",
+    "attached": "was taken",
+    "detached": "was detached",
+    "in-hand": "was moved itself while a hand held it, off that hand",
 }
 
 
-def move(how: str, mover: str = "") -> str:
-    """Return how something moved; ``mover`` carried it, or moved it along."""
-    by = {"carried": " by ", "along": " with "}.get(how, "") if mover else ""
-    return f"{MOVES[how]}{by}{mover if by else ''}"
+def change(name: str, how: str, mover: str = "") -> str:
+    """Return a change of something; ``mover`` carried it, or moved it along."""
+    if how in ("gravity", "joints"):
+        return "gravity was set" if how == "gravity" else f"joints of {name} moved"
+    word = {"carried": "by", "along": "with"}.get(how) if mover else None
+    return f"{name} {_CHANGES.get(how, 'changed')}" + (f" {word} {mover}" if word else "")
 
 
 def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> Iterator[str]:
@@ -338,3 +346,35 @@ def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> It
         word = "called from"
     if shared > 1:
         yield f"{word} {location(replace(stack[shared - 1], text=''))}, as above"
+
+
+def place(line: Line) -> str:
+    """Return where a line of the plan is, as file:line."""
+    return f"{path(line.file)}:{line.number}"
+
+
+def at(line: Line | None) -> str:
+    """Return where a line of the plan is, as the end of a clause; "" if it isn't known."""
+    return f", at {place(line)}" if line is not None else ""
+
+
+def node(task_: Node) -> str:
+    """Return a task with what it was given."""
+    return task(task_.kind, task_.name, task_.parameters)
+
+
+def error(task_: Node) -> str:
+    """Return what a task failed with, in a line; its status if it has no error."""
+    return one_line(task_.error[1] or task_.error[0]) if task_.error is not None else task_.status.word
+
+
+def handler(started: Task) -> str:
+    """Return a handler's call, with the step of its event."""
+    event = argument_values(started.parameters).get("event", "")
+    step = f" of step {started.cause}" if started.cause else ""  # 0: the event came before the recording
+    return f"the handler {started.name} of event {event}{step}"
+
+
+def refused(refusal: Refusal) -> str:
+    """Return the call that was refused."""
+    return call(refusal.name, argument_values(refusal.arguments))

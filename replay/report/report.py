@@ -45,7 +45,8 @@ def _(message: Message) -> object:
 
 
 @data.register(Node)
-def _(task: Node) -> dict[str, object]:
+def task_data(task: Node) -> dict[str, object]:
+    """Return a task."""
     return {
         "id": task.id,
         "kind": task.kind,

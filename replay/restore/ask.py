@@ -17,7 +17,7 @@ from pycram.foundation.failures import PycramError
 from pycram.reasoning.queries.query import RECORDED_AS, Verdict
 from recorder.records import Query, format_error, to_json
 from replay.errors import NoSuchName
-from replay.restore.question import BadQuestion, Name, Question, parse, question_of
+from replay.report.question import BadQuestion, Name, Question, parse, question_of
 from replay.restore.world import temporary_world
 from replay.state.fold import state_at
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from pycram.vision.camera import Camera, Drawable, Rendering
     from recorder.geometry import Pose, Quaternion, Vector
-    from replay.explain.causes.why_data import Why
+    from replay.explain.why import Why
     from replay.file.record_reader import RecordReader
     from replay.state.state import Body
 

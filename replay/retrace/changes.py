@@ -36,7 +36,7 @@ from recorder.records import Change, Mutation, Query, from_json
 from recorder.tracing import interrupts, journal
 from recorder.tracing.process_identity import process
 from replay.errors import NoSuchName, ReplayError
-from replay.restore.question import BadQuestion, Name, Question, parse
+from replay.report.question import BadQuestion, Name, Question, parse
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
-    from replay.restore.question import Term
+    from replay.report.question import Term
     from replay.retrace.guide import Guide
 
 _COUNTS: Final[Mapping[str, tuple[int, ...]]] = {"position": (3, 7), "orientation": (4,), "color": (4,)}

@@ -19,7 +19,7 @@ from pycram.world import transaction
 from recorder.records import Keyframe
 from replay.cli.main import main
 from replay.errors import NoSuchName
-from replay.restore.question import BadQuestion
+from replay.report.question import BadQuestion
 from replay.restore.verify import verify
 from tests.replay.copies import rewritten_by_mcap
 

@@ -18,8 +18,8 @@ from pycram.world import current
 from recorder.records import Query
 from replay.cli.main import main
 from replay.report import phrases
+from replay.report.question import BadQuestion, Name, Question, parse
 from replay.restore.ask import QUERIES, Move
-from replay.restore.question import BadQuestion, Name, Question, parse
 from tests.replay.approximately import assert_approximately
 
 if TYPE_CHECKING:

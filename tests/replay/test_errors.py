@@ -24,7 +24,7 @@ from replay.errors import (
     ReplayError,
     Unreadable,
 )
-from replay.restore.question import BadQuestion
+from replay.report.question import BadQuestion
 from replay.retrace.changes import BadChange
 from replay.retrace.fork import NotForked
 from replay.retrace.guide import FirstDifference

@@ -1,1 +1,56 @@
-"""Why a plan failed: one finder for each kind of cause, and the explanation that they are part of."""
+"""The causes of a failure. A new kind is a file with its class, and its place in the list here."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Final
+
+from replay.explain.causes.cause import CausingChange
+from replay.explain.causes.gone import Gone, HandState
+from replay.explain.causes.lacked import RefusedRequest, Swallowed
+from replay.explain.causes.no_longer import Misbelief, NoLonger
+from replay.explain.causes.out_of_reach import NoCandidate, ObstructingBody, UnreachedTarget
+from replay.explain.causes.physics import Physics
+from replay.explain.causes.raised import Raised
+from replay.explain.causes.waiting import Interruption, Timeout
+
+if TYPE_CHECKING:
+    from replay.explain.causes.case import FailureCase
+    from replay.explain.causes.cause import Cause
+
+#: All kinds, those that explain most first.
+KINDS: Final[tuple[type[Cause], ...]] = (
+    Swallowed,
+    RefusedRequest,
+    Physics,
+    NoLonger,
+    Misbelief,
+    Timeout,
+    Gone,
+    Raised,
+    HandState,
+    ObstructingBody,
+    UnreachedTarget,
+    NoCandidate,
+)
+
+
+def find(case: FailureCase) -> tuple[Cause, ...]:
+    """Return the causes of a failure that the recording holds, those that explain most first.
+
+    What a deeper cause explains isn't listed. There are none if the recording holds no more than the failure.
+    """
+    ended = tuple(Interruption.find(case))
+    if ended:
+        return ended
+    found = [cause for kind in KINDS for cause in kind.find(case)]
+    return tuple(_with_events(cause) for cause in found if not cause.is_explained(found))
+
+
+def _with_events(cause: Cause) -> Cause:
+    """Return a cause with the steps of the events whose handlers made its changes."""
+    values = [getattr(cause, each.name) for each in fields(cause)]
+    changes = [each for value in values for each in (value if isinstance(value, tuple) else (value,))]
+    events = {each.handler.cause for each in changes if isinstance(each, CausingChange) and each.handler is not None}
+    events.discard(0)  # before the recording
+    return replace(cause, steps=tuple(sorted({*cause.steps, *events}))) if events else cause

@@ -5,15 +5,15 @@ from __future__ import annotations
 import ast
 import math
 import re
+import tomllib
 from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from recorder.records import Mutation, argument_values
+from recorder.records import Mutation, argument_values, from_json
 from replay.errors import NoSuchName
-from replay.explain.causes.cause import Change
-from replay.explain.causes.robot_description import hands
+from replay.explain.causes.cause import CausingChange
 from replay.history.blame import blame, commanded
 from replay.history.source import PlanSource, parse_traceback, syntax_nodes
 from replay.history.tasks import causing_tasks
@@ -35,28 +35,17 @@ HANDLER = "handler"  # kind of the task that is a call of an event's handler
 
 
 @dataclass(frozen=True)
-class Case:
-    """One failure.
-
-    Attributes:
-        log: the recording.
-        step: the moment of the failure.
-        failure: what was raised.
-        task: the task in which it began; None if the plan's own code failed outside of all tasks.
-        failed: what failed and succeeded until then.
-        state: of all worlds then.
-        world: the one that it was about; None if none was open.
-        exceptions: that led to it, causes first, with the plan's lines.
-    """
+class FailureCase:
+    """A failure."""
 
     log: RecordReader
-    step: int
-    failure: Failure
-    task: Node | None
-    failed: Failures
-    state: State
-    world: World | None
-    exceptions: tuple[ParsedException, ...] = field(default=(), repr=False)
+    step: int  # of the failure
+    failure: Failure  # what was raised
+    task: Node | None  # in which it began; None: the plan's own code failed, outside of all tasks
+    failed: Failures  # what failed and succeeded until then
+    state: State  # of all worlds then
+    world: World | None  # that the failure is about; None if none was open
+    exceptions: tuple[ParsedException, ...] = field(default=(), repr=False)  # that led to it, causes first
 
     # --- the failed task ---------------------------------------------------------------------------------------------
 
@@ -150,6 +139,34 @@ class Case:
         body = self.world.bodies.get(name) if self.world is not None else None
         return None if body is None or body.fixed_base or body is self.robot else body
 
+    def joints_to(self, name: str, link: str) -> tuple[str, ...]:
+        """Return the movable joints between a body's base and a link, from the link inwards."""
+        if self.world is None or not link:
+            return ()
+        body = self.world.bodies[name]
+        try:
+            model = self.state.urdf(body)
+        except NoSuchName:
+            return ()
+        found = []
+        joint = model.parent_joint(link) if link in model.links else None
+        while joint is not None:
+            if joint.name in body.joints:
+                found.append(joint.name)
+            joint = model.parent_joint(joint.parent)
+        return tuple(found)
+
+    def holder(self, body: str, step: int | None = None) -> str:
+        """Return who holds an object: the name of the robot's arm, or the carrier with its link; "" for nobody."""
+        state = self.state if step is None else state_at(self.log, step)
+        world = state.worlds.get(self.world.name) if self.world is not None else None
+        held = world.carrier(body) if world is not None else None
+        if held is None or world is None:
+            return ""
+        arms = hands(world.bodies.get(held.carrier))
+        arm = next((name for name, frame in arms.items() if frame and frame == held.carrier_link), "")
+        return arm or held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
+
     # --- records -----------------------------------------------------------------------------------------------------
 
     def motions(self, *names: str) -> Iterator[Node]:
@@ -173,7 +190,7 @@ class Case:
         except NoSuchName:
             return None
 
-    def changed(self, target: str) -> Change | None:
+    def changed(self, target: str) -> CausingChange | None:
         """Return the last change of a body or joint; None if it is as it was before the first motion."""
         last = self.blame(target)
         if last is None:
@@ -194,7 +211,7 @@ class Case:
         *,
         joint: str = "",
         size: tuple[float, float] = (0.0, 0.0),
-    ) -> Change:
+    ) -> CausingChange:
         """Return a record as a change of a body."""
         because = causing_tasks(self.log, record)
         tasks = [each.started for each in because.tasks]
@@ -207,7 +224,7 @@ class Case:
         other = mover if mover != body and not joint else ""
         by_fork = isinstance(record, Mutation) and record.by_fork
         line = self.line(stack)
-        return Change(record.seq, body, joint, how, task, line, other, *size, handler=handler, by_fork=by_fork)
+        return CausingChange(record.seq, body, joint, how, task, line, other, *size, handler=handler, by_fork=by_fork)
 
     # --- lines of the plan -------------------------------------------------------------------------------------------
 
@@ -306,3 +323,45 @@ def _filled(statement: ast.stmt) -> Iterator[str]:
 def _statements(text: str) -> Iterator[ast.stmt]:
     """Yield a file's simple statements."""
     return (node for node in syntax_nodes(text) if isinstance(node, ast.stmt) and not hasattr(node, "body"))
+
+
+def hands(robot: Body | None) -> dict[str, str]:
+    """Return the tool frames of a robot's arms, by the arms' names."""
+    return {name: str(arm.get("tool_frame", "")) for name, arm in _arms(_description(robot)).items()}
+
+
+def joints_of(robot: Body | None, part: str) -> tuple[str, ...]:
+    """Return the joints of the torso, the head or an arm."""
+    description = _description(robot)
+    found = description.get(part) or _arms(description).get(part) or {}
+    joints = [*found.get("joints", ()), found.get("joint"), found.get("pan"), found.get("tilt")]
+    return tuple(str(name) for name in joints if name)
+
+
+def _description(robot: Body | None) -> dict[str, Any]:
+    try:
+        return tomllib.loads(robot.loaded.robot_description) if robot is not None else {}
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
+def _arms(description: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {name: arm for name, arm in description.get("arms", {}).items() if isinstance(arm, dict)}
+
+
+def about(task: Node, *, body: str = "", arm: str = "") -> bool:
+    """Return whether a motion is about an object, with an arm."""
+    given = values(task)
+    own = str(given.get("arm") or given.get("gripper") or "")
+    return (not body or body in objects_in(list(given.values()))) and (not arm or not own or own == arm)
+
+
+def values(task: Node) -> dict[str, Plain]:
+    """Return what a motion was given, with what was inferred if it was resolved."""
+    inferred = [part.parameters for part in task.children if part.kind == "process-module"]
+    return task.parameters | (inferred[0] if inferred else {}) | task.solution
+
+
+def result(task: Node) -> Plain:
+    """Return what a task returned."""
+    return from_json(task.finished.result_json or "null") if task.finished is not None else None

@@ -1,4 +1,4 @@
-"""What the plan relied on that was true when it asked, and the changes that made it false.
+"""What the plan, or the robot, relied on that was true before, and the changes that made it false.
 
 A query that was answered yes, or a perception that succeeded, contradicts what failed later: then something that the
 answer depended on has changed. Changes that physics made are explained by :mod:`replay.explain.causes.physics`.
@@ -7,26 +7,23 @@ answer depended on has changed. Changes that physics made are explained by :mod:
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation, Query, argument_values, from_json
-from recorder.tasks import State
-from replay.explain.causes.case import objects_in
-from replay.explain.causes.cause import NoLonger
+from recorder.tasks import Node, State
+from replay.explain.causes.case import FailureCase, about, joints_of, objects_in, result
+from replay.explain.causes.cause import Cause, CausingChange
 from replay.explain.causes.gone import removal_of
-from replay.explain.causes.preconditions import about, result
+from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import answers
-from replay.explain.causes.robot_description import joints_of
+from replay.report import phrases
 from replay.state.fold import state_at
-from replay.state.state import turn
+from replay.state.state import Body, turn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from recorder.tasks import Node
-    from replay.explain.causes.case import Case
-    from replay.explain.causes.cause import Change
-    from replay.state.state import Body
 
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
 #: Which queries, answered yes (or with nothing, of the second kind), contradict which failures.
@@ -37,31 +34,94 @@ _YES: Final = {
     "GraspFailed": ("stable",),
     "PlaceFailed": ("stable",),
 }
-_NOTHING: Final = {
-    "Blocked": ("blocking",),
-    "HandleBlocked": ("blocking",),
-    "PerceptionError": ("occluding",),
-}
+_NOTHING: Final = {"Blocked": ("blocking",), "HandleBlocked": ("blocking",), "PerceptionError": ("occluding",)}
 _MOVED: Final = (1e-3, 5e-3)  # m, rad
 _IN_HAND: Final = 0.05  # m; less is an adjustment
 _SEARCHED: Final = 5_000  # queries
+_BELIEVED: Final = frozenset(
+    ("Blocked", "GraspFailed", "LookingFailed", "ObjectNotFound", "PerceptionError", "PlaceFailed", "Unreachable")
+)
+_AWAY: Final = 0.02  # m; less is settling
 
 
-def find(case: Case) -> Iterator[NoLonger]:
-    """Yield the last answer, or the last perception, that no longer held, or pick-up of what was moved in the hand."""
-    yield from _moved_in_hand(case)
-    asked: Query | Node | None = _contradicted(case)
-    if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
-        asked = _perceived(case)
-    if asked is None:
-        return
-    changes = tuple(sorted(_changes(case, asked), key=lambda change: change.step))
-    if changes:
-        seq = asked.seq if isinstance(asked, Query) else asked.last_step
-        yield NoLonger((seq, *(change.step for change in changes), case.step), asked, changes)
+@dataclass(frozen=True, slots=True)
+class NoLonger(Cause):
+    """What the plan relied on was true when it asked, and wasn't any more."""
+
+    kind = "no-longer-true"
+    asked: Query | Node  # the query that was answered yes, or the task that succeeded
+    changes: tuple[CausingChange, ...]  # of it since then
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[NoLonger]:
+        """Yield the last answer or perception that no longer held, or the pick-up of what was moved in the hand."""
+        yield from _moved_in_hand(case)
+        asked: Query | Node | None = _contradicted(case)
+        if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
+            asked = _perceived(case)
+        if asked is None:
+            return
+        changes = tuple(sorted(_changes(case, asked), key=lambda change: change.step))
+        if changes:
+            seq = asked.seq if isinstance(asked, Query) else asked.last_step
+            yield NoLonger((seq, *(change.step for change in changes), case.step), asked, changes)
+
+    def is_explained(self, found: Sequence[Cause]) -> bool:
+        """Return whether misbeliefs explain what a look has told."""
+        believed = {each.body for each in found if isinstance(each, Misbelief)}
+        return isinstance(self.asked, Node) and believed.issuperset(change.body for change in self.changes)
+
+    def _words(self) -> Iterator[str]:
+        if isinstance(self.asked, Query):
+            said = f"{phrases.question(self.asked)} was answered {phrases.answer(self.asked)} at step {self.asked.seq}"
+        else:
+            said = f"{phrases.node(self.asked)} succeeded at step {self.asked.last_step}"
+        yield f"{said}, and no longer held at step {self.steps[-1]}:"
+        yield from (change.row for change in self.changes)
 
 
-def _contradicted(case: Case) -> Query | None:
+@dataclass(frozen=True, slots=True)
+class Misbelief(Cause):
+    """The robot believed an object elsewhere than it was."""
+
+    kind = "misbelief"
+    body: str
+    source: str  # "seen", "told" by the world's state, or "placed", where the robot let go of it
+    learned: int  # the step; -1: before the recording
+    position: tuple[float, ...]  # where it believed it, m
+    distance: float  # from there to where it was, m
+    change: CausingChange | None  # what had moved it since; None if that isn't known
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[Misbelief]:
+        """Yield the beliefs about what a failure is about that were wrong when what failed began."""
+        world = case.before
+        if case.failure.type not in _BELIEVED or world is None:
+            return
+        sought = case.data.get("object_type")
+        names = {*case.mentioned, *(body.name for body in world.bodies.values() if body.type == sought)}
+        for belief in world.believed(robot=world.robot):
+            body = world.bodies[belief.object]
+            away = math.dist(belief.position, body.position)
+            if belief.object not in names or away < _AWAY:
+                continue
+            moved = case.changed(belief.object)
+            change = moved if moved is not None and moved.step > belief.step else None
+            steps = sorted({step for step in (belief.step, change.step if change else -1, case.step) if step >= 0})
+            yield Misbelief(tuple(steps), belief.object, belief.source, belief.step, belief.position, away, change)
+
+    def is_explained(self, found: Sequence[Cause]) -> bool:
+        """Return whether physics moved the object."""
+        return any(isinstance(each, Physics) and each.body == self.body for each in found)
+
+    def _words(self) -> Iterator[str]:
+        moved = f"at step {self.change.step} {self.change}; " if self.change is not None else ""
+        was = f"at step {self.steps[-1]} it was {phrases.length(self.distance)} from there"
+        at = phrases.vector(self.position)
+        yield f"{self.body} was believed at {at}, {phrases.learned(self.source, self.learned)}; {moved}{was}"
+
+
+def _contradicted(case: FailureCase) -> Query | None:
     """Return the last query whose answer contradicts the failure, or what the plan judged by when it raised it."""
     judged = [each for each in answers(case) if isinstance(each, Query)] if case.motion is None else []
     no = next((query for query in reversed(judged) if from_json(query.answer_json) is False), None)
@@ -89,7 +149,7 @@ def _question(query: Query) -> tuple[object, ...]:
     return (query.name, query.world, *((each.name, each.json) for each in query.arguments))
 
 
-def _perceived(case: Case) -> Node | None:
+def _perceived(case: FailureCase) -> Node | None:
     """Return the last detecting that succeeded and found what couldn't be taken, or seen again."""
     names = set(case.subjects or case.mentioned)
     for motion in case.motions("detecting", "world-state-detecting"):
@@ -98,7 +158,7 @@ def _perceived(case: Case) -> Node | None:
     return None
 
 
-def _changes(case: Case, asked: Query | Node) -> Iterator[Change]:
+def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
     """Yield what has changed since an answer, of what it depended on."""
     step = asked.seq if isinstance(asked, Query) else asked.last_step
     then = state_at(case.log, step).worlds.get(case.world.name) if case.world is not None else None
@@ -128,7 +188,7 @@ def _changes(case: Case, asked: Query | Node) -> Iterator[Change]:
                     yield case.change(change.record, robot, change.how, joint=joint, size=(change.distance, 0.0))
 
 
-def _last_change(case: Case, name: str, step: int) -> Iterator[Change]:
+def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingChange]:
     change = case.blame(name)
     if change is not None and change.how == "physics" and change.earlier is not None:
         change = change.earlier  # what physics itself did is another cause
@@ -136,7 +196,7 @@ def _last_change(case: Case, name: str, step: int) -> Iterator[Change]:
         yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
 
 
-def _moved_in_hand(case: Case) -> Iterator[NoLonger]:
+def _moved_in_hand(case: FailureCase) -> Iterator[NoLonger]:
     """Yield the pick-ups of what the robot holds, if the plan itself has moved it since then, far off its hand."""
     if case.motion is None or case.before is None or case.robot is None:
         return
@@ -150,7 +210,7 @@ def _moved_in_hand(case: Case) -> Iterator[NoLonger]:
             yield NoLonger((grasp.last_step, *(each.step for each in changes), case.step), grasp, changes)
 
 
-def _moves(case: Case, name: str, start: int) -> Iterator[Change]:
+def _moves(case: FailureCase, name: str, start: int) -> Iterator[CausingChange]:
     """Yield the commands by which the plan itself has moved an object since a step, in order."""
     for record in case.log.records(Mutation, start + 1, case.began):
         if not record.HasField("move_body") or record.move_body.body != name or not case.is_here(record):

@@ -1,51 +1,153 @@
-"""What was out of reach, or would not do in any other way that was considered, and what had put it there."""
+"""What the robot couldn't get at: it was too far away, something was in the way, or no candidate would do."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
-from replay.explain.causes.cause import NoCandidate, OutOfReach
-from replay.explain.causes.robot_description import joints_of
+from recorder.records.choices import rejection_lines
+from replay.explain.causes.case import FailureCase, joints_of
+from replay.explain.causes.cause import Cause, CausingChange, since
+from replay.explain.causes.lacked import Swallowed
+from replay.explain.causes.no_longer import Misbelief, NoLonger
+from replay.explain.causes.physics import Physics
 from replay.history.tasks import choices
+from replay.report import phrases
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from replay.explain.causes.case import Case
-
-
-def no_candidate(case: Case) -> Iterator[NoCandidate]:
-    """Yield the last choice of the failed motion, if none of what was considered would do."""
-    if case.task is None or case.motion is None:
-        return
-    last = next(reversed(list(choices(case.log, case.task, case.step + 1))), None)
-    if last is not None and last.chosen < 0:
-        count = sum(each.count or len(each.names) for each in last.candidates)
-        if count:
-            yield NoCandidate((last.seq, case.step), last, count)
+    from recorder.records import Query
 
 
-def out_of_reach(case: Case) -> Iterator[OutOfReach]:
-    """Yield how far away it was, and what put the robot, its torso and the object there."""
-    if case.failure.type not in ("Unreachable", "HandleUnreachable") or case.robot is None or case.motion is None:
-        return
-    body = next((name for name in case.subjects if case.free_body(name) is not None), "")
-    taken = body if case.motion.name == "pick-up" else ""
-    target = case.data.get("target")
-    if not isinstance(target, list) or len(target) != 3:
-        return
-    distance = math.dist([float(str(part)) for part in target[:2]], case.robot.position[:2])
-    miss, turned = case.data.get("distance"), case.given.get("orientation")
-    torso = (f"{case.robot.name}.{joint}" for joint in joints_of(case.robot, "torso"))
-    changed = (case.changed(name) for name in (case.robot.name, taken, *torso) if name)
-    changes = tuple(sorted((each for each in changed if each is not None), key=lambda change: change.step))
-    yield OutOfReach(
-        (*(change.step for change in changes), case.step),
-        str(case.data.get("arm") or case.given.get("arm") or ""),
-        taken,
-        distance,
-        float(miss) if isinstance(miss, int | float) else None,
-        tuple(float(str(part)) for part in turned) if isinstance(turned, list) else (),
-        changes,
-    )
+_DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain why it couldn't
+
+
+@dataclass(frozen=True, slots=True)
+class ObstructingBody(Cause):
+    """Something was in the way, or hid what was looked for."""
+
+    kind = "in-the-way"
+    body: str
+    link: str  # "" if it has only one, or that isn't known
+    mover: str  # the link, or the held object, that would have touched it; "" for the camera's view
+    change: CausingChange | None  # what put it there; None if it was there from the beginning
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[ObstructingBody]:
+        """Yield what the robot, or what it holds, would have touched, and what hid an object."""
+        if case.world is None:
+            return
+        for pair in case.pairs:
+            body, link = pair.get("body", ""), pair.get("body_link", "")
+            if body in case.world.bodies and body != case.world.robot:
+                yield _obstacle(case, body, link, pair.get("link") or pair.get("mover", ""))
+        touching = case.data.get("touching")  # where it came to rest
+        for met in touching if isinstance(touching, list) else []:
+            body = str(met.get("body", "")) if isinstance(met, dict) else ""
+            if case.free_body(body) is not None:
+                yield _obstacle(case, body, "", ", ".join(case.subjects))
+        reasons = case.data.get("reasons")
+        if case.failure.type == "PerceptionError" and isinstance(reasons, dict):
+            for name in case.mentioned:
+                if name not in reasons and name != case.world.robot:
+                    yield _obstacle(case, name, "", "")
+
+    def is_explained(self, found: Sequence[Cause]) -> bool:
+        """Return whether physics moved it there."""
+        return any(isinstance(each, Physics) and each.body == self.body for each in found)
+
+    def _words(self) -> Iterator[str]:
+        what = f"{self.link} of {self.body}" if self.link and self.link != self.body else self.body
+        whose = f" of {self.mover}" if self.mover else " of the camera's view"
+        yield f"{what} was in the way{whose}{since(self.change)}"
+
+
+@dataclass(frozen=True, slots=True)
+class UnreachedTarget(Cause):
+    """The arm doesn't get there from where the robot stands."""
+
+    kind = "out-of-reach"
+    arm: str
+    body: str  # "" for a target of the plan's
+    distance: float  # from the robot's base to it on the ground, m
+    miss: float | None  # how far away the nearest posture stays, m
+    orientation: tuple[float, ...]  # xyzw of the tool that was asked for; none if any would have done
+    changes: tuple[CausingChange, ...]  # what put the robot, its torso, and the object, where they are
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[UnreachedTarget]:
+        """Yield how far away it was, and what put the robot, its torso and the object there."""
+        if case.failure.type not in ("Unreachable", "HandleUnreachable") or case.robot is None or case.motion is None:
+            return
+        body = next((name for name in case.subjects if case.free_body(name) is not None), "")
+        taken = body if case.motion.name == "pick-up" else ""
+        target = case.data.get("target")
+        if not isinstance(target, list) or len(target) != 3:
+            return
+        distance = math.dist([float(str(part)) for part in target[:2]], case.robot.position[:2])
+        miss, turned = case.data.get("distance"), case.given.get("orientation")
+        torso = (f"{case.robot.name}.{joint}" for joint in joints_of(case.robot, "torso"))
+        changed = (case.changed(name) for name in (case.robot.name, taken, *torso) if name)
+        changes = tuple(sorted((each for each in changed if each is not None), key=lambda change: change.step))
+        yield UnreachedTarget(
+            (*(change.step for change in changes), case.step),
+            str(case.data.get("arm") or case.given.get("arm") or ""),
+            taken,
+            distance,
+            float(miss) if isinstance(miss, int | float) else None,
+            tuple(float(str(part)) for part in turned) if isinstance(turned, list) else (),
+            changes,
+        )
+
+    def is_explained(self, found: Sequence[Cause]) -> bool:
+        """Return whether it was within reach before."""
+        return any(isinstance(each, _DEEPER) for each in found)
+
+    def _words(self) -> Iterator[str]:
+        what = self.body or "the target"
+        miss = f"; the {self.arm} arm stays {phrases.length(self.miss)} away" if self.miss is not None else ""
+        turned = " in the orientation that was asked for" if self.orientation else ""
+        yield f"{what} was {self.distance:.2f} m from the robot on the ground{miss}{turned}"
+        yield from (change.row for change in self.changes)
+
+
+@dataclass(frozen=True, slots=True)
+class NoCandidate(Cause):
+    """Of the ways to do it, as grasps or postures, none would do."""
+
+    kind = "no-candidate"
+    asked: Query  # the choice, with its candidates and why each was rejected
+    count: int  # how many were considered
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[NoCandidate]:
+        """Yield the last choice of the failed motion, if none of what was considered would do."""
+        if case.task is None or case.motion is None:
+            return
+        last = next(reversed(list(choices(case.log, case.task, case.step + 1))), None)
+        if last is not None and last.chosen < 0:
+            count = sum(each.count or len(each.names) for each in last.candidates)
+            if count:
+                yield NoCandidate((last.seq, case.step), last, count)
+
+    def is_explained(self, found: Sequence[Cause]) -> bool:
+        """Return whether it would have done before; of one candidate alone the message says why not."""
+        return len(found) > 1 if self.count == 1 else any(isinstance(each, _DEEPER) for each in found)
+
+    def _words(self) -> Iterator[str]:
+        asked = self.asked
+        yield f"{phrases.question(asked)} considered {self.count} at step {asked.seq}, and none would do:"
+        yield from rejection_lines(asked)
+
+
+def _obstacle(case: FailureCase, body: str, link: str, mover: str) -> ObstructingBody:
+    change: CausingChange | None = None
+    if case.free_body(body) is not None:
+        change = case.changed(body)
+    else:
+        for joint in case.joints_to(body, link):
+            change = change or case.changed(f"{body}.{joint}")
+    steps = (change.step, case.step) if change is not None else (case.step,)
+    return ObstructingBody(steps, body, link, mover, change)

@@ -8,15 +8,16 @@ it between its rest and its move.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
-from replay.explain.causes.case import objects_in
-from replay.explain.causes.cause import Physics
-from replay.explain.causes.preconditions import about, holder, result
+from replay.explain.causes.case import FailureCase, about, objects_in, result
+from replay.explain.causes.cause import Cause, CausingChange
 from replay.history.blame import commanded
+from replay.report import phrases
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
 
     from recorder.geometry import Pose
     from recorder.tasks import Node
-    from replay.explain.causes.case import Case
-    from replay.explain.causes.cause import Change
+    from replay.history.source import Line
     from replay.state.state import Body, State
+
 
 _MOVED: Final = 0.05  # m; less is settling
 _TILTED: Final = math.radians(15)
@@ -38,27 +39,72 @@ _PUSHED: Final = 0.35  # m from a link's frame, from which it may push
 _QUIET: Final = STEPS_PER_SECOND // 10  # steps after which an object that hasn't moved is at rest
 _WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
 _MAX_LETS: Final = 3
+_FAST: Final = 0.1  # m/s from which on the speed of what is let go of is given
+_SPINNING: Final = 1.0  # rad/s, likewise
 
 
-def find(case: Case) -> Iterator[Physics]:
-    """Yield which of the objects that a failure mentions physics had moved."""
-    for name in case.mentioned:
-        if case.free_body(name) is not None and case.world is not None and case.world.carrier(name) is None:
-            fate = _Fate(case, name)
-            if fate.base is not None:
-                yield from fate.explained()
+@dataclass(frozen=True, slots=True)
+class Physics(Cause):
+    """An object fell, tipped or moved in simulation after it had been where the plan wanted it."""
+
+    kind = "physics"
+    body: str
+    how: str  # "fell", "tipped" or "moved"
+    distance: float  # m
+    fall: float  # m by which it is lower
+    tilt: float  # rad by which it leans more
+    moved_at: int  # the step of the simulation in which it began to move
+    line: Line | None  # of the plan, that simulated
+    since: int  # the step of the success, or of the plan's own change, after which it moved
+    stood_on: str = ""  # what it stood on, and what was moved then; "" if nothing was, or that isn't known
+    lets: tuple[CausingChange, ...] = ()  # that let it move, of which one did; none if nothing but time passed
+    speed: float | None = None  # m/s with which it began to move when it was let go of; None if it wasn't
+    spin: float | None = None  # rad/s, likewise
+    hand: str = ""  # the arm that let go of it; "" if none did
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[Physics]:
+        """Yield which of the objects that a failure mentions physics had moved."""
+        for name in case.mentioned:
+            if case.free_body(name) is not None and case.world is not None and case.world.carrier(name) is None:
+                fate = _Fate(case, name)
+                if fate.base is not None:
+                    yield from fate.explained()
+
+    def _words(self) -> Iterator[str]:
+        size = f"by {phrases.length(self.fall if self.how == 'fell' else self.distance)}"
+        if self.tilt >= math.radians(1):
+            size += f" and leant over by {math.degrees(self.tilt):.0f} degrees"
+        at = f" at {phrases.place(self.line)}" if self.line is not None else ""
+        yield f"{self.body} {self.how} {size} in the simulation of step {self.moved_at}{at}{self._let()}"
+        if len(self.lets) > 1 and not self.stood_on:
+            yield "either may have let it:"
+        yield from (change.row for change in self.lets)
+
+    def _let(self) -> str:
+        released = next((change for change in self.lets if change.how == "detached"), None)
+        if self.stood_on:
+            fate = "removed" if any(change.how == "removed" for change in self.lets) else "moved away"
+            return f": {self.stood_on}, on which {self.body} stood, was {fate}"
+        if released is None:
+            return f", after {self.lets[0]}" if len(self.lets) == 1 else ""
+        hand = f"the {self.hand} gripper's hold" if self.hand and " " not in self.hand else "its hold"
+        motion = []
+        if self.spin is not None and self.spin >= _SPINNING:
+            motion.append(f"turning at {self.spin:.0f} rad/s")
+        if self.speed is not None and self.speed >= _FAST:
+            motion.append(f"moving at {self.speed:.1f} m/s")
+        return f": it left {hand} at step {released.step}" + (f" while {' and '.join(motion)}" if motion else "")
 
 
 class _Fate:
     """What became of an object since the plan's last own change of it.
 
-    Attributes:
-        base: the record of that change.
-        since: its step, or that of the last success about the object, if that is later.
-        moves: the later stretches of simulation that moved it.
+    ``base`` is the record of that change, ``since`` its step, or that of the last success about the object, if that is
+    later; ``moves`` are the later stretches of simulation that moved the object.
     """
 
-    def __init__(self, case: Case, name: str) -> None:
+    def __init__(self, case: FailureCase, name: str) -> None:
         self._case, self._name = case, name
         self._world = case.world.name if case.world is not None else ""
         self.base: Mutation | None = None
@@ -117,10 +163,10 @@ class _Fate:
             lets,
             speed,
             spin,
-            holder(self._case, self._name, released.step - 1) if released is not None else "",
+            self._case.holder(self._name, released.step - 1) if released is not None else "",
         )
 
-    def _lets(self, first: Mutation) -> tuple[Change, ...]:
+    def _lets(self, first: Mutation) -> tuple[CausingChange, ...]:
         """Return the changes that may have let it move in a stretch of simulation."""
         assert self.base is not None  # noqa: S101  for mypy
         case, start, candidates = self._case, self.base.seq, []
@@ -163,7 +209,7 @@ class _Fate:
         state = next((each for each in record.effect.bodies if each.body == self._name), None)
         return state is not None and math.hypot(*state.velocity) > _MOVED
 
-    def _near(self, record: Mutation) -> Change | None:
+    def _near(self, record: Mutation) -> CausingChange | None:
         """Return a change of something near it, that may have supported or pushed it."""
         case, command = self._case, record.WhichOneof("command")
         if command == "set_gravity":

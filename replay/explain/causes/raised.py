@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import builtins
 import re
+from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Fluent, Query, Refusal, Task
+from recorder.records import Fluent, Query, Refusal, Task, from_json
 from recorder.records.choices import is_choice
-from replay.explain.causes.cause import Raised
+from replay.explain.causes.cause import Cause
+from replay.report import phrases
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from replay.explain.causes.case import Case
+    from recorder.tasks import Node
+    from replay.explain.causes.case import FailureCase
     from replay.history.source import Line
+
 
 _MAX_ANSWERS: Final = 3
 _SEARCHED: Final = 1_000  # changes of fluents
@@ -33,30 +37,64 @@ USAGE_ERRORS: Final = frozenset(
 _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")
 
 
-def find(case: Case) -> Iterator[Raised]:
-    """Yield what the plan made of it, and the line that raised it, unless a module of PyCRAM's did so in a motion."""
-    yield from _made_of_it(case)
-    error = next(reversed(case.traced), None)
-    asked = case.source.call_stack(case.motion.started) if case.motion is not None else ()
-    lines = error.lines or asked if error is not None else ()
-    if error is None or not lines or case.failure.type in _INTERRUPTS:
-        return
-    in_motion = case.motion is not None
-    refused = case.failure.type in USAGE_ERRORS or (hasattr(builtins, case.failure.type) and not in_motion)
-    if (in_motion and not error.own and not refused) or not (error.own or refused or case.task is None):
-        return
-    line = lines[-1] if error.own else case.line(lines) or lines[-1]
-    own = error.own and _is_raise(line)
-    judged = (*_failed_before(case), *answers(case), *_watched(case)) if own else ()
-    steps = {*(each.seq for each in judged), *refusal_of(case), case.step}
-    yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
+@dataclass(frozen=True, slots=True)
+class Raised(Cause):
+    """The plan's own code raised the failure, or made the mistake that Python or PyCRAM refused."""
+
+    kind = "raised"
+    type: str  # of what was raised
+    line: Line  # of the plan
+    own: bool  # it is a ``raise`` or ``assert`` of the plan's; else that line made a mistake
+    task: Node | None  # the branch or other task in which it did; None outside of all
+    #: The last queries and waits of that task before it, whose answers it may have judged by; before them the end of
+    #: the last motion, if that failed; of a ``whenever`` the last change of its fluents.
+    answers: tuple[Query | Task | Fluent, ...] = ()
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[Raised]:
+        """Yield the plan's line that raised it, or raised it from another failure, unless a motion's module did."""
+        yield from _made_of_it(case)
+        error = next(reversed(case.traced), None)
+        asked = case.source.call_stack(case.motion.started) if case.motion is not None else ()
+        lines = error.lines or asked if error is not None else ()
+        if error is None or not lines or case.failure.type in _INTERRUPTS:
+            return
+        in_motion = case.motion is not None
+        refused = case.failure.type in USAGE_ERRORS or (hasattr(builtins, case.failure.type) and not in_motion)
+        if (in_motion and not error.own and not refused) or not (error.own or refused or case.task is None):
+            return
+        line = lines[-1] if error.own else case.line(lines) or lines[-1]
+        own = error.own and _is_raise(line)
+        judged = (*_failed_before(case), *answers(case), *_watched(case)) if own else ()
+        steps = {*(each.seq for each in judged), *_refusal_of(case), case.step}
+        yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
+
+    def _words(self) -> Iterator[str]:
+        what = "the plan raised it itself" if self.own else f"a mistake of the plan's: {self.type}"
+        inside = f", in {phrases.node(self.task)}" if self.task is not None else ""
+        yield f"{what} at {phrases.place(self.line)}{inside}: {phrases.short(self.line.text)}"
+        for answer in self.answers:
+            yield f"before that, at step {answer.seq}: {_answer(answer)}"
+
+
+def _answer(record: Query | Task | Fluent) -> str:
+    if isinstance(record, Query):
+        reasons = phrases.reasons(record) if record.candidates else ""
+        return f"{phrases.question(record)}: {phrases.answer(record)}" + (f"; {reasons}" if reasons else "")
+    if isinstance(record, Fluent):
+        at = f", at {phrases.path(record.source_file)}:{record.source_line}" if record.source_line else ""
+        return f"{record.name} became {phrases.value(from_json(record.after_json))}{at}"
+    if record.kind != "wait":
+        return f"{record.name} failed: {phrases.short(phrases.one_line(record.failure.message))}"
+    done = "it came true" if from_json(record.result_json) is True else "it didn't come true in time"
+    return f"waited for {record.name}: {done}"
 
 
 def _is_raise(line: Line) -> bool:
     return _RAISES.search(line.text) is not None
 
 
-def _made_of_it(case: Case) -> Iterator[Raised]:
+def _made_of_it(case: FailureCase) -> Iterator[Raised]:
     """Yield the plan's line that raised another error where it handled the task's failure."""
     last = next(reversed(case.exceptions), None)
     end = case.task.motion.finished if case.task is not None else None
@@ -68,12 +106,12 @@ def _made_of_it(case: Case) -> Iterator[Raised]:
         yield Raised((end.seq,), last.type, line, last.own and _is_raise(line), None, (end,))
 
 
-def is_mistake(case: Case) -> bool:
+def is_mistake(case: FailureCase) -> bool:
     """Return whether Python or PyCRAM refused what some code did, whatever the world was like."""
     return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
 
 
-def refusal_of(case: Case) -> Iterator[int]:
+def _refusal_of(case: FailureCase) -> Iterator[int]:
     """Yield the step of the refusal that the failure is, if it is one."""
     for refusal in case.log.backwards(case.step, Refusal) if case.log.counts().get("refusal") else ():
         if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
@@ -81,7 +119,7 @@ def refusal_of(case: Case) -> Iterator[int]:
         return
 
 
-def _failed_before(case: Case) -> Iterator[Task]:
+def _failed_before(case: FailureCase) -> Iterator[Task]:
     """Yield the end of the last motion of the same task before the failure, if it failed and the plan went on."""
     scope = None if case.task is None else case.task.id
     ended = [
@@ -94,7 +132,7 @@ def _failed_before(case: Case) -> Iterator[Task]:
         yield last.finished
 
 
-def _watched(case: Case) -> Iterator[Fluent]:
+def _watched(case: FailureCase) -> Iterator[Fluent]:
     """Yield the last change of the fluents that a ``whenever`` reacts to, if it is one."""
     if case.task is None or case.task.kind != "whenever":
         return
@@ -104,7 +142,7 @@ def _watched(case: Case) -> Iterator[Fluent]:
             return
 
 
-def answers(case: Case) -> Iterator[Query | Task]:
+def answers(case: FailureCase) -> Iterator[Query | Task]:
     """Yield the last queries, waits and motions of the same task before the failure, in order."""
     inside = {0} if case.task is None else {case.task.id}
     start = (

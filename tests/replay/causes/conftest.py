@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from replay.explain.causes.why_data import Why
+    from replay.explain.why import Why
 
 
 @pytest.fixture

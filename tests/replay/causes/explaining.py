@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     import pytest
 
-    from replay.explain.causes.why_data import Why
+    from replay.explain.why import Why
 
 
 START = """

@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from replay.explain.causes import cause as kinds
+from replay.explain import causes as kinds
 from tests.replay.causes.explaining import WITH_PR2, line_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from replay.explain.causes.why_data import Why
+    from replay.explain.causes.cause import Cause
+    from replay.explain.why import Why
 
 
 NO_MILK = f"""
@@ -35,7 +36,7 @@ NO_MILK = f"""
     ids=["taken after all", "nothing"],
 )
 def test_a_failure_explains_nothing_once_the_same_was_done(
-    explained: Callable[..., Why], since: str, cause: type[kinds.Cause]
+    explained: Callable[..., Why], since: str, cause: type[Cause]
 ) -> None:
     why = explained(f"""
         {NO_MILK}
@@ -68,7 +69,7 @@ def test_a_failed_drive_is_no_cause_once_the_robot_was_moved_otherwise(explained
         perform(type="pick-up", object=milk, arm="left")
     """)
     assert not [each for each in why.causes if isinstance(each, kinds.Swallowed)]
-    (far,) = [each for each in why.causes if isinstance(each, kinds.OutOfReach)]
+    (far,) = [each for each in why.causes if isinstance(each, kinds.UnreachedTarget)]
     assert ("pr2", "command") in [(each.body, each.how) for each in far.changes]
 
 
@@ -199,7 +200,7 @@ def test_a_joint_that_was_misspelt_is_the_one_that_was_meant(explained: Callable
             pass
         perform(type="move-tcp", target=[0.5, 0.2, 3], arm="left")
     """)
-    (refused,) = (each for each in why.causes if isinstance(each, kinds.Refused))
+    (refused,) = (each for each in why.causes if isinstance(each, kinds.RefusedRequest))
     assert (refused.precondition, refused.subject) == ("joint-moved", "torso_lift_joint of pr2")
 
 
@@ -209,7 +210,7 @@ def test_out_of_reach_tells_that_the_torso_was_moved(explained: Callable[..., Wh
         robot.set_joint_position("torso_lift_joint", 0.1)
         perform(type="move-tcp", target=[0.5, 0.2, 3], arm="left")
     """)
-    far = next(each for each in why.causes if isinstance(each, kinds.OutOfReach))
+    far = next(each for each in why.causes if isinstance(each, kinds.UnreachedTarget))
     assert [(each.joint, each.line.number) for each in far.changes] == [
         ("torso_lift_joint", line_of(tmp_path, "set_joint_position"))
     ]

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from replay.explain.causes import cause as kinds
+from replay.explain import causes as kinds
 from tests.replay.causes.explaining import line_of, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from replay.explain.causes.why_data import Why
+    from replay.explain.why import Why
 
 
 SHELF = """

@@ -14,7 +14,7 @@ from pycram.language import timeout
 from pycram.motions.modules.simulated import NoDescription
 from pycram.projection import NotProjectable
 from pycram.sweeping import SweepRefused
-from replay.explain.causes import cause as kinds
+from replay.explain import causes as kinds
 from replay.explain.causes.raised import USAGE_ERRORS
 from tests.replay.causes.explaining import WITH_PR2, line_of, words
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from replay.explain.causes.why_data import Why
+    from replay.explain.why import Why
 
 
 def test_a_raise_in_a_branch_is_the_plan_s_own_line(explained: Callable[..., Why], tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_what_the_plan_made_of_a_failure_is_told_beside_its_cause(
     raised = next(each for each in why.causes if isinstance(each, kinds.Raised))
     assert (raised.own, raised.line.number) == (own, line_of(tmp_path, handling))
     assert [answer.name for answer in raised.answers] == ["pick-up"]
-    assert any(isinstance(each, kinds.OutOfReach) for each in why.causes)
+    assert any(isinstance(each, kinds.UnreachedTarget) for each in why.causes)
 
 
 def test_what_whenever_reacted_to_is_told_with_the_line_that_changed_it(

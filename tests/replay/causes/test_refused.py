@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from replay.explain.causes import cause as kinds
+from replay.explain import causes as kinds
 from tests.replay.causes.explaining import line_of, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from replay.explain.causes.why_data import Why
+    from replay.explain.why import Why
 
 
-def refusals(why: Why) -> list[kinds.Refused]:
-    return [cause for cause in why.causes if isinstance(cause, kinds.Refused)]
+def refusals(why: Why) -> list[kinds.RefusedRequest]:
+    return [cause for cause in why.causes if isinstance(cause, kinds.RefusedRequest)]
 
 
 @pytest.mark.parametrize("done", ["", "milk.set_position([1, 0.5, 0.1])"])

@@ -11,14 +11,14 @@ import replay
 from pycram.running import RunSpec, run
 from recorder.records import Run
 from replay.cli.main import main
-from replay.explain.causes import cause as kinds
+from replay.explain import causes as kinds
 from tests.replay.causes.explaining import line_of, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from replay.explain.causes.why_data import Why
+    from replay.explain.why import Why
 
 
 WAITING = """

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from replay.errors import NoSuchName
-from replay.explain.causes.case import Case, objects_in
-from replay.explain.causes.find import find
-from replay.explain.causes.why_data import FailedBranch, InvolvedBody, heading
+from replay.explain.causes import find
+from replay.explain.causes.case import FailureCase, objects_in
 from replay.history.failures import failures
+from replay.report import phrases
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -18,15 +19,85 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.records import Plain
     from recorder.tasks import Node
-    from replay.state.state import Body
+    from replay.explain.causes.cause import Cause
+    from replay.history.source import Line
+    from replay.state.state import Attachment, Body
+
+_ENDS = (("mover", "link"), ("body", "body_link"))
 
 
-def bodies(case: Case, names: Iterable[str] = ()) -> tuple[InvolvedBody, ...]:
-    """Return the robot and the bodies that a failure is about; of a fixed one the links and joints that it names."""
-    return tuple(_bodies(case, names))
+@dataclass(frozen=True, slots=True)
+class InvolvedBody:
+    """The robot, or a body that a failed task was about, at the moment of the failure."""
+
+    body: Body
+    held: Attachment | None  # how it is carried
+    holds: tuple[Attachment, ...]  # what it carries
+    is_robot: bool
+    distance: float | None  # on the ground, from the robot's base, m; None for the robot itself, or without one
+    bearing: float | None  # its direction from the robot's heading, rad, to the left; None as well
+    hands: Mapping[str, str] = field(default_factory=dict)  # the robot's arms that hold, by the held bodies' names
+    links: Mapping[str, Pose] = field(default_factory=dict)  # of those that the failure names
+    joints: Mapping[str, float] = field(default_factory=dict)  # of those that the failure names, rad or m
+
+    def lines(self) -> Iterator[str]:
+        """Yield it in words; of a fixed body its named links and joints, as the pose of its base tells nothing."""
+        body = self.body
+        if self.is_robot or not body.fixed_base or not (self.links or self.joints):
+            yield self._line()
+        for name, (position, _) in self.links.items():
+            yield f"{name} of {body.name} at {phrases.vector(position)}"
+        for name, value in self.joints.items():
+            yield f"joint {name} of {body.name} at {phrases.number(value)}"
+
+    def _line(self) -> str:
+        text = f"{self.body.name} at {phrases.vector(self.body.position)}"
+        if self.is_robot:
+            held = [
+                held.body + (f" in the {self.hands[held.body]} gripper" if held.body in self.hands else "")
+                for held in self.holds
+            ]
+            text += f", facing {facing(self.body)}, holding {phrases.names(held)}"
+        elif self.distance is not None and self.bearing is not None:
+            side = math.degrees(self.bearing)
+            direction = f"{abs(side):.0f} degrees to the {'left' if side > 0 else 'right'}"
+            turn = "straight ahead" if abs(side) < 1 else direction
+            text += f", {self.distance:.2f} m from the robot on the ground, {turn}"
+        if self.held is not None:
+            hand = self.hands.get(self.body.name)
+            text += f", held by {f'the {hand} gripper of {self.held.carrier}' if hand else phrases.carrier(self.held)}"
+        return text
 
 
-def _bodies(case: Case, names: Iterable[str]) -> Iterator[InvolvedBody]:
+@dataclass(frozen=True, slots=True)
+class FailedBranch:
+    """Another part of the same block in which a failure began, too."""
+
+    task: Node
+    line: Line | None  # of the plan, that asked for it
+    bodies: tuple[InvolvedBody, ...]  # the robot, and what that failure was about, at its moment
+    causes: tuple[Cause, ...]  # of that failure
+
+    def lines(self) -> Iterator[str]:
+        """Yield it in words."""
+        yield (phrases.error(self.task) if self.task.error else "") + phrases.at(self.line)
+        yield from (line for cause in self.causes for line in cause.lines())
+        yield from (line for involved in self.bodies for line in involved.lines())
+
+
+def heading(body: Body) -> float:
+    """Return the direction that a body faces on the ground, rad from the world's x axis."""
+    x, y, z, w = body.orientation
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def facing(body: Body) -> str:
+    """Return the heading of a body in words."""
+    return f"{round(math.degrees(heading(body))) or 0} degrees"
+
+
+def bodies(case: FailureCase, names: Iterable[str] = ()) -> Iterator[InvolvedBody]:
+    """Yield the robot and the bodies that a failure is about; of a fixed one the links and joints that it names."""
     world, robot = case.world, case.robot
     if world is None:
         return
@@ -52,7 +123,7 @@ def _bodies(case: Case, names: Iterable[str]) -> Iterator[InvolvedBody]:
         yield InvolvedBody(body, carrier, carried, body is robot, distance, bearing, held, links, joints)
 
 
-def _parts(case: Case) -> Iterator[tuple[str, str, Pose | None]]:
+def _parts(case: FailureCase) -> Iterator[tuple[str, str, Pose | None]]:
     """Yield the links, with poses, and the joints, without, that a failure names, and whose they are."""
     if case.world is None:
         return
@@ -71,17 +142,14 @@ def _parts(case: Case) -> Iterator[tuple[str, str, Pose | None]]:
             yield name, joint, None
 
 
-_ENDS = (("mover", "link"), ("body", "body_link"))
-
-
-def _link_pose(case: Case, body: Body, link: str) -> Pose | None:
+def _link_pose(case: FailureCase, body: Body, link: str) -> Pose | None:
     try:
         return case.state.link_pose(body, link)
     except NoSuchName:
         return None
 
 
-def branches(case: Case) -> Iterator[FailedBranch]:
+def branches(case: FailureCase) -> Iterator[FailedBranch]:
     """Yield the other failures that failed the same block, each with its scene and causes."""
     if case.task is None:
         return
@@ -106,13 +174,13 @@ def _origins(task: Node) -> Iterator[Node]:
         yield task
 
 
-def _branch(case: Case, task: Node) -> FailedBranch:
+def _branch(case: FailureCase, task: Node) -> FailedBranch:
     step, failure = task.last_step, task.failure
     state = state_at(case.log, step)
     world = state.worlds.get(case.world.name) if case.world is not None else None
     opened = world if world is not None and world.open else None
     before = failures(case.log, step + 1)
     own = next((each for each in before.origins if each.id == task.id), task)
-    other = Case(case.log, step, failure or case.failure, own, before, state, opened)
+    other = FailureCase(case.log, step, failure or case.failure, own, before, state, opened)
     motion = own.motion.asked or own.motion.started
-    return FailedBranch(own, case.line_of(motion), bodies(other, other.subjects), find(other))
+    return FailedBranch(own, case.line_of(motion), tuple(bodies(other, other.subjects)), find(other))

@@ -14,11 +14,10 @@ from recorder.records import Failure, Query, argument_values
 from recorder.records.choices import is_choice
 from replay.compare.states import difference
 from replay.errors import NoSuchStep
-from replay.explain.causes.case import Case
-from replay.explain.causes.find import find
-from replay.explain.causes.involved_bodies import bodies, branches
-from replay.explain.causes.why_data import Attempt, ChangesSince, RelevantQuery, Why
-from replay.explain.tried import tried
+from replay.explain.causes import find
+from replay.explain.causes.case import FailureCase
+from replay.explain.scene import bodies, branches
+from replay.explain.tried import TriedAction, tried
 from replay.history.failures import RootCause, failed_threads, failures, root_cause
 from replay.history.source import PlanSource
 from replay.history.summary import summary
@@ -27,18 +26,103 @@ from replay.state.fold import state_at
 from replay.state.json_data import mentions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from recorder.records import Plain
     from recorder.tasks import Node
+    from replay.explain.causes.cause import Cause
     from replay.file.record_reader import RecordReader
     from replay.history.failures import Failures
     from replay.history.summary import Summary
-    from replay.state.state import State, World
+    from replay.state.state import Body, State, World
+
+import builtins
+from dataclasses import dataclass, field
+
+from recorder.records import Run
+from replay.compare.states import Difference
+from replay.explain.scene import FailedBranch, InvolvedBody
+from replay.history.source import Line, ParsedException
 
 _MAX_QUERIES: Final = 8
 _FIRST, _LAST = 5, 20  # of many attempts, those for which the robot's state is folded
 _MOVED: Final = 0.001  # m from which on a body counts as moved since a query
+
+
+@dataclass(frozen=True, slots=True)
+class FailedAttempt:
+    """One attempt at the failed task."""
+
+    task: Node  # the part of it in which its failure began
+    robot: Body | None  # before it; None if there was none. Of many attempts only the first and the last have it.
+
+
+@dataclass(frozen=True, slots=True)
+class RelevantQuery:
+    """A query that the plan relied on."""
+
+    query: Query
+    moved: tuple[str, ...] = ()  # names of its bodies that have moved between it and the failure
+    removed: tuple[str, ...] = ()  # names of its bodies that were removed since
+    world: str = ""  # the world that it was asked in, if that isn't the one of the failure
+
+    @property
+    def holds(self) -> bool:
+        """Whether its bodies were the same at the failure, and had not changed."""
+        return not (self.moved or self.removed or self.world)
+
+
+@dataclass(frozen=True, slots=True)
+class ChangesSince:
+    """What has changed since a task succeeded."""
+
+    task: Node
+    difference: Difference  # between the states after it and before the failure
+
+
+@dataclass(frozen=True, slots=True)
+class Why:
+    """The explanation of a failure."""
+
+    run: Summary  # how the whole run ended
+    step: int  # in which it failed
+    failure: Failure | None  # what the plan failed with, or the task; None if nothing failed
+    causes: tuple[Cause, ...] = ()  # those that explain most first
+    branches: tuple[FailedBranch, ...] = ()  # the other failures that failed the same block
+    thread: str = ""  # the plan's own thread that failed while the plan went on; "" if the plan failed
+    exceptions: tuple[ParsedException, ...] = ()  # that led to the plan's failure, causes first
+    task: Node | None = None  # in which it began; None if the plan's own code failed
+    call_stack: tuple[Line, ...] = ()  # the plan's lines that led to that task, outermost first
+    #: Local variables of the plan's functions at the failure, by file and line: names, and values as text.
+    variables: Mapping[tuple[str, int], Mapping[str, str]] = field(default_factory=dict)
+    world: World | None = None  # that the task was about; None if none was open
+    is_default: bool = True  # it is the world that is meant where none is named
+    bodies: tuple[InvolvedBody, ...] = ()  # the robot, and the bodies that the task was about
+    removed: tuple[str, ...] = ()  # names of such bodies that were removed before the failure
+    attempts: tuple[FailedAttempt, ...] = ()  # at the same with the same objects, this one last
+    other_failures: int = 0  # number of other tasks that failed before
+    forgotten: int = 0  # number of failures before those, which weren't looked at, as there are too many
+    choices: tuple[Query, ...] = ()  # with which the failed motion's process module chose what to do
+    tried: TriedAction | None = None  # of the action that the task is a part of
+    queries: tuple[RelevantQuery, ...] = ()  # that the plan relied on
+    earlier_queries: int = 0  # number of further queries about the same
+    since_same_success: ChangesSince | None = None  # the last one of the same kind of task
+    since_last_success: ChangesSince | None = None  # the last one of anything
+    unfinished: tuple[Node, ...] = ()  # the innermost tasks that have not ended, of a recording that was cut
+    endless: tuple[Node, ...] = ()  # the innermost tasks without an end, where that may be among lost records
+    failed_threads: tuple[Run, ...] = ()  # the records of other threads of the plan's own that failed
+
+    @property
+    def is_python_error(self) -> bool:
+        """Whether the plan's code itself is wrong, rather than the world not being as it should be."""
+        return self.task is None and self.failure is not None and hasattr(builtins, self.failure.type)
+
+    @property
+    def warning(self) -> Query | None:
+        """The last query of the plan whose answer was no, and whose bodies have not changed since."""
+        within = self.task.id if self.task is not None and self.task.kind == "process-module" else None  # its own
+        still_true = (relevant.query for relevant in reversed(self.queries) if relevant.holds)
+        return next((query for query in still_true if query.answer_json == "false" and query.task != within), None)
 
 
 def why(log: RecordReader, step: int | None = None) -> Why:
@@ -60,7 +144,7 @@ def why(log: RecordReader, step: int | None = None) -> Why:
     endless = tuple(task for task in open_tasks if task.started.seq < lost)
     if cause is None:
         step = log.final_step()
-        cut = Case(log, step, Failure(), None, failed, state_at(log, step), None)
+        cut = FailureCase(log, step, Failure(), None, failed, state_at(log, step), None)
         causes = find(cut) if run.outcome == "cut off" and not endless else ()
         return Why(run, step, None, causes, unfinished=unfinished, endless=endless)
     if cause.task is None:
@@ -115,7 +199,7 @@ def _task_failure(
     world = _world(state, objects, queries)
     names = _of_world(objects, world)
     failure = task.failure or cause.failure or Failure()
-    case = Case(log, end, failure, task, before, state, world, cause.exceptions)
+    case = FailureCase(log, end, failure, task, before, state, world, cause.exceptions)
     return Why(
         run,
         end,
@@ -128,7 +212,7 @@ def _task_failure(
         call_stack=next(filter(None, (source.call_stack(each.started) for each in task.around())), ()),
         world=world,
         is_default=world is None or world is state.world(),
-        bodies=bodies(case, names),
+        bodies=tuple(bodies(case, names)),
         removed=tuple(name for name in names if world is not None and name not in world.bodies),
         attempts=tuple(_attempts(log, alike, world)),
         other_failures=len(before.origins) - len(alike),
@@ -151,7 +235,7 @@ def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: Root
     queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())
     objects = list(dict.fromkeys(body for query in queries for body in _objects(argument_values(query.arguments))))
     world = _world(state, objects, queries)
-    case = Case(log, cause.step, cause.failure or Failure(), None, failed, state, world, cause.exceptions)
+    case = FailureCase(log, cause.step, cause.failure or Failure(), None, failed, state, world, cause.exceptions)
     return Why(
         run,
         cause.step,
@@ -161,7 +245,7 @@ def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: Root
         exceptions=cause.exceptions,
         world=world,
         is_default=world is None or world is state.world(),
-        bodies=bodies(case, _of_world(objects, world)),
+        bodies=tuple(bodies(case, _of_world(objects, world))),
         other_failures=len(failed.origins),
         forgotten=failed.forgotten,
         queries=tuple(_with_changes(log, query, world) for query in queries),
@@ -187,13 +271,13 @@ def _is_alike(log: RecordReader, task: Node, failed: Node, objects: Iterable[tup
     )
 
 
-def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> Iterator[Attempt]:
+def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> Iterator[FailedAttempt]:
     for number, task in enumerate(tasks):
         robot = None
         if world is not None and (number < _FIRST or number >= len(tasks) - _LAST):
             then = state_at(log, max(task.motion.started.seq - 1, 0)).worlds.get(world.name)
             robot = then.bodies.get(then.robot) if then is not None else None
-        yield Attempt(task, robot)
+        yield FailedAttempt(task, robot)
 
 
 def _objects(parameters: Plain) -> list[tuple[str, str]]:

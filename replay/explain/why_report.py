@@ -1,85 +1,166 @@
-"""An explanation as text: what went wrong in a few sentences, then one section for each further question."""
+"""An explanation as JSON data and as text: what failed in a few sentences, then a section for each further question."""
 
 from __future__ import annotations
 
 import builtins
-import math
 import shlex
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import format_failure
+from recorder.records import Failure, Query, format_failure
 from recorder.records.choices import chosen_name, decision_text, rejection_lines
-from replay.cli import diff, why_causes, why_tried
-from replay.cli.why_advice import asked_again, commands
-from replay.explain.causes.cause import Interrupted
-from replay.explain.causes.why_data import heading
-from replay.report import phrases
+from recorder.records.places import fates_text
+from recorder.records.projections import foreseen
+from replay.compare import states
+from replay.explain.causes.cause import Cause
+from replay.explain.causes.waiting import Interruption
+from replay.explain.scene import InvolvedBody, facing
+from replay.explain.tried import TriedAction
+from replay.report import phrases, report
+from replay.report.question import BadQuestion, Name, Question, Term, question_of
+from replay.report.report import section
+from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from recorder.records import Failure
     from recorder.tasks import Node
-    from replay.explain.causes.cause import Cause
-    from replay.explain.causes.why_data import Attempt, ChangesSince, FailedBranch, InvolvedBody, Why
+    from replay.explain.why import ChangesSince, FailedAttempt, Why
     from replay.history.source import Line
 
 _FIRST, _LAST = 2, 5  # attempts that are listed one by one
 _MAX_ROWS: Final = 3  # of local variables
 _WIDTH: Final = 100  # characters of such a row
 _MAX_LINES: Final = 12  # of a difference
+_NEARER: Final = 0.35  # m by which an object is moved to ask again
+
+
+# --- as JSON data ----------------------------------------------------------------------------------------------------
+
+
+def data(why: Why) -> dict[str, object]:
+    """Return an explanation as JSON data."""
+    return {
+        "plan": why.run.plan,
+        "outcome": why.run.outcome,
+        "thread": why.thread,
+        "step": why.step,
+        "failure": why.failure and {"type": why.failure.type, "message": why.failure.message},
+        "raised": [
+            {"type": error.type, "message": error.message, "lines": report.data(error.lines)}
+            for error in why.exceptions
+        ],
+        "causes": report.data(why.causes),
+        "task": report.data(why.task),
+        "around": report.data(list(why.task.around()) if why.task else []),
+        **report.call_stack(why.call_stack),
+        "variables": [
+            {"file": file, "line": line, "values": dict(values)} for (file, line), values in why.variables.items()
+        ],
+        "world": why.world and why.world.name,
+        "things": report.data(why.bodies),
+        "branches": [report.fields_data(branch, bodies="things") for branch in why.branches],
+        "absent": why.removed,
+        "tries": [
+            report.task_data(attempt.task.motion)
+            | {"error": attempt.task.error, "robot": attempt.robot and attempt.robot.pose}
+            for attempt in why.attempts
+        ],
+        "others": why.other_failures,
+        "forgotten": why.forgotten,
+        "threads": report.data(why.failed_threads),
+        "choices": report.data(why.choices),
+        "tried": report.data(why.tried),
+        "decision": report.data(why.task and why.task.motion.decision),
+        "asked": [
+            record_data(relevant.query)
+            | {"moved_since": relevant.moved, "removed_since": relevant.removed, "other_world": relevant.world}
+            for relevant in why.queries
+        ],
+        "earlier": why.earlier_queries,
+        "same": report.data(why.since_same_success),
+        "last": report.data(why.since_last_success),
+        "running": report.data(why.unfinished),
+        "endless": report.data(why.endless),
+    }
+
+
+@report.data.register(Cause)
+def _(cause: Cause) -> dict[str, object]:
+    own = report.fields_data(cause)
+    return {"kind": cause.kind, "steps": own.pop("steps"), "text": " ".join(cause.lines()), **own}
+
+
+@report.data.register(InvolvedBody)
+def _(involved: InvolvedBody) -> dict[str, object]:
+    return {
+        "object": involved.body.name,
+        "position": involved.body.position,
+        "orientation": involved.body.orientation,
+        "held_by": involved.held and involved.held.carrier,
+        "holds": [held.body for held in involved.holds],
+        "hands": dict(involved.hands),
+        "links": {name: {"position": pose[0], "orientation": pose[1]} for name, pose in involved.links.items()},
+        "joints": dict(involved.joints),
+        "distance": involved.distance,
+        "bearing": involved.bearing,
+    }
+
+
+@report.data.register(TriedAction)
+def _(tried: TriedAction) -> dict[str, object]:
+    return {
+        "action": report.data(tried.action),
+        "attempts": [report.task_data(attempt) | {"error": attempt.error} for attempt in tried.attempts],
+        "imagined": [
+            report.task_data(each) | {"foreseen": foreseen(each.finished) if each.finished is not None else ""}
+            for each in tried.imagined
+        ],
+        "places": [
+            {"step": query.seq, "name": query.name, "considered": len(query.grid.spots), "text": fates_text(query)}
+            for query in tried.places
+        ],
+        "spent": tried.spent,
+        "last": tried.last,
+    }
+
+
+# --- as text ---------------------------------------------------------------------------------------------------------
 
 
 def lines(why: Why, path: str) -> Iterator[str]:
     """Yield the explanation as text; ``path`` is the recording's, for commands."""
+    causes = [line for cause in why.causes for line in cause.lines()]
     yield from _headline(why)
-    yield from _section("Unfinished when the recording ended", _unfinished(why.unfinished))
-    yield from _section("Without an end: it may be among the records that are lost", _unfinished(why.endless))
+    yield from section("Unfinished when the recording ended", _unfinished(why.unfinished))
+    yield from section("Without an end: it may be among the records that are lost", _unfinished(why.endless))
     if why.failure is None:
-        yield from _section("Why", _causes(why.causes))
+        yield from section("Why", causes)
         return
-    yield from _section("Why" if len(why.causes) < 2 else "Why: the causes that are on record", _causes(why.causes))
-    yield from _section("Where in the plan", _where(why))
-    yield from _section("What failed", _failed(why))
+    yield from section("Why" if len(why.causes) < 2 else "Why: the causes that are on record", causes)
+    yield from section("Where in the plan", _where(why))
+    yield from section("What failed", _failed(why))
     if why.tried is not None:
-        yield from _section(f"What {_call(why.tried.action)} tried", why_tried.lines(why.tried))
-    yield from _section(f"State{_in_world(why)} at step {why.step}", _bodies(why))
+        yield from section(f"What {phrases.node(why.tried.action)} tried", why.tried.lines())
+    world = why.world
+    where = f" in {world.title}" if world is not None and not (why.is_default and world.lifetime == 1) else ""
+    bodies = [line for involved in why.bodies for line in involved.lines()]
+    removed = [f"{name} had been removed" for name in why.removed]
+    yield from section(f"State{where} at step {why.step}", bodies + removed)
     for branch in why.branches:
-        yield from _section(
-            f"Also failed: {_call(branch.task.motion)}, at step {branch.task.last_step}", _branch(branch)
+        yield from section(
+            f"Also failed: {phrases.node(branch.task.motion)}, at step {branch.task.last_step}", branch.lines()
         )
-    yield from _section("Attempts", _attempts(why))
-    yield from _section("Queries that the plan relied on", _queries(why))
-    yield from _section("Changes since the last success", _changes(why))
-    yield from _section("Look closer", commands(why, shlex.quote(path)))
-
-
-def _section(title: str, body: Iterator[str]) -> Iterator[str]:
-    text = list(body)
-    if text:
-        yield ""
-        yield title
-        yield from (f"  {line}" for line in text)
-
-
-def _causes(causes: Sequence[Cause]) -> Iterator[str]:
-    for cause in causes:
-        yield from why_causes.lines(cause)
-
-
-def _branch(branch: FailedBranch) -> Iterator[str]:
-    error = phrases.one_line(branch.task.error[1] or branch.task.error[0]) if branch.task.error else ""
-    yield error + (f", at {phrases.path(branch.line.file)}:{branch.line.number}" if branch.line is not None else "")
-    yield from _causes(branch.causes)
-    for involved in branch.bodies:
-        yield from _involved(involved)
+    yield from section("Attempts", _attempts(why))
+    yield from section("Queries that the plan relied on", _queries(why))
+    yield from section("Changes since the last success", _changes(why))
+    yield from section("Look closer", _commands(why, shlex.quote(path)))
 
 
 def _headline(why: Why) -> Iterator[str]:
     run, name = why.run, why.run.plan or "the plan"
-    interrupted = next((cause for cause in why.causes if isinstance(cause, Interrupted)), None)
+    interrupted = next((cause for cause in why.causes if isinstance(cause, Interruption)), None)
     if interrupted is not None and interrupted.by:
-        yield f"{name} was {why_causes.first_line(interrupted)}, after {run.seconds:.1f} s."
+        yield f"{name} was {next(interrupted.lines())}, after {run.seconds:.1f} s."
         return
     if run.outcome == "failed":
         message = run.failure
@@ -99,7 +180,7 @@ def _headline(why: Why) -> Iterator[str]:
         yield from _summary(why, why.task)
     warning = why.warning
     if warning is not None and not why.is_python_error:
-        yield f"The plan had been warned: {asked_again(warning)} was answered no at step {warning.seq}."
+        yield f"The plan had been warned: {_asked_again(warning)} was answered no at step {warning.seq}."
 
 
 def _though(why: Why) -> str:
@@ -122,19 +203,15 @@ def _summary(why: Why, task: Node) -> Iterator[str]:
             yield f"{name} was attempted {times} times and failed each time."
         else:
             yield f"{name} failed {times} times; it last succeeded at step {why.since_same_success.task.last_step}."
-        yield f"The last attempt, {_call(motion)}, failed at step {task.last_step}: {error}"
+        yield f"The last attempt, {phrases.node(motion)}, failed at step {task.last_step}: {error}"
         return
     lead = "The cause:" if why.exceptions else "Before that,"
-    yield f"{lead} {_call(motion)} failed at step {task.last_step}: {error}"
-
-
-def _call(task: Node) -> str:
-    return phrases.task(task.kind, task.name, task.parameters)
+    yield f"{lead} {phrases.node(motion)} failed at step {task.last_step}: {error}"
 
 
 def _unfinished(tasks: Sequence[Node]) -> Iterator[str]:
     for task in tasks:
-        yield " in ".join(_call(each) for each in task.around()) + f"  [since step {task.started.seq}]"
+        yield " in ".join(phrases.node(each) for each in task.around()) + f"  [since step {task.started.seq}]"
 
 
 def _where(why: Why) -> Iterator[str]:
@@ -162,7 +239,7 @@ def _exceptions_lead_to_task(why: Why) -> bool:
 
 
 def _line(line: Line, why: Why) -> Iterator[str]:
-    yield f"{phrases.path(line.file)}:{line.number}" + (f" in {line.function}" if line.function else "")
+    yield phrases.place(line) + (f" in {line.function}" if line.function else "")
     if line.text:
         yield f"    {line.text}"
     rows = [""]
@@ -196,7 +273,7 @@ def _tasks(why: Why) -> Iterator[str]:
         else:
             took = phrases.seconds(task.finished.duration_ns) if task.finished is not None else ""
             state = f"failed after {took}" if task.failed else f"went on, {took}"
-        yield f"{'  ' * depth}{_call(task)}  [steps {task.started.seq}-{task.last_step}, {state}]"
+        yield f"{'  ' * depth}{phrases.node(task)}  [steps {task.started.seq}-{task.last_step}, {state}]"
         if task is why.task.motion and task.decision is not None:
             yield f"{'  ' * depth}    {decision_text(task.decision, full=True)}"
     for choice in why.choices[-_LAST:]:
@@ -211,60 +288,7 @@ def _tasks(why: Why) -> Iterator[str]:
         if part.failed and part not in path and part.origin not in attempted
     ]
     for part in siblings[:_LAST]:
-        yield f"also failed: {_call(part)}: {phrases.one_line(part.error[1]) if part.error else ''}"
-
-
-def _in_world(why: Why) -> str:
-    """Return which world it is, unless it is the default one."""
-    world = why.world
-    return f" in {world.title}" if world is not None and not (why.is_default and world.lifetime == 1) else ""
-
-
-def _bodies(why: Why) -> Iterator[str]:
-    for involved in why.bodies:
-        yield from _involved(involved)
-    yield from (f"{name} had been removed" for name in why.removed)
-
-
-def _involved(involved: InvolvedBody) -> Iterator[str]:
-    """Yield a body; of a fixed one its named links and joints, as where its base is tells nothing."""
-    body = involved.body
-    if involved.is_robot or not body.fixed_base or not (involved.links or involved.joints):
-        yield _body(involved)
-    for name, (position, _) in involved.links.items():
-        yield f"{name} of {body.name} at {phrases.vector(position)}"
-    for name, value in involved.joints.items():
-        yield f"joint {name} of {body.name} at {phrases.number(value)}"
-
-
-def _body(involved: InvolvedBody) -> str:
-    body = involved.body
-    text = f"{body.name} at {phrases.vector(body.position)}"
-    if involved.is_robot:
-        text += f", facing {_degrees(heading(body))}"
-        text += f", holding {phrases.names([_gripped(held.body, involved) for held in involved.holds])}"
-    elif involved.distance is not None and involved.bearing is not None:
-        side = math.degrees(involved.bearing)
-        turn = (
-            "straight ahead" if abs(side) < 1 else f"{abs(side):.0f} degrees to the {'left' if side > 0 else 'right'}"
-        )
-        text += f", {involved.distance:.2f} m from the robot on the ground, {turn}"
-    return text + (f", held by {_holder(involved)}" if involved.held else "")
-
-
-def _gripped(name: str, involved: InvolvedBody) -> str:
-    return f"{name} in the {involved.hands[name]} gripper" if name in involved.hands else name
-
-
-def _holder(involved: InvolvedBody) -> str:
-    if involved.held is None:
-        return ""
-    hand = involved.hands.get(involved.body.name)
-    return f"the {hand} gripper of {involved.held.carrier}" if hand else phrases.carrier(involved.held)
-
-
-def _degrees(angle: float) -> str:
-    return f"{round(math.degrees(angle)) or 0} degrees"
+        yield f"also failed: {phrases.node(part)}: {phrases.one_line(part.error[1]) if part.error else ''}"
 
 
 def _attempts(why: Why) -> Iterator[str]:
@@ -297,9 +321,9 @@ def _attempts(why: Why) -> Iterator[str]:
             yield f"    {error}"
 
 
-def _robot_pose(attempt: Attempt) -> str:
+def _robot_pose(attempt: FailedAttempt) -> str:
     robot = attempt.robot
-    return f"{robot.name} at {phrases.vector(robot.position[:2])} facing {_degrees(heading(robot))}" if robot else ""
+    return f"{robot.name} at {phrases.vector(robot.position[:2])} facing {facing(robot)}" if robot else ""
 
 
 def _queries(why: Why) -> Iterator[str]:
@@ -334,8 +358,8 @@ def _changes(why: Why) -> Iterator[str]:
 
 def _since(since: ChangesSince) -> Iterator[str]:
     task = since.task
-    changes = list(diff.lines(since.difference)) if since.difference.notable or since.difference.added else []
-    name = f"{_call(task)} succeeded at step {task.last_step}"
+    changes = list(states.lines(since.difference)) if since.difference.notable or since.difference.added else []
+    name = f"{phrases.node(task)} succeeded at step {task.last_step}"
     if not changes:
         yield f"{name}; since then nothing in the world has changed."
         return
@@ -343,3 +367,53 @@ def _since(since: ChangesSince) -> Iterator[str]:
     yield from (f"  {line}" for line in changes[:_MAX_LINES])
     if len(changes) > _MAX_LINES:
         yield f"  ... {len(changes) - _MAX_LINES} more lines; `diff` lists all"
+
+
+def _commands(why: Why, path: str) -> Iterator[str]:
+    """Yield commands that look closer at what a failure was about; ``path`` is quoted for a shell."""
+    world = "" if why.world is None or why.is_default else f" --world {shlex.quote(why.world.name)}"
+    if why.queries:
+        yield f"pycram-replay show {path} {why.queries[-1].query.seq}"
+    names = [involved.body.name for involved in _movable(why)]
+    if names:
+        name = shlex.quote(names[-1])
+        yield f"pycram-replay state {path} {why.step} {name}{world}"
+        yield f"pycram-replay blame {path} {name} --at {why.step}{world}"
+    if why.warning is not None:
+        yield f"pycram-replay ask {path} {why.step} {shlex.quote(_asked_again(why.warning))}{_nearer(why)}{world}"
+    if names:
+        yield f"pycram-replay render {path} {why.step} -o moment.png{world}"
+        yield f"pycram-replay restore {path} {why.step} --shell{world}"
+
+
+def _asked_again(query: Query) -> str:
+    """Return a query as ``ask`` takes it, without its thresholds."""
+    arguments: list[Term] = []
+    try:
+        question = question_of(query)
+    except BadQuestion:
+        return phrases.question(query)
+    for name, term in question.keywords.items():
+        if name in ("threshold", "margin", "grasp", "orientation", "collision_free"):
+            break
+        arguments.append(Name(term) if isinstance(term, str) else term)  # queries take either
+    return str(Question(query.name, tuple(arguments)))
+
+
+def _movable(why: Why) -> list[InvolvedBody]:
+    """Return the robot and what it can move; all if there is no more."""
+    movable = [each for each in why.bodies if each.is_robot or not each.body.fixed_base]
+    return movable if len(movable) > 1 else list(why.bodies)
+
+
+def _nearer(why: Why) -> str:
+    """Return the option that moves the object nearer to the robot; "" without a robot."""
+    if not why.bodies:  # a damaged recording may have lost them
+        return ""
+    robot = next((involved.body for involved in why.bodies if involved.is_robot), None)
+    last = _movable(why)[-1]
+    if robot is None or last.distance is None or last.distance <= _NEARER:
+        return ""
+    share = _NEARER / last.distance
+    target = [a + (b - a) * share for a, b in zip(last.body.position[:2], robot.position[:2], strict=True)]
+    return f" --move {shlex.quote(last.body.name)}={target[0]:.2f},{target[1]:.2f},{last.body.position[2]:.2f}"

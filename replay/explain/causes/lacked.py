@@ -1,0 +1,629 @@
+"""What a failed motion lacked, as an earlier motion had failed, or something was refused, and the plan went on.
+
+Of what a failed motion lacked, the last motion that should have brought it about had failed, or was cancelled: with the
+same object, the same arm, the same joint. Or it was skipped, for want of what a perception would have found. A later
+success of such a motion ends that, as does any other change that did it, or something else, to the same: a plan that
+attached the object itself and let go of it then failed for that. A refusal counts until what it asked for is done after
+all, or something else is done to the same.
+"""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, Final
+
+from recorder import geometry
+from recorder.geometry.shapes import read_shapes
+from recorder.records import Mutation, Plain, Query, Refusal, Task, argument_values, format_failure
+from recorder.tasks import Node, State
+from replay.errors import Damaged, NoSuchName
+from replay.explain.causes.case import HANDLER, FailureCase, about, joints_of, objects_in, values
+from replay.explain.causes.cause import Cause
+from replay.explain.causes.raised import is_mistake
+from replay.history.source import Line, syntax_nodes
+from replay.history.tasks import causing_tasks
+from replay.report import phrases
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+
+    from replay.state.state import Attachment
+
+
+_TAKING: Final = ("pick-up", "accessing")
+_OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
+_SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
+_NEARER: Final = 0.05  # m
+_IN: Final = 0.03  # m by which an object's base may be beyond the box of a drawer's parts
+_PERCEIVING: Final = ("detecting", "world-state-detecting")
+_UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
+_MISSING_VALUE: Final = ("DesignatorError", "BadArgument")  # that a plan's None makes, beside Python's own errors
+_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # that a list or the like makes which lacks a value
+_MAX_ALSO: Final = 3
+_MAX_SETTING: Final = 100  # motions that may have put something into a list
+_GOES_ON: Final = 2000  # records in which a plan goes on after a failure
+_POSES: Final = ("set_position", "set_orientation", "set_position_and_orientation")
+_JOINTS: Final = ("set_joint_position", "set_joint_positions")
+_SEEN: Final = ("PerceptionError", "LookingFailed")
+_HANDS: Final = ("held", "hand-free")
+_REFUSALS: Final = 200  # before the failure, that are looked at
+#: What of it all was missed, by the precondition.
+_LACKED: Final = {
+    "held": "so the {arm} gripper didn't hold {subject}",
+    "hand-free": "so the {arm} gripper still held {subject}",
+    "clear": "so {subject} was where it had been",
+    "joint-moved": "so {subject} was as it had been",
+    "at-pose": "so the robot wasn't where it should have been",
+    "posture": "so the {arm} arm wasn't in that posture",
+    "camera-directed": "so the camera looked elsewhere",
+    "result": "so {subject} had no value from it",
+}
+_REFUSED: Final = _LACKED | {
+    "moved": "so {subject} was where it had been",
+    "loaded": "so there was no {subject}",
+    "held": "so nothing held {subject}",
+    "hand-free": "so {subject} was still held",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Swallowed(Cause):
+    """An earlier task failed, or was cancelled, the plan went on, and so a later one lacked what it needs."""
+
+    kind = "swallowed-failure"
+    #: What it lacked: "held" (the arm holds the object), "hand-free" (the arm holds nothing), "clear" (the object isn't
+    #: in the way), "joint-moved", "at-pose" (the robot stands where it was sent), "posture" (of the arm),
+    #: "camera-directed", "result" (of a task, in a variable)
+    precondition: str
+    subject: str  # the object, joint or variable; "" for none
+    arm: str  # "" for none
+    failed: Node  # the earlier task
+    line: Line | None  # of the plan, that asked for it
+    went_on: Line | None  # with which the plan went on
+    also: tuple[Node, ...] = ()  # earlier tasks that would have done as well, and failed too, as with the other arm
+    skipped: Line | None = None  # the plan's line that skipped what would have used the variable, as an empty loop does
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[Swallowed]:
+        """Yield the failures for want of which the case's motion, or line, failed."""
+        for lack in lacking(case):
+            last = next((motion for motion in case.motions(*lack.motions) if lack.fits(motion)), None)
+            if last is not None and last.status in _UNSUCCESSFUL and not _was_done_since(case, lack, last):
+                also = _also(case, lack, last)
+                yield _swallowing(case, lack.precondition, lack.subject, lack.arm, last, also)
+            found = _skipped(case, lack) if last is None else None
+            if found is not None and not _was_done_since(case, lack, found[0]):
+                motion, name, line = found
+                yield replace(_swallowing(case, "result", name, "", motion), skipped=line)
+        yield from _results(case)
+
+    def _words(self) -> Iterator[str]:
+        failed = self.failed
+        lacked = f"{_lacked(_LACKED[self.precondition], self.subject, self.arm)} at step {self.steps[-1]}"
+        if self.skipped is not None:
+            skipped = f"{phrases.place(self.skipped)} was skipped: {self.skipped.text}"
+            lacked = f"so {self.subject} had nothing from it, and {skipped}"
+        how = f"{_where(self.line)} {'was cancelled' if failed.status is State.CANCELLED else 'failed'}"
+        went_on = f"the plan went on{_where(self.went_on)}; {lacked}"
+        yield f"{phrases.node(failed)}{how} at step {failed.last_step} and {went_on}"
+        if failed.error is not None:
+            yield f"it failed with: {phrases.error(failed)}"
+        for task in self.also:
+            yield f"so did {phrases.node(task)} at step {task.last_step}: {phrases.error(task)}"
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedRequest(Cause):
+    """A request of the plan was refused, the plan went on, and so a later motion lacked its effect."""
+
+    kind = "refused"
+    #: What it lacked: "held", "hand-free", "clear", "joint-moved" and "result" as of :class:`Swallowed`; "moved" (the
+    #: object or robot is elsewhere), "loaded" (the object exists)
+    precondition: str
+    subject: str  # the object, joint or variable
+    asked: Refusal
+    line: Line | None  # of the plan, that asked for it
+    went_on: Line | None  # with which the plan went on
+    handler: Task | None = None  # the start of the handler's call that asked for it
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[RefusedRequest]:
+        """Yield the refusals for want of which the case's motion, or line, failed; the last of each subject."""
+        if not case.log.counts().get("refusal"):
+            return
+        found: set[tuple[str, str]] = set()
+        for number, refusal in enumerate(case.log.backwards(case.began - 1, Refusal)):
+            if number == _REFUSALS:
+                return
+            if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
+                continue  # it is the failure itself, or was tried before in the same way
+            if not case.is_here(refusal):
+                continue
+            for missed in _missed(case, refusal):
+                if missed not in found and not _was_asked_again(case, refusal):
+                    found.add(missed)
+                    yield _refusal(case, refusal, *missed)
+
+    def _words(self) -> Iterator[str]:
+        asked = self.asked
+        inside = f", in {phrases.handler(self.handler)}," if self.handler is not None else ""
+        lacked = f"{_lacked(_REFUSED.get(self.precondition, ''), self.subject)} at step {self.steps[-1]}"
+        refused = f"{phrases.refused(asked)}{_where(self.line)} was refused at step {asked.seq}{inside}"
+        yield f"{refused} and the plan went on{_where(self.went_on)}; {lacked}"
+        yield f"it was refused with: {phrases.one_line(format_failure(asked.failure))}"
+
+
+def _where(line: Line | None) -> str:
+    return f" at {phrases.place(line)}" if line is not None else ""
+
+
+def _lacked(text: str, subject: str, arm: str = "") -> str:
+    return text.format(subject=subject, arm=arm).replace("the  ", "the ")
+
+
+# --- what a motion lacked --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Lacking:
+    """What a motion lacked."""
+
+    precondition: str  # as in :class:`Swallowed`
+    subject: str  # the object or joint; "" for none
+    arm: str  # "" for none
+    motions: tuple[str, ...]  # names of those that bring it about
+    fits: Callable[[Node], bool]  # whether such a motion is about the same object, joint and arm
+    owner: str = ""  # whose joints they are, or the robot that should have been elsewhere; "" else
+    joints: tuple[str, ...] = ()  # that should have been moved
+
+    def done_by(self, record: Mutation) -> bool:
+        """Return whether a change did it, or something else, to the same: what was before then explains nothing."""
+        if self.precondition in ("held", "hand-free"):
+            return record.HasField("attach_body") and self.subject in [each.body for each in record.effect.attached]
+        if self.joints:
+            moved = record.move_joints
+            return moved.body == self.owner and not set(moved.joints).isdisjoint(self.joints)
+        return record.move_body.body == (self.owner or self.subject) != ""
+
+
+def lacking(case: FailureCase) -> Iterator[Lacking]:
+    """Yield what a failed motion lacked."""
+    if case.motion is None or case.world is None or case.robot is None:
+        return
+    by_hands = list(_hands(case, case.motion.name))
+    if by_hands:  # is checked before anything else
+        yield from by_hands
+        return
+    yield from _clear(case)
+    yield from _taken_out(case)
+    if case.failure.type in _OUT_OF_REACH:
+        yield from _at_pose(case)
+    elif case.failure.type == "PerceptionError":
+        yield Lacking("camera-directed", "", "", ("looking",), lambda _: True)
+        yield from _at_pose(case)
+
+
+def _hands(case: FailureCase, name: str) -> Iterator[Lacking]:
+    if case.task is None or case.task.kind != "process-module" or case.before is None:
+        return  # it wasn't even resolved
+    arm = str(case.given.get("arm") or "")
+    held = case.held_by(arm)
+    body = next(iter(objects_in(case.given.get("object"))), "")
+    if name == "place" and body and arm in case.hands and (held is None or held.body != body):
+        yield Lacking("held", body, arm, ("pick-up",), lambda task: about(task, body=body, arm=arm))
+        if held is None:
+            return
+    if name not in (*_TAKING, "place") or not arm:
+        return
+    holding = case.before.carrier(body) if name == "pick-up" and body else None
+    for kept in (held, holding if holding != held else None):
+        if kept is not None and not (name == "place" and kept.body == body):
+            yield _freed(case, kept)
+
+
+def _freed(case: FailureCase, held: Attachment) -> Lacking:
+    arm = next((name for name, frame in case.hands.items() if frame == held.carrier_link), "")
+
+    def fits(task: Node) -> bool:
+        return about(task, body=held.body) if task.name == "place" else about(task, arm=arm)
+
+    return Lacking("hand-free", held.body, arm, ("place", "opening-gripper"), fits)
+
+
+def _clear(case: FailureCase) -> Iterator[Lacking]:
+    """Yield what should have been out of the way, by the links that would have met or what hides the object."""
+    if case.world is None or case.robot is None or ("rest" in case.data and case.data["rest"] is not None):
+        return
+    known: set[tuple[str, str]] = set()
+    ends = [(pair.get("body", ""), pair.get("body_link", "")) for pair in case.pairs]
+    if case.failure.type == "PerceptionError":
+        wanted = case.data.get("reasons")
+        ends += [(name, "") for name in case.mentioned if not isinstance(wanted, dict) or name not in wanted]
+    for name, link in ends:
+        if (name, link) in known or name == case.robot.name:
+            continue
+        known.add((name, link))
+        if case.free_body(name) is not None and name not in case.subjects:
+            yield Lacking("clear", name, "", ("pick-up", "place"), partial(about, body=name))
+        elif name in case.world.bodies:
+            yield from _joint_moved(case, name, link)
+    for pair in case.pairs:
+        yield from _of_robot(case, pair.get("mover", ""), pair.get("link", ""))
+
+
+def _taken_out(case: FailureCase) -> Iterator[Lacking]:
+    """Yield the drawers and doors that should have been moved to get at what lies in them."""
+    names = shut_in(case)
+    for task in case.motions("accessing") if names else ():
+        given = values(task)
+        owner, joint = _accessed(case, given)
+        if task.failed and any(lies_in(case, name, owner, joint) for name in names):
+
+            def fits(other: Node, accessed: tuple[str, str] = (owner, joint)) -> bool:
+                return _accessed(case, values(other)) == accessed
+
+            yield Lacking("joint-moved", f"{joint} of {owner}", "", ("accessing",), fits, owner, (joint,))
+            return
+
+
+def _accessed(case: FailureCase, given: Mapping[str, Plain]) -> tuple[str, str]:
+    """Return what an accessing was to move: furniture, and its joint; if there is none of that name, the handle's."""
+    owner, joint = next(objects_in(given.get("part-of")), ""), str(given.get("drawer-joint") or "")
+    body = case.world.bodies.get(owner) if case.world is not None else None
+    if body is not None and joint not in body.joints:
+        joint = next(iter(case.joints_to(owner, str(given.get("drawer-handle") or ""))), joint)
+    return owner, joint
+
+
+def shut_in(case: FailureCase) -> list[str]:
+    """Return the objects that couldn't be got at, which may be for what they lie in."""
+    return _wanted(case) if case.failure.type in _SHUT_IN else []
+
+
+def lies_in(case: FailureCase, name: str, owner: str, joint: str) -> bool:
+    """Return whether an object is within what a joint of another body moves, by the boxes of its links."""
+    assets = case.state.assets
+    if case.world is None or assets is None or owner not in case.world.bodies or not joint:
+        return False
+    body, position = case.world.bodies[owner], case.world.bodies[name].position
+    try:
+        poses = case.state.urdf(body).link_poses(body.joints)
+        shapes = read_shapes(assets[body.models[0]], "collision")
+    except (NoSuchName, Damaged, IndexError):
+        return False
+    for link, pose in poses.items():
+        boxes = [shape for shape in shapes.get(link, ()) if shape.kind == "box"]
+        if boxes and joint in case.joints_to(owner, link):
+            point = geometry.transform(geometry.invert(geometry.multiply(body.pose, pose)), position)
+            lowest, highest = (
+                [reach(box.pose[0][i] + side * box.size[i] / 2 for box in boxes) for i in range(3)]
+                for reach, side in ((min, -1), (max, 1))
+            )
+            if all(low - _IN <= x <= high + _IN for low, x, high in zip(lowest, point, highest, strict=True)):
+                return True
+    return False
+
+
+def _joint_moved(case: FailureCase, name: str, link: str) -> Iterator[Lacking]:
+    joints = case.joints_to(name, link)
+    if link and not joints:
+        return
+
+    def fits(task: Node) -> bool:
+        given = values(task)
+        return name in objects_in(given.get("part-of")) and (not link or given.get("drawer-joint") in joints)
+
+    yield Lacking("joint-moved", ", ".join(joints) or name, "", ("accessing",), fits, name, joints)
+
+
+def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
+    """Yield what the robot should have put down, or folded away."""
+    held = case.world.carrier(mover) if case.world is not None else None
+    if held is not None and mover not in case.subjects:
+        yield _freed(case, held)
+    elif case.motion is not None and case.motion.name == "moving" and case.robot is not None and link:
+        moving = set(case.joints_to(case.robot.name, link))
+        for arm in case.hands:
+            joints = joints_of(case.robot, arm)
+            if moving.intersection(joints):
+                fits = partial(_has_slot, f"{arm}-arm")
+                yield Lacking("posture", "", arm, ("move-arm-joints",), fits, case.robot.name, joints)
+
+
+def _at_pose(case: FailureCase) -> Iterator[Lacking]:
+    """Yield that the robot should have been elsewhere, if it would be nearer there to what it can't reach."""
+    target = case.data.get("target")
+    if isinstance(target, list) and len(target) == 3:
+        goal = [float(str(part)) for part in target[:2]]
+    else:
+        bodies = [case.world.bodies[name] for name in _wanted(case)] if case.world is not None else []
+        goal = list(bodies[0].position[:2]) if bodies else []
+    here = list(case.robot.position[:2]) if case.robot is not None else []
+
+    def fits(task: Node) -> bool:
+        there = values(task).get("target")
+        if not isinstance(there, list) or len(there) != 3 or not here:
+            return False
+        place = [float(str(part)) for part in there[:2]]
+        if math.dist(place, here) < _NEARER:
+            return False
+        return not goal or math.dist(place, goal) < math.dist(here, goal) - _NEARER
+
+    robot = case.robot.name if case.robot is not None else ""
+    yield Lacking("at-pose", "", "", ("moving",), lambda task: not task.failed or fits(task), robot)
+
+
+def _wanted(case: FailureCase) -> list[str]:
+    """Return the objects that should have been reached or seen."""
+    reasons = case.data.get("reasons")
+    names = list(reasons) if isinstance(reasons, dict) else list(case.subjects)
+    return [name for name in names if case.free_body(name) is not None]
+
+
+def _has_slot(slot: str, task: Node) -> bool:
+    return slot in task.parameters
+
+
+# --- swallowed failures ----------------------------------------------------------------------------------------------
+
+
+def _was_done_since(case: FailureCase, lack: Lacking, failed: Node) -> bool:
+    changes = case.log.records(Mutation, failed.last_step + 1, case.began)
+    here = case.world.name if case.world is not None else ""
+    return any(isinstance(each, Mutation) and each.world == here and lack.done_by(each) for each in changes)
+
+
+def _swallowing(
+    case: FailureCase, precondition: str, subject: str, arm: str, failed: Node, also: tuple[Node, ...] = ()
+) -> Swallowed:
+    step, next_step = _next_step_after(case, max((failed, *also), key=lambda task: task.last_step))
+    steps = {failed.last_step, *([step] if step else []), case.step, *(task.last_step for task in also)}
+    line = case.line_of(failed.started)
+    return Swallowed(tuple(sorted(steps)), precondition, subject, arm, failed, line, next_step, also)
+
+
+def _also(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
+    """Return the other motions, with any arm, that would have done as well and failed, since one succeeded."""
+    found: list[Node] = []
+    for motion in case.motions(*lack.motions) if lack.arm else ():
+        if not about(motion, body=lack.subject):
+            continue
+        if motion.status not in _UNSUCCESSFUL:
+            break
+        if motion is not failed and motion.error not in [each.error for each in (failed, *found)]:
+            found.append(motion)
+    return tuple(found[:_MAX_ALSO][::-1])
+
+
+def _next_step_after(case: FailureCase, failed: Node) -> tuple[int, Line | None]:
+    """Return the step with which the plan went on after a failure, and its line."""
+    outer = failed.outermost_failed
+    stack = case.source.call_stack(outer.started)
+    around = {node.id for node in outer.around()} - {outer.id} | {0}
+    stop = min(case.began + 1, outer.last_step + _GOES_ON)
+    return next_step(case, outer.last_step + 1, stop, around, outer.started.thread, stack)
+
+
+def next_step(
+    case: FailureCase, start: int, stop: int, around: Collection[int], thread: str, stack: Sequence[Line]
+) -> tuple[int, Line | None]:
+    """Return the first step with which a part of the plan went on, and its line; 0 and None if there is none.
+
+    Args:
+        case: the case.
+        start: the step from which on to look.
+        stop: the step before which to look.
+        around: ids of the tasks that are that part, 0 for the plan itself.
+        thread: name of its thread.
+        stack: the plan's lines after which it went on.
+    """
+    for record in case.log.records((Task, Mutation), start, stop):
+        if not isinstance(record, Task | Mutation) or (isinstance(record, Task) and record.phase == Task.FINISHED):
+            continue
+        parent = record.parent if isinstance(record, Task) else record.task
+        lines = case.source.call_stack(record) if parent in around else ()
+        if lines and record.thread == thread:
+            if list(lines) == list(stack):  # in the next round of a loop
+                return record.seq, case.line(lines)
+            fresh = (line for line, before in zip(lines, stack, strict=False) if line != before)
+            return record.seq, next(fresh, lines[min(len(stack), len(lines) - 1)])
+    return 0, None
+
+
+def _results(case: FailureCase) -> Iterator[Swallowed]:
+    """Yield the failures that left without a value, or empty, what the failed line reads."""
+    setting = _setting(case) if lacks_value(case) else iter(())
+    if case.failure.type in _EMPTY:  # several things may have been put into it
+        found = list(islice(setting, _MAX_SETTING))
+        succeeded = [motion.parameters for motion, _ in found if motion.status not in _UNSUCCESSFUL]
+        missing = [each for each in found if each[0].status in _UNSUCCESSFUL and each[0].parameters not in succeeded]
+        key = case.failure.message.strip("'") if case.failure.type == "KeyError" else ""
+        named = [each for each in missing if key and key in each[0].parameters.values()]
+        last = next(iter(named or missing), None)
+    else:
+        last = next(setting, None)
+    if last is not None and last[0].status in _UNSUCCESSFUL:
+        yield _swallowing(case, "result", ", ".join(last[1]), "", last[0])
+
+
+def _setting(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
+    """Yield the earlier motions whose lines set variables that the failed line reads, the last first, and these."""
+    for motion in reversed(case.failed.motions):
+        if motion.last_step < case.step and motion is not case.motion:
+            names = values_from(case, case.source.call_stack(motion.started))
+            if names:
+                yield motion, names
+
+
+def lacks_value(case: FailureCase) -> bool:
+    """Return whether a line of the plan failed for want of a value."""
+    own_mistake = hasattr(builtins, case.failure.type) or case.failure.type in _MISSING_VALUE
+    if case.failure.type in _EMPTY:
+        return True
+    texts = (case.failure.message, *(case.motion.parameters.values() if case.motion is not None else ()))
+    return own_mistake and any(text is None or "None" in str(text) or _unset(case, str(text)) for text in texts)
+
+
+def values_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
+    """Return the variables that some lines of the plan set, and those that failed read."""
+    stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
+    lines = (*stack, *(line for error in case.traced for line in error.lines))
+    places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
+    shared = places[0] & places[1]  # of helpers that perform both
+    read, written = (
+        case.names_in([line for line in each if (line.file, line.number) not in shared], context)
+        for each, context in ((lines, ast.Load), (setting, ast.Store))
+    )
+    return sorted(name for _, name in read & written)
+
+
+def _unset(case: FailureCase, text: str) -> bool:
+    return case.failure.type in ("NameError", "UnboundLocalError") and text == case.failure.message
+
+
+def _skipped(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | None:
+    """Return the failed perception of what a motion lacked, the variable, and the line that _skipped what uses it."""
+    body = case.world.bodies.get(lack.subject) if case.world is not None else None
+    if body is None:
+        return None
+    of_type = (each for each in case.motions(*_PERCEIVING) if each.parameters.get("object-type") == body.type)
+    motion = next(of_type, None)
+    if motion is None or not motion.failed:
+        return None
+    for line in case.source.call_stack(motion.started):
+        for function, name in sorted(case.names_in([line], ast.Store)):
+            for head, last in _heads(case, line, function, name):
+                if not _ran(case, motion, head, last):
+                    return motion, name, head
+    return None
+
+
+def _heads(case: FailureCase, line: Line, function: str, name: str) -> Iterator[tuple[Line, int]]:
+    """Yield the lines after one that decide by a variable what is done with it, and the last line of each body."""
+    for node in syntax_nodes(case.source.text(line.file)):
+        if not isinstance(node, ast.For | ast.While | ast.If) or node.lineno <= line.number:
+            continue
+        head = case.source.line(line.file, node.lineno)
+        decided = node.iter if isinstance(node, ast.For) else node.test
+        used = {name, *(_names_below(node.target) if isinstance(node, ast.For) else ())}
+        if head is None or head.function != function or name not in _names_below(decided):
+            continue
+        calls = [part for statement in node.body for part in ast.walk(statement) if isinstance(part, ast.Call)]
+        if any(used & _names_below(part) for part in calls):
+            yield head, node.body[-1].end_lineno or node.lineno
+
+
+def _names_below(node: ast.AST) -> set[str]:
+    return {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+
+
+def _ran(case: FailureCase, motion: Node, head: Line, last: int) -> bool:
+    """Return whether a record since a motion came from a line below a head, or that can't be told."""
+    records = list(islice(case.log.records((Task, Mutation, Query), motion.last_step + 1, case.began), _GOES_ON))
+    if len(records) == _GOES_ON:
+        return True
+    stacks = (case.source.call_stack(record) for record in records)
+    return any(line.file == head.file and head.number < line.number <= last for stack in stacks for line in stack)
+
+
+# --- refused requests ------------------------------------------------------------------------------------------------
+
+
+def _refusal(case: FailureCase, refusal: Refusal, precondition: str, subject: str) -> RefusedRequest:
+    stack = case.source.call_stack(refusal)
+    stop = min(case.began + 1, refusal.seq + _GOES_ON)
+    step, line = next_step(case, refusal.seq + 1, stop, {refusal.task}, refusal.thread, stack)
+    tasks = (each.started for each in causing_tasks(case.log, refusal).tasks)
+    handler = next((each for each in tasks if each.kind == HANDLER), None)
+    event = [handler.cause] if handler is not None and handler.cause else []
+    steps = {refusal.seq, *event, *([step] if step else []), case.step}
+    asked = case.line_of(refusal)
+    return RefusedRequest(tuple(sorted(steps)), precondition, subject, refusal, asked, line, handler)
+
+
+def _missed(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
+    """Yield what the failure lacked of what a refusal would have done: the precondition and its subject."""
+    given = argument_values(refusal.arguments)
+    subject = next(objects_in(given.get("object")), "")
+    lacks = {(each.precondition, each.subject) for each in lacking(case)}
+    by_hands = {(kind, name) for kind, name in lacks if kind in _HANDS}
+    if refusal.name == "Object" and case.failure.type == "UnknownName":
+        if case.data.get("name") == given.get("name"):
+            yield "loaded", str(given.get("name"))
+    elif refusal.name in ("attach", "detach"):
+        held = "held" if refusal.name == "attach" else "hand-free"
+        other = next(objects_in(given.get("other")), "")
+        if case.robot is not None and case.robot.name in (subject, other):  # it is the robot's hands that matter
+            yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
+    elif is_mistake(case):  # however the world was
+        names = values_from(case, case.source.call_stack(refusal)) if lacks_value(case) else []
+        yield from [("result", ", ".join(names))] if names else []
+    elif by_hands:
+        return
+    elif refusal.name in _POSES and (subject in case.mentioned or _depends_on_robot(case, subject)):
+        yield "moved", subject
+    elif refusal.name in _JOINTS:
+        yield from _refused_joints(case, subject, refusal, given)
+    elif refusal.name == "remove" and ("clear", subject) in lacks:
+        yield "clear", subject
+
+
+def _depends_on_robot(case: FailureCase, name: str) -> bool:
+    """Return whether it is the robot, and the failure depends on where that stands."""
+    return case.motion is not None and case.robot is not None and case.robot.name == name
+
+
+def _refused_joints(
+    case: FailureCase, subject: str, refusal: Refusal, given: Mapping[str, Plain]
+) -> Iterator[tuple[str, str]]:
+    """Yield the joints that would have been moved, if the failure depends on these."""
+    names = set(_joints_meant(refusal, given))
+    if case.robot is not None and subject == case.robot.name:
+        parts = ["torso", "head"] if case.failure.type in _SEEN else ["torso"]
+        touching = [arm for arm in case.hands if any(pair.get("mover") == subject for pair in case.pairs)]
+        relevant = {joint for part in (*parts, *touching) for joint in joints_of(case.robot, part)}
+        names = names & relevant if case.motion is not None else set()
+    elif subject not in case.mentioned:
+        names = {joint for joint in names for name in shut_in(case) if lies_in(case, name, subject, joint)}
+    if names:
+        yield "joint-moved", f"{', '.join(sorted(names))} of {subject}"
+
+
+def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]:
+    """Yield the joints that would have been moved; of a misspelt one the name that the refusal suggests first."""
+    positions = given.get("positions")
+    error = argument_values(refusal.failure.data) if refusal.failure.type == "UnknownName" else {}
+    near = error.get("nearest")
+    for name in (*(positions if isinstance(positions, dict) else ()), given.get("name")):
+        if isinstance(name, str):
+            yield str(near[0]) if isinstance(near, list) and near and name == error.get("name") else name
+
+
+def _was_asked_again(case: FailureCase, refusal: Refusal) -> bool:
+    """Return whether the same was done between a refusal and the failure, or the plan moved the object otherwise."""
+    given = argument_values(refusal.arguments)
+    subject, joints = next(objects_in(given.get("object")), ""), set(_joints_meant(refusal, given))
+    for record in case.log.records(Mutation, refusal.seq + 1, case.began) if subject else ():
+        if record.world != refusal.world:
+            continue
+        command = record.WhichOneof("command")
+        if command == "move_joints" and record.move_joints.body == subject and joints & set(record.move_joints.joints):
+            return True
+        moved = command == "move_body" and record.move_body.body == subject
+        loaded = command in ("load_body", "reset")
+        if refusal.name in _POSES and (moved or (loaded and record.load_body.body in ("", subject))):
+            return True
+        if refusal.name in ("attach", "detach") and command == f"{refusal.name}_body" and _same(record, given):
+            return True
+    return False
+
+
+def _same(record: Mutation, given: Mapping[str, Plain]) -> bool:
+    names = {*objects_in(given.get("object")), *objects_in(given.get("other"))}
+    grip = record.attach_body if record.HasField("attach_body") else record.detach_body
+    return {grip.carrier, grip.body} == names

@@ -1,0 +1,420 @@
+"""What a part of a plan waited for, or did, when its time was up or it was interrupted; and who could have helped."""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, format_failure, from_json
+from recorder.tasks import Node, State, Tree
+from replay.explain.causes.case import FailureCase, objects_in
+from replay.explain.causes.cause import Cause
+from replay.explain.causes.raised import answers
+from replay.history.failures import INTERRUPT
+from replay.history.source import Line, syntax_nodes
+from replay.report import phrases
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+
+_NO_LEAF: Final = "timeout"  # the only parameter of a wait that isn't one of its fluents
+_MAX_CHANGES: Final = 5
+_MAX_TASKS: Final = 10_000
+_SETTERS: Final = ("set_value", "pulse")
+_SIMULATED_TIME: Final = "simulated"  # the clock of a limit in simulated time
+_MAX_TOOK: Final = 3
+_NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # no name: of the first releases
+_MAX_NAMED: Final = 3  # parts of a plan
+
+
+@dataclass(frozen=True, slots=True)
+class Fulfiller:
+    """What could have made a fluent true."""
+
+    line: Line | None  # of the plan, that sets it; None if only a record tells
+    task: Node | None  # that ran the line, or should have
+    step: int | None = None  # of the record by which it set the fluent last; None if it never did
+    failed: Node | None = None  # the last motion that failed in that task
+    refused: Refusal | None = None  # the last refusal in that task
+
+    def __str__(self) -> str:
+        if self.failed is not None and self.failed is self.task:
+            error = phrases.error(self.failed)
+            return f"{phrases.node(self.failed)} could have, and failed at step {self.failed.last_step}: {error}"
+        if self.line is not None:
+            inside = f"{self.line.function} at " if self.line.function not in ("", "<module>") else ""
+            text = f"{inside}{phrases.place(self.line)} would have: {phrases.short(self.line.text)}"
+        elif self.task is not None:
+            text = f"{phrases.node(self.task)} could have"
+        else:
+            text = "the plan's own code could have"
+        if self.task is not None:
+            finished = self.task.finished is not None
+            state = f"{self.task.status.word} at step {self.task.last_step}" if finished else "is still running"
+            text += f"; {phrases.node(self.task)} {state}"
+            text += f", having set it at step {self.step}" if self.step is not None else " without that"
+        if self.failed is not None:
+            name, error = phrases.node(self.failed), phrases.error(self.failed)
+            text += f", after {name} failed at step {self.failed.last_step}: {error}"
+        if self.refused is not None:
+            error = phrases.one_line(format_failure(self.refused.failure))
+            text += f", after {phrases.refused(self.refused)} was refused at step {self.refused.seq}: {error}"
+        return text + ("; it never did on record" if self.task is None and self.step is None else "")
+
+
+@dataclass(frozen=True, slots=True)
+class PendingTask:
+    """What a part of a plan was doing when it was stopped."""
+
+    task: Node  # a wait for a fluent, a motion, or another task
+    began: bool  # False: a motion that waited for its turn, or for parts of the robot
+    line: Line | None  # of the plan
+    values: Mapping[str, Plain] = field(default_factory=dict)  # of a wait: those of its fluents then, by name
+    changed: tuple[int, ...] = ()  # of a wait: the last steps in which one of them got a value meanwhile
+    fulfillers: tuple[Fulfiller, ...] = ()  # of a wait: what could have fulfilled it
+    holders: tuple[Node, ...] = ()  # of a motion that had not begun: the motions that ran then
+
+    def __str__(self) -> str:
+        if self.task.kind == "wait":
+            branch = next((each.name for each in self.task.around() if each.kind == "branch"), "")
+            return f"waiting for {self.task.name}" + (f" in {branch}" if branch else "")
+        return f"{'in' if self.began else 'waiting for the turn of'} {phrases.node(self.task)}"
+
+    def steps(self) -> Iterator[int]:
+        """Yield the steps on which it rests."""
+        yield self.task.started.seq
+        yield from self.changed
+        for each in self.fulfillers:
+            if each.step is not None:
+                yield each.step
+            yield from (task.last_step for task in (each.task, each.failed) if task is not None)
+            if each.refused is not None:
+                yield each.refused.seq
+
+    def details(self) -> Iterator[str]:
+        """Yield what it waited for: the values, and who could have fulfilled it."""
+        if self.task.kind == "wait":
+            values = ", ".join(f"{name} = {phrases.value(value)}" for name, value in self.values.items())
+            steps = phrases.names([str(step) for step in self.changed])
+            changed = f"; it got values at steps {steps}" if self.changed else ""
+            since = f"since step {self.task.started.seq}{phrases.at(self.line)}"
+            yield f"{self.task.name}: {values}{changed}  [{since}]"
+            yield from map(str, self.fulfillers)
+            if not self.fulfillers:
+                leaves = " or ".join(self.values) or self.task.name
+                yield f"nothing in the plan's source sets {leaves}, and no record tells who could have"
+        elif self.holders:
+            holders = [f"{phrases.node(task)} (since step {task.started.seq})" for task in self.holders]
+            yield f"{phrases.node(self.task)} waited for {phrases.names(holders)}{phrases.at(self.line)}"
+
+
+def _doing(pending: Sequence[PendingTask]) -> str:
+    """Return what a part of a plan was doing."""
+    doing = [str(each) for each in pending[:_MAX_NAMED]]
+    doing += [f"{len(pending) - _MAX_NAMED} more"] if len(pending) > _MAX_NAMED else []
+    return " and ".join(doing) or "running the plan's own code"
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedLine:
+    """SimulatedLine time that a line of the plan took."""
+
+    line: Line | None
+    seconds: float  # of simulated time
+    steps: tuple[int, ...]  # of the records
+
+    def __str__(self) -> str:
+        at = f"{phrases.place(self.line)} simulated" if self.line is not None else "simulated were"
+        calls = f" in {len(self.steps)} calls" if len(self.steps) > 1 else ""
+        return f"{at} {phrases.number(self.seconds)} s{calls}"
+
+
+@dataclass(frozen=True, slots=True)
+class Timeout(Cause):
+    """A part of the plan missed its deadline."""
+
+    kind = "timeout"
+    seconds: float  # the limit
+    clock: str  # "wall" or "simulated"
+    pending: tuple[PendingTask, ...]  # what it was waiting for, or doing, at the deadline
+    line: Line | None  # of the plan, at which it stopped
+    took: tuple[Node, ...] = ()  # the tasks that ended within the limit, the longest first by its clock
+    simulated: tuple[SimulatedLine, ...] = ()  # of a limit in simulated time, the lines that took most of it
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[Timeout]:
+        """Yield what missed a deadline: that of a timeout, or of a wait by whose outcome the plan judged."""
+        if case.task is not None and case.task.kind == "timeout" and case.failure.type == "TimedOut":
+            tree = _subtree(case, 0, case.task.last_step + 1)
+            scope = tree.nodes[case.task.id]
+            doing = tuple(_pending(case, node, tree, case.step) for node in _stopped(tree, scope))
+            seconds, clock = case.task.parameters.get("seconds"), str(case.task.parameters.get("clock"))
+            took = sorted(_ended(scope), key=lambda node: -_duration(node, clock))[:_MAX_TOOK]
+            simulated = _simulated(case, scope) if clock == _SIMULATED_TIME else ()
+            yield _timeout(case, seconds, clock, doing, tuple(took), _stopped_at(case), simulated)
+            return
+        for wait in list(answers(case))[-1:]:
+            if isinstance(wait, Task) and from_json(wait.result_json) is False:
+                tree = _subtree(case, 0, case.step + 1)
+                node = tree.nodes[wait.task]
+                single = _pending(case, node, tree, wait.seq)
+                yield _timeout(case, node.parameters.get("timeout"), "wall", (single,), (), case.line_of(node.started))
+
+    def _words(self) -> Iterator[str]:
+        simulated = " of simulated time" if self.clock == _SIMULATED_TIME else ""
+        yield f"after {self.seconds:g} s{simulated} it was still {_doing(self.pending)}{phrases.at(self.line)}"
+        for pending in self.pending:
+            yield from pending.details()
+        if self.took and not any(pending.task.kind == "wait" for pending in self.pending):
+            times = ((task, round(_duration(task, self.clock) * 1e9)) for task in self.took)
+            took = [f"{phrases.node(task)} {phrases.seconds(time_ns)}" for task, time_ns in times if time_ns]
+            if took:
+                yield f"until then: {', '.join(took)}"
+            for error, tasks in groupby((task for task in self.took if task.failed), phrases.error):
+                yield f"{phrases.names([phrases.node(task) for task in tasks])} failed: {error}"
+        yield from map(str, self.simulated)
+
+
+@dataclass(frozen=True, slots=True)
+class Interruption(Cause):
+    """Somebody, or something else, ended the plan: that is no failure of it."""
+
+    kind = "interrupted"
+    by: str  # "Ctrl-C", "SIGTERM"; "" if the process ended without closing its recording
+    pending: tuple[PendingTask, ...]  # what it was doing
+    line: Line | None  # of the plan, at which it stopped
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[Interruption]:
+        """Yield by what a plan was interrupted, and while it did what."""
+        end = case.log[-1]
+        closed = isinstance(end, Run) and end.phase == Run.FINISHED
+        if case.failure.type != (INTERRUPT if closed else ""):  # what failed before is another case
+            return
+        by = _NAMES.get(end.interrupted_by, end.interrupted_by) if isinstance(end, Run) and closed else ""
+        tree = _subtree(case, 0, len(case.log))
+        doing = tuple(_pending(case, node, tree, case.step) for node in (_interrupted(tree) if by else _stopped(tree)))
+        error = next(reversed(case.traced), None)
+        line = case.line(error.lines) if error is not None and error.lines else None
+        steps = {case.step, *(step for each in doing for step in each.steps())}
+        yield Interruption(tuple(sorted(steps)), by, doing, line)
+
+    def _words(self) -> Iterator[str]:
+        by = f"interrupted by {self.by}" if self.by else "its process ended without closing the recording"
+        yield f"{by} while {_doing(self.pending)}{phrases.at(self.line)}"
+        for pending in self.pending:
+            yield from pending.details()
+
+
+# --- what was under way ----------------------------------------------------------------------------------------------
+
+
+def _interrupted(tree: Tree) -> list[Node]:
+    """Return the innermost tasks that were interrupted, or cancelled by that."""
+    hit = [node for _, node in tree.walk() if node.error is not None and node.error[0] == INTERRUPT]
+    found: list[Node] = []
+    for node in hit:
+        cancelled = [part for part in _stopped(tree, node) if part.status is State.CANCELLED]
+        if not any(child in hit for child in node.children):
+            found += cancelled or [node]
+    return found
+
+
+def _subtree(case: FailureCase, start: int, stop: int) -> Tree:
+    """Return the tasks of some steps; of very many the last ones."""
+    tree = Tree(limit=_MAX_TASKS)
+    for record in case.log.records(Task, start, stop):
+        tree.apply(record)
+    return tree
+
+
+def _stopped(tree: Tree, root: Node | None = None) -> list[Node]:
+    """Return the innermost tasks that were cancelled or never ended, of a tree or below one of its tasks."""
+    nodes = [node for _, node in (root.walk() if root is not None else tree.walk())]
+
+    def is_open(node: Node) -> bool:
+        return node is not root and node.status in (State.CANCELLED, State.RUNNING, State.CREATED)
+
+    return [node for node in nodes if is_open(node) and not any(is_open(child) for child in node.children)]
+
+
+def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTask:
+    """Return what a task was doing at a step; the tree has what ran beside it."""
+    line = case.line_of(node.asked or node.started)
+    motion = node.motion if node.motion.kind == "motion" else node
+    if node.kind == "wait":
+        leaves = {name: value for name, value in node.parameters.items() if name != _NO_LEAF}
+        values, changed = _values(case, leaves, node.started.seq, step)
+        return PendingTask(node, True, line, values, changed, tuple(_fulfillers(case, leaves, tree, step)))
+    inner = [child for child in node.children if child.kind == "process-module"]
+    if motion.kind != "motion" or inner or node.kind == "process-module":
+        return PendingTask(node, node.start is not None, line)
+    others = [each for _, each in tree.walk() if each.kind == "motion" and each is not motion]
+    holders = tuple(each for each in others if _ran(each, node, step))
+    return PendingTask(node, False, line, holders=holders)
+
+
+def _ran(motion: Node, waiting: Node, step: int) -> bool:
+    begun = any(child.kind == "process-module" for child in motion.children)
+    return begun and motion.started.seq < step and (motion.finished is None or motion.last_step > waiting.started.seq)
+
+
+def _values(
+    case: FailureCase, leaves: Mapping[str, Plain], start: int, step: int
+) -> tuple[dict[str, Plain], tuple[int, ...]]:
+    """Return the values of fluents at a step, and the last steps since the start in which they got values."""
+    values, changed = dict(leaves), []
+    for record in case.log.records(Fluent, start, step + 1):
+        if record.name in leaves:
+            values[record.name] = from_json(record.after_json)
+            changed.append(record.seq)
+    return values, tuple(changed[-_MAX_CHANGES:])
+
+
+def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step: int) -> Iterator[Fulfiller]:
+    """Yield what sets the fluents: by the plan's source, else by records."""
+    found = False
+    last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
+    for name in leaves:
+        record = last.get(name)
+        for file, number in _lines_that_set(case, name):
+            line = case.source.line(file, number)
+            task = _task_of(tree, line.function, step) if line is not None else None
+            failed = _failed_in(case, task)
+            done = record.seq if record is not None and task is not None and _is_in(record.task, task) else None
+            found = True
+            yield Fulfiller(line, task, done, failed, _refused_in(case, task, step))
+    if found:
+        return
+    for record in last.values():
+        task = tree.nodes.get(record.task)
+        if not record.source:
+            yield Fulfiller(case.line_of(task.started) if task is not None else None, task, record.seq)
+    for name in leaves:
+        failed = _failed_about(case, name, step)
+        if failed is not None:
+            yield Fulfiller(case.line_of(failed.started), failed, None, failed)
+
+
+def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
+    """Return the last motion that failed about what the name of a fluent that follows the world names."""
+    words = set(name.replace("(", " ").replace(")", " ").split())
+    for motion in reversed(case.failed.motions):
+        if motion.last_step <= step and motion.failed:
+            given = {*objects_in(list(motion.parameters.values())), *map(str, motion.parameters.values())}
+            if words & given:
+                return motion
+    return None
+
+
+def _lines_that_set(case: FailureCase, name: str) -> list[tuple[str, int]]:
+    """Return the lines of the plan that set or pulse the fluent of a name, by its attached source."""
+    return [(file, line) for file in case.source.files for line in _setters(case.source.text(file), name)]
+
+
+@lru_cache(maxsize=64)
+def _setters(text: str, name: str) -> tuple[int, ...]:
+    """Return the numbers of the lines that set the fluent that is made with a name, by the variable that it is in."""
+    nodes = syntax_nodes(text)
+    variables = set()
+    for node in nodes:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and _last(node.value.func) == "Fluent":
+            given = [*node.value.args[1:2], *(each.value for each in node.value.keywords if each.arg == "name")]
+            if any(isinstance(each, ast.Constant) and each.value == name for each in given):
+                variables |= {_last(target) for target in node.targets}
+    calls = (node for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute))
+    setters = (node for node in calls if isinstance(node.func, ast.Attribute) and node.func.attr in _SETTERS)
+    return tuple(node.lineno for node in setters if _last(node.func.value) in variables)  # type: ignore[attr-defined]
+
+
+def _last(node: ast.expr) -> str:
+    """Return the last name of an expression: of ``self.door`` it is ``door``."""
+    return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
+
+
+def _task_of(tree: Tree, function: str, step: int) -> Node | None:
+    """Return the last branch that runs a function of the plan, by its name."""
+    named = [node for _, node in tree.walk() if node.kind == "branch" and node.name.rpartition(".")[2] == function]
+    return next((node for node in reversed(named) if node.created.wall_ns and node.started.seq <= step), None)
+
+
+def _failed_in(case: FailureCase, task: Node | None) -> Node | None:
+    """Return the last motion that failed in a task."""
+    if task is None:
+        return None
+    inside = (motion for motion in reversed(case.failed.motions) if motion.failed)
+    return next((motion for motion in inside if any(each.id == task.id for each in motion.around())), None)
+
+
+def _refused_in(case: FailureCase, task: Node | None, step: int) -> Refusal | None:
+    """Return the last refusal in a task."""
+    if task is None or not case.log.counts().get("refusal"):
+        return None
+    refusals = case.log.records(Refusal, task.started.seq, step + 1)
+    return next((each for each in reversed(list(refusals)) if _is_in(each.task, task)), None)
+
+
+def _is_in(number: int, task: Node) -> bool:
+    return any(node.id == number for _, node in task.walk())
+
+
+# --- deadlines -------------------------------------------------------------------------------------------------------
+
+
+def _ended(scope: Node) -> Iterator[Node]:
+    """Yield what was done within a scope, also in blocks that were not."""
+    for node in scope.children:
+        if node.status in (State.SUCCEEDED, State.FAILED):
+            yield node
+        else:
+            yield from _ended(node)
+
+
+def _duration(node: Node, clock: str) -> float:
+    """Return how long a task took by a clock, s."""
+    if clock == _SIMULATED_TIME and node.start is not None and node.end is not None:
+        return node.end.sim_seconds - node.start.sim_seconds
+    return node.seconds or 0.0
+
+
+def _simulated(case: FailureCase, scope: Node) -> tuple[SimulatedLine, ...]:
+    """Return the lines that took most of the simulated time within a scope."""
+    lines: dict[Line | None, list[Mutation]] = defaultdict(list)
+    for record in case.log.records(Mutation, scope.started.seq, scope.last_step):
+        if record.HasField("simulate") and case.is_here(record):
+            lines[case.line_of(record)].append(record)
+    found = [
+        SimulatedLine(
+            line,
+            sum(record.simulate.steps for record in records) / STEPS_PER_SECOND,
+            tuple(record.seq for record in records),
+        )
+        for line, records in lines.items()
+    ]
+    return tuple(sorted(found, key=lambda each: -each.seconds)[:_MAX_TOOK])
+
+
+def _timeout(
+    case: FailureCase,
+    seconds: object,
+    clock: str,
+    doing: tuple[PendingTask, ...],
+    took: tuple[Node, ...],
+    line: Line | None,
+    simulated: tuple[SimulatedLine, ...] = (),
+) -> Timeout:
+    limit = float(seconds) if isinstance(seconds, int | float) else 0.0
+    steps = {case.step, *(step for each in doing for step in each.steps()), *(node.last_step for node in took)}
+    steps |= {each.steps[-1] for each in simulated}
+    return Timeout(tuple(sorted(steps)), limit, clock, doing, line, took, simulated)
+
+
+def _stopped_at(case: FailureCase) -> Line | None:
+    """Return the plan's line that the deadline stopped, by the traceback."""
+    stop = next((error for error in case.traced if error.type == "Cancelled" and error.lines), None)
+    return case.line(stop.lines) if stop is not None else None
