@@ -21,12 +21,12 @@ from typing import TYPE_CHECKING, Any, Final
 from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
 from recorder.user_folders import cache_folder
 from replay.cli import main
-from replay.report import phrases
 from replay.cli.console import print_message, visible
 from replay.debug.expressions import quantity_names
 from replay.debug.guided_plan import PlanInterrupted
 from replay.debug.session import breakpoint_of
 from replay.errors import ReplayError
+from replay.report import phrases
 from replay.state.json_data import kind_of
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
 from replay.cli.retrace import add_source_and_arguments, facts_of, lines_of
 from replay.history.steps import HINT
+from replay.report import phrases
 
 if TYPE_CHECKING:
     import argparse

@@ -9,11 +9,11 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from replay.report import phrases
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE, INCOMPLETE, USAGE
 from replay.errors import ReplayError, Unreadable
 from replay.recording import Recording
+from replay.report import phrases
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
