@@ -26,7 +26,7 @@ test-lowest: .venv-lowest/ready  ## the inner loop with the lowest versions that
 	.venv-lowest/bin/pytest -n auto --dist worksteal -m "not slow and not long and not costly"
 
 test-reading: .venv-reading/ready  ## reading recordings where neither engine nor viewer is installed
-	.venv-reading/bin/pytest --noconftest -m "not slow" tests/replay/test_reading_alone.py
+	.venv-reading/bin/pytest --noconftest -m "not slow" tests/replay/cli/test_reading_alone.py
 
 test-lerobot: .venv/ready-long .venv-lerobot/ready  ## exported data sets with camera images, read by LeRobot itself (8 GB)
 	$(BIN)/pytest tests/replay/runs/test_lerobot.py

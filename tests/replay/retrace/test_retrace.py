@@ -23,7 +23,7 @@ from replay.retrace.plan_process import CantRetrace
 from replay.retrace.retrace import decided_outside, reads_before, retrace
 from tests.measures import seeded
 from tests.replay.copies import CHUNK, container_records, zeroed
-from tests.replay.test_verify import rewritten
+from tests.replay.restore.test_verify import rewritten
 
 if TYPE_CHECKING:
     from collections.abc import Callable

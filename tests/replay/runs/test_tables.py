@@ -20,8 +20,8 @@ from replay.cli.main import main
 from replay.runs.folder import Folder, NotRead
 from replay.runs.rows import write_rows
 from replay.runs.runs import Refused, Runs
+from tests.replay.file.test_newer import forge
 from tests.replay.runs.conftest import COUNT
-from tests.replay.test_newer import forge
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

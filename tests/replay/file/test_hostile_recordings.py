@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 
-GOLDEN: Final = Path(__file__).parent / "golden" / "0.1.0.mcap"
+GOLDEN: Final = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
 #: What is mutated: of every kind of record one of them has some.
 CORPUS: Final = (GOLDEN, *(GOLDEN.parent / each / GOLDEN.name for each in ("reasons", "forks", "motions")))
 ENGINE: Final = (["verify"], ["restore", "-20", "--json"], ["render", "-20", "-o", "x.png", "--size", "8x8"])
@@ -668,7 +668,7 @@ def test_an_error_of_our_own_is_said_as_one(
 
 
 def test_the_bounds_are_those_of_the_page() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "damaged_recordings.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "damaged_recordings.md").read_text()
     for bound in (
         f"up to {MAX_INFLATED >> 20} MiB",
         f"{MAX_RATIO} times the file, or {FREE >> 20} MiB",

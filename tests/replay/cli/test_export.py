@@ -19,7 +19,7 @@ from tests.smooth_motions import move, smooth
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-CABINET = Path(__file__).parent / "golden" / "cabinet.urdf"
+CABINET = Path(__file__).parents[1] / "golden" / "cabinet.urdf"
 DRAWER = "drawer_joint"
 
 

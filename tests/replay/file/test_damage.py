@@ -17,7 +17,7 @@ from replay.cli.main import main
 from tests.measures import seeded
 from tests.replay.copies import CHUNK, container_records, zeroed
 
-GOLDEN = Path(__file__).parent / "golden" / "0.1.0.mcap"
+GOLDEN = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
 VERBS = (
     ("info",),
     ("log",),

@@ -24,7 +24,7 @@ from tests.replay.doctor import diagnosis
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-GOLDEN = Path(__file__).parent / "golden" / "0.1.0.mcap"
+GOLDEN = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
 
 #: Moves a cup until it is killed, in tasks and without.
 VICTIM = """

@@ -92,7 +92,7 @@ def test_verify_does_not_call_it_a_divergence(dragged_log: Path, capsys: pytest.
 
 
 def test_a_command_after_it_is_still_compared(dragged_log: Path, tmp_path: Path) -> None:
-    from tests.replay.test_verify import rewritten  # noqa: PLC0415
+    from tests.replay.restore.test_verify import rewritten  # noqa: PLC0415
 
     def wrong(record: recorder.records.Record) -> recorder.records.Record:
         if isinstance(record, Mutation) and record.move_body.body == "cup":

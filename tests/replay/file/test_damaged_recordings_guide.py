@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 from replay.cli.main import VERBS, main
 from tests.replay.copies import CHUNK, container_records, zeroed
+from tests.replay.file.test_hostile_recordings import named, urdf
+from tests.replay.file.test_newer import forge
 from tests.replay.hostile import rewritten
-from tests.replay.test_hostile_recordings import named, urdf
-from tests.replay.test_newer import forge
 
 if TYPE_CHECKING:
     import pytest
 
-GUIDE = (Path(__file__).parents[2] / "docs" / "damaged_recordings.md").read_text(encoding="utf-8")
-GOLDEN = Path(__file__).parent / "golden" / "0.1.0.mcap"
+GUIDE = (Path(__file__).parents[3] / "docs" / "damaged_recordings.md").read_text(encoding="utf-8")
+GOLDEN = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
 
 
 def test_commands_print_what_the_guide_shows(

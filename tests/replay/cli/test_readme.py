@@ -8,7 +8,7 @@ import pytest
 
 from tests.replay.documented import blocks, printed, without_numbers
 
-README = Path(__file__).parents[2] / "README.md"
+README = Path(__file__).parents[3] / "README.md"
 
 
 @pytest.mark.costly

@@ -37,7 +37,7 @@ from tests.replay.doctor import diagnosis
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-GOLDEN = Path(__file__).parent / "golden"
+GOLDEN = Path(__file__).parents[1] / "golden"
 
 
 def changed(file: Path, target: Path, change: Callable[[bytes], bytes]) -> Path:

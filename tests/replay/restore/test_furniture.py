@@ -12,7 +12,7 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Mutation
 
-RESOURCES = Path(__file__).parents[2] / "resources"
+RESOURCES = Path(__file__).parents[3] / "resources"
 CORRECTIONS = '[surfaces.table]\nname = "desk"\nsize = [0.5, 0.5]\n'
 
 

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
     from replay.recording import Recording
 
-GOLDEN = sorted((Path(__file__).parent / "golden").glob("*.mcap"))
-README = Path(__file__).parents[2] / "README.md"
-REASONS = sorted((Path(__file__).parent / "golden" / "reasons").glob("*.mcap"))
-FORKS = sorted((Path(__file__).parent / "golden" / "forks").glob("*[0-9].[0-9].mcap"))
-MOTIONS = sorted((Path(__file__).parent / "golden" / "motions").glob("*[0-9].[0-9].mcap"))
-DEMOS = sorted((Path(__file__).parent / "golden" / "demos").glob("*.mcap"))
-EXPLANATIONS = json.loads((Path(__file__).parent / "golden" / "demos" / "why.json").read_text())
+GOLDEN = sorted((Path(__file__).parents[1] / "golden").glob("*.mcap"))
+README = Path(__file__).parents[3] / "README.md"
+REASONS = sorted((Path(__file__).parents[1] / "golden" / "reasons").glob("*.mcap"))
+FORKS = sorted((Path(__file__).parents[1] / "golden" / "forks").glob("*[0-9].[0-9].mcap"))
+MOTIONS = sorted((Path(__file__).parents[1] / "golden" / "motions").glob("*[0-9].[0-9].mcap"))
+DEMOS = sorted((Path(__file__).parents[1] / "golden" / "demos").glob("*.mcap"))
+EXPLANATIONS = json.loads((Path(__file__).parents[1] / "golden" / "demos" / "why.json").read_text())
 COMMANDS = [
     "open_world",
     "set_gravity",

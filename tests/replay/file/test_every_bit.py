@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from recorder.records import Record
 
-GOLDEN = Path(__file__).parent / "golden" / "0.1.0.mcap"
+GOLDEN = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
 VERBS = ("log", "tree", "state 0", "state 60", "state last", "show 9", "diff 9 last", "blame milk", "why", "source")
 FLIPS, BLOCKS = 500, 100
 

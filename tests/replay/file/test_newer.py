@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from google.protobuf.message import Message
 
-GOLDEN = Path(__file__).parent / "golden" / "0.1.0.mcap"
+GOLDEN = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
 
 
 def future_definition() -> FileDescriptorProto:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from replay.state.verification import Verification
 
-CABINET = Path(__file__).parent / "golden" / "cabinet.urdf"
+CABINET = Path(__file__).parents[1] / "golden" / "cabinet.urdf"
 
 _CLOCK = "a clock's: only the order is checked"
 _PLAN = "the plan's own code decides it, which isn't executed again"

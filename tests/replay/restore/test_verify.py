@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from replay.state.integrity import Problem
 
 
-CABINET = Path(__file__).parent / "golden" / "cabinet.urdf"
+CABINET = Path(__file__).parents[1] / "golden" / "cabinet.urdf"
 
 
 pytestmark = pytest.mark.usefixtures("nothing_left")

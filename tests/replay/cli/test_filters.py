@@ -130,7 +130,7 @@ def test_a_wrong_verb_gives_the_nearest_and_the_list(capsys: pytest.CaptureFixtu
 def test_the_plans_source_is_listed_printed_and_written(
     small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan = (Path(__file__).parent / "golden" / "plan.py").read_text()
+    plan = (Path(__file__).parents[1] / "golden" / "plan.py").read_text()
     assert main(["source", str(small_log)]) == 0
     assert "plan.py" in capsys.readouterr().out.split()
     assert main(["source", str(small_log), "--json"]) == 0

@@ -14,7 +14,7 @@ from replay.cli.main import main
 from replay.restore.verify import verify
 from tests.replay.copies import rewritten_by_mcap
 
-GOLDEN = Path(__file__).parent / "golden" / "0.1.0.mcap"
+GOLDEN = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
 COPIES: dict[str, dict[str, Any]] = {
     "large chunks": {},
     "small chunks": {"chunk_size": 300},
