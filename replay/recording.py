@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from replay.history.blame import Blame
     from replay.report.question import Question
     from replay.restore.ask import Answer, Move
-    from replay.state.state import Belief, State
+    from replay.state.state import RecordedBelief, State
 
 
 class Recording(RecordReader):
@@ -49,7 +49,7 @@ class Recording(RecordReader):
 
     def believed(
         self, step: int | str, what: str, *, robot: str | None = None, world: str | None = None
-    ) -> Belief | None:
+    ) -> RecordedBelief | None:
         """Return what a robot believed of an object after a step, or of those of a type what it had learned last.
 
         Args:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, get_type_hints
 
 from replay.cli.console import print_message, print_result
 from replay.errors import ReplayError
-from replay.state.motion_table import Row, rows
+from replay.state.motion_table import MotionRow, rows
 
 if TYPE_CHECKING:
     import argparse
@@ -119,18 +119,18 @@ def _camera(frame: str) -> Draw:
     return draw
 
 
-def _csv(table: Iterable[Row]) -> str:
+def _csv(table: Iterable[MotionRow]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(Row._fields)
+    writer.writerow(MotionRow._fields)
     writer.writerows(table)
     return text.getvalue()
 
 
-def _write_parquet(table: list[Row], file: str) -> None:
+def _write_parquet(table: list[MotionRow], file: str) -> None:
     import pyarrow as pa  # noqa: PLC0415  comes with the viewer, and is slow to import
     from pyarrow import parquet  # noqa: PLC0415
 
     kinds = {str: pa.string(), int: pa.int64()}
-    schema = pa.schema([(name, kinds.get(kind, pa.float64())) for name, kind in get_type_hints(Row).items()])
+    schema = pa.schema([(name, kinds.get(kind, pa.float64())) for name, kind in get_type_hints(MotionRow).items()])
     parquet.write_table(pa.Table.from_pylist([row._asdict() for row in table], schema), file)

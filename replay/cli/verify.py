@@ -11,16 +11,14 @@ from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import native_output_to_stderr, print_result
 from replay.cli.main import FAILED, FINE, INCOMPLETE
-from replay.state.verification import verify_static
+from replay.state.integrity import verify_static
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator
 
     from replay.recording import Recording
-    from replay.state.deviation import Deviation
-    from replay.state.integrity import Problem
-    from replay.state.verification import Verification
+    from replay.state.integrity import Deviation, Problem, Verification
 
 _PERIOD: Final = 0.2  # s between progress messages
 

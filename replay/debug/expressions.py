@@ -79,7 +79,7 @@ def changes(log: RecordReader, expression: str) -> list[Change]:
 
 
 def _value(code: CodeType, worlds: Mapping[str, WorldBuilder]) -> object:
-    opened = {name: _World(world) for name, world in worlds.items() if world.facts.get("open", True)}
+    opened = {name: _World(world) for name, world in worlds.items() if world.open}
     if not opened:
         raise LookupError("no world is open")
     return _plain(eval(code, {"__builtins__": {}}, _Names(opened)))  # noqa: S307  the user's own
@@ -137,7 +137,7 @@ class _World:
 
     @property
     def _robot(self) -> str:
-        return str(self._world.facts.get("robot", ""))
+        return self._world.robot
 
     def find(self, name: str) -> object:
         """Return a body, the robot or the name of an arm; None if nothing is called so."""

@@ -11,7 +11,7 @@ from recorder.tasks import Tree
 from replay.errors import Damaged
 from replay.history.failures import root_cause, uncaught_failure
 from replay.history.source import PlanSource
-from replay.state.task_integrity import TaskDepths
+from replay.state.integrity import TaskDepths
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

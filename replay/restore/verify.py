@@ -20,10 +20,8 @@ from recorder.records.text import text_of
 from recorder.tracing.journal import unrecorded
 from replay.errors import Damaged, ReplayError
 from replay.restore.world import Reexecution, reading
-from replay.state.deviation import Deviation, first_deviation
-from replay.state.integrity import Problem
+from replay.state.integrity import Deviation, Problem, Verification, Verifier, first_deviation
 from replay.state.json_data import record_data
-from replay.state.verification import Verification, Verifier
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

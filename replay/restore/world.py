@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from recorder.records import AttachBody, BeginTrajectory, DetachBody, LoadBody, MoveBody, MoveJoints, Record
     from replay.file.record_reader import RecordReader
-    from replay.state.state import Belief, Body, Sampled, World
+    from replay.state.state import Body, RecordedBelief, Sampled, World
 
 
 def world_at(
@@ -170,7 +170,7 @@ def load_body(
     )
 
 
-def _recorded(belief: Belief) -> records.Belief:
+def _recorded(belief: RecordedBelief) -> records.Belief:
     """Return a belief as records have it: of what is held, its pose is the hand's."""
     held = belief.source == "held"
     return records.Belief(

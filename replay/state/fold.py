@@ -1,7 +1,7 @@
-"""Folds records into states: each world's last keyframe, then the effects up to a step. No physics runs.
+"""Fold records into states: each world's last keyframe, then the effects up to a step. No physics runs.
 
-Effects are what was read back from the engine, with all bits; so a state is exact, and folding the records from the
-start or from any keyframe gives the same.
+Effects hold what was read back from the engine, with all bits. So a state is exact, and the fold gives the same from
+the start as from any keyframe.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import (
     STEPS_PER_SECOND,
-    Belief as Believed,
+    Belief,
     Following,
     Keyframe,
     Mutation,
@@ -24,7 +24,7 @@ from recorder.records.following import has_ended
 from replay.errors import Damaged
 from replay.file.lifetimes import closes_world
 from replay.file.repair import range_text
-from replay.state.state import Attachment, Belief, Body, Sampled, State, World
+from replay.state.state import Attachment, Body, RecordedBelief, Sampled, State, World
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 FAR: Final = 1e9
-"""m, rad, m/s or rad/s, of anything in a state: objects are put up to 1e6 m away, and may fall for hours from there."""
+"""The largest number in a state, m, rad, m/s or rad/s: an object put 1e6 m away may fall from there for hours."""
 
 CHANGES: Final = (Mutation, Keyframe, Query)
-"""What a state is folded from; of queries, those that taught a robot where objects are."""
+"""The records that change a state; of queries, those that taught a robot where objects are."""
 
-_NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # where a body is whose loading is lost
+_NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # the pose of a body whose loading is lost
 _AT_REST: Final = (0.0,) * 6
 _SHORTEST, _LONGEST = 0.99, 1.01  # squared lengths of a unit quaternion
 
@@ -58,10 +58,10 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
 
 
 def state_at(log: RecordReader, step: int, moment: float | None = None) -> State:
-    """Return what is true after a step of a recording.
+    """Return the state after a step of a recording.
 
-    With a moment, in s of simulated time, that lies within a simulation that is the next record, return what was true
-    then by its samples.
+    If the next record is a simulation and contains the moment (s of simulated time), return the state at that moment
+    by the record's samples.
 
     Raises:
         Damaged: a record makes no sense.
@@ -69,7 +69,7 @@ def state_at(log: RecordReader, step: int, moment: float | None = None) -> State
     worlds: dict[str, WorldBuilder] = {}
     first = step
     for lifetime in log.lifetimes:
-        if lifetime.has(step):  # else it came later, or another one has taken its name since
+        if lifetime.has(step):  # else it isn't opened yet, or its name is taken again
             first = min(first, _fold_lifetime(log, lifetime, step, worlds))
     lost = ", ".join(range_text(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
     uncertainty = f"what steps {lost} changed is lost" if lost else ""
@@ -78,7 +78,7 @@ def state_at(log: RecordReader, step: int, moment: float | None = None) -> State
 
 
 def _apply_samples(log: RecordReader, step: int, worlds: dict[str, WorldBuilder], moment: float) -> Sampled | None:
-    """Bring a world to a moment within a record's stretch of simulation; return how that is known, None if it isn't."""
+    """Bring a world to a moment within a record's stretch of simulation; return None if the record lacks the moment."""
     record = next(iter(log.records(Mutation, step, step + 1)), None)
     if record is None or not record.HasField("simulate") or record.world not in worlds:
         return None
@@ -109,7 +109,7 @@ def _fold_lifetime(log: RecordReader, lifetime: Lifetime, step: int, worlds: dic
             except (ValueError, IndexError) as error:
                 raise Damaged(log.path, f"step {record.seq}", str(error)) from error
     if lifetime.world in worlds:
-        worlds[lifetime.world].facts["lifetime"] = lifetime.number
+        worlds[lifetime.world].lifetime = lifetime.number
     return start if chunks else step
 
 
@@ -129,33 +129,32 @@ def apply(worlds: dict[str, WorldBuilder], record: records.Record) -> None:
         before.look(record)
     if not isinstance(record, Mutation | Keyframe):
         return
-    lifetime = before.facts["lifetime"] if before is not None else 1
+    lifetime = before.lifetime if before is not None else 1
     if isinstance(record, Keyframe):
         worlds[name] = WorldBuilder.of_keyframe(record)
     elif record.HasField("open_world"):
         worlds.pop(name, None)  # in the order of opening, also when a name is taken again
         worlds[name] = WorldBuilder(name, record.open_world.mode)
-        lifetime = int(str(lifetime)) + (before is not None)
+        lifetime += before is not None
     elif before is None:
         worlds[name] = WorldBuilder(name)
-    worlds[name].facts["lifetime"] = lifetime
+    worlds[name].lifetime = lifetime
     if isinstance(record, Mutation):
         worlds[name].apply(record)
 
 
 class WorldBuilder:
-    """A mutable world, folded record by record.
-
-    Attributes:
-        facts: values of the fields of :class:`replay.state.state.World` but for these:
-        bodies: by name.
-        attachments: by names of carrier and body.
-        following: trajectories that bodies follow, by number.
-        beliefs: what robots believe of objects.
-    """
+    """A mutable :class:`replay.state.state.World`, folded record by record; its attributes are the world's fields."""
 
     def __init__(self, name: str, mode: str = "DIRECT") -> None:
-        self.facts: dict[str, object] = {"name": name, "lifetime": 1, "mode": mode}
+        self.name = name
+        self.mode = mode
+        self.lifetime = 1
+        self.open = True
+        self.sim_step = 0
+        self.gravity: Vector = (0.0, 0.0, 0.0)
+        self.realtime = False
+        self.robot = ""
         self.bodies: dict[str, _BodyBuilder] = {}
         self.attachments: dict[tuple[str, str], Attachment] = {}
         self.following: dict[int, Following] = {}
@@ -165,12 +164,11 @@ class WorldBuilder:
     def of_keyframe(cls, frame: Keyframe) -> WorldBuilder:
         """Return the world of a keyframe."""
         world = cls(frame.world, frame.mode)
-        world.facts |= {
-            "sim_step": frame.sim_step,
-            "gravity": _vector(frame.gravity) if frame.gravity else (0.0, 0.0, 0.0),
-            "realtime": frame.realtime,
-            "robot": frame.robot,
-        }
+        world.sim_step = frame.sim_step
+        if frame.gravity:
+            world.gravity = _vector(frame.gravity)
+        world.realtime = frame.realtime
+        world.robot = frame.robot
         world.bodies = {loaded.body: _BodyBuilder(loaded) for loaded in frame.loaded}
         world._set_states(frame.bodies)
         world._attach(frame.attachments)
@@ -181,9 +179,20 @@ class WorldBuilder:
     def build(self) -> World:
         """Return its current state."""
         bodies = {name: body.build() for name, body in self.bodies.items()}
-        parts = {"bodies": bodies, "attachments": dict(self.attachments), "following": dict(self.following)}
-        believed = {key: _belief(belief, bodies) for key, belief in self.beliefs.items() if key[1] in bodies}
-        return World(**self.facts, **parts, beliefs=believed)  # type: ignore[arg-type]
+        return World(
+            self.name,
+            self.open,
+            self.mode,
+            self.sim_step,
+            self.gravity,
+            self.realtime,
+            self.robot,
+            self.lifetime,
+            bodies,
+            dict(self.attachments),
+            dict(self.following),
+            {key: _belief(belief, bodies) for key, belief in self.beliefs.items() if key[1] in bodies},
+        )
 
     def look(self, record: Query) -> None:
         """Apply a query that taught a robot where objects are."""
@@ -191,18 +200,18 @@ class WorldBuilder:
 
     def apply(self, record: Mutation) -> None:
         """Apply a mutation: its command where that alone changes the state, then its effect."""
-        self.facts["sim_step"] = record.sim_step
+        self.sim_step = record.sim_step
         command = record.WhichOneof("command")
         if command == "load_body":
             self.bodies[record.load_body.body] = _BodyBuilder(record.load_body)
         elif command == "set_gravity":
-            self.facts["gravity"] = _vector(record.set_gravity.gravity)
+            self.gravity = _vector(record.set_gravity.gravity)
         elif command == "set_realtime":
-            self.facts["realtime"] = record.set_realtime.enabled
+            self.realtime = record.set_realtime.enabled
         elif command == "set_robot":
-            self.facts["robot"] = record.set_robot.body
+            self.robot = record.set_robot.body
         elif command == "restore":
-            self.facts |= {"gravity": _vector(record.restore.gravity), "robot": record.restore.robot}
+            self.gravity, self.robot = _vector(record.restore.gravity), record.restore.robot
         elif command == "set_color":
             painted = self.bodies.get(record.set_color.body)
             if painted is not None:
@@ -210,13 +219,13 @@ class WorldBuilder:
         elif command == "close_world":
             self.bodies.clear()
             self.attachments.clear()
-            self.facts |= {"open": False, "realtime": False, "robot": ""}
+            self.open, self.realtime, self.robot = False, False, ""
         self._follow(command, record)
         self._apply_effect(record.effect)
         self._believe(record)
 
     def _believe(self, record: Mutation) -> None:
-        """Take note of what robots take and put down, and of what they forget."""
+        """Update the beliefs about objects that robots take, put down or forget."""
         effect = record.effect
         carriers = None
         if effect.attached or effect.detached:
@@ -237,12 +246,17 @@ class WorldBuilder:
         return (known.position, known.orientation) if known is not None else _NOWHERE
 
     def _follow(self, command: str | None, record: Mutation) -> None:
-        """Take note of which trajectories begin, are stopped, and end."""
+        """Update which trajectories bodies follow."""
         if command == "begin_trajectory":
             begin = record.begin_trajectory
             self.following[begin.number] = Following(begin=begin, began=record.sim_step)
         elif command == "stop_trajectory":
-            self._stop(record.stop_trajectory.number)
+            number = record.stop_trajectory.number
+            known = self.following.pop(number, None)
+            # one whose beginning is lost stays unknown, and one that hasn't moved yet ends
+            if known is not None and known.began < self.sim_step:
+                self.following[number] = stopped = Following(begin=known.begin, began=known.began)
+                stopped.stopped = known.stopped or self.sim_step
         elif command == "simulate":
             for driven in record.simulate.driven:
                 if driven.ended:
@@ -250,25 +264,11 @@ class WorldBuilder:
         elif command in ("reset", "restore", "close_world"):
             self.following.clear()
 
-    def _stop(self, number: int) -> None:
-        """Stop a trajectory; one whose beginning is lost stays unknown, and one that hasn't moved yet ends."""
-        known = self.following.pop(number, None)
-        if known is not None and known.began < self.sim_step:
-            self.following[number] = stopped = Following(begin=known.begin, began=known.began)
-            stopped.stopped = known.stopped or self.sim_step
-
-    @property
-    def sim_step(self) -> int:
-        """Simulated steps."""
-        return int(str(self.facts.get("sim_step", 0)))
-
     def apply_sample(self, sample: records.Sample) -> None:
         """Apply a sample of a simulation."""
-        self.facts["sim_step"] = sample.sim_step
+        self.sim_step = sample.sim_step
         self._set_states(sample.bodies)
-        self.following = {
-            number: each for number, each in self.following.items() if not has_ended(each, sample.sim_step)
-        }
+        self.following = {at: each for at, each in self.following.items() if not has_ended(each, sample.sim_step)}
 
     def _apply_effect(self, effect: records.Effect) -> None:
         for ended in effect.detached:
@@ -277,8 +277,8 @@ class WorldBuilder:
             self.bodies.pop(name, None)
             for pair in [pair for pair in self.attachments if name in pair]:
                 del self.attachments[pair]
-            if self.facts.get("robot") == name:
-                self.facts["robot"] = ""
+            if self.robot == name:
+                self.robot = ""
             self.following = {at: each for at, each in self.following.items() if each.begin.body != name}
         self._attach(effect.attached)
         self._set_states(effect.bodies)
@@ -291,15 +291,13 @@ class WorldBuilder:
             self.attachments[held.carrier, held.body] = attachment
 
     def _set_states(self, states: Iterable[records.BodyState]) -> None:
-        """Set the states of bodies; one whose loading is lost stays unknown."""
+        """Set the states of bodies; a body whose loading is lost stays unknown."""
         for state in states:
             if state.body in self.bodies:
                 self.bodies[state.body].set_state(state)
 
 
 class _BodyBuilder:
-    """A mutable body."""
-
     __slots__ = ("color", "joint_velocities", "joints", "loaded", "orientation", "position", "velocity")
 
     def __init__(self, loaded: records.LoadBody) -> None:
@@ -312,7 +310,6 @@ class _BodyBuilder:
         self.color = tuple(loaded.color)
 
     def set_state(self, state: records.BodyState) -> None:
-        """Set those parts of its state that a record has."""
         if state.position:
             self.position, self.velocity = _vector(state.position), _AT_REST
         if state.orientation:
@@ -328,7 +325,6 @@ class _BodyBuilder:
             self.joint_velocities.update(zip(names, speeds, strict=True))
 
     def build(self) -> Body:
-        """Return its current state."""
         return Body(
             self.loaded.body,
             self.loaded.type,
@@ -342,12 +338,12 @@ class _BodyBuilder:
         )
 
 
-def _belief(belief: Believed, bodies: Mapping[str, Body]) -> Belief:
-    """Return a belief; of what a robot holds, it is where the hand has it."""
+def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
+    """Return a belief as data; a held object is where the gripper has it."""
     body = bodies[belief.object]
-    held = belief.source == Believed.HELD
+    held = belief.source == Belief.HELD
     pose = body.pose if held else (_vector(belief.position), _quaternion(belief.orientation))
-    return Belief(belief.robot, belief.object, *pose, beliefs.word(belief.source), belief.sim_step, belief.step)
+    return RecordedBelief(belief.robot, belief.object, *pose, beliefs.word(belief.source), belief.sim_step, belief.step)
 
 
 def _vector(values: Sequence[float]) -> Vector:
@@ -365,10 +361,10 @@ def _quaternion(values: Sequence[float]) -> Quaternion:
 
 
 def _numbers(values: Sequence[float]) -> Sequence[float]:
-    """Return numbers that no world has gone beyond: the engine would loop, and nothing could be computed.
+    """Return numbers that are within bounds: with others the engine would loop.
 
     Raises:
-        ValueError: one is larger, or isn't finite.
+        ValueError: a number is beyond ``FAR``, or isn't finite.
     """
     numbers = values[:]
     if numbers and not (min(numbers) >= -FAR and max(numbers) <= FAR and math.isfinite(sum(numbers))):
@@ -381,13 +377,13 @@ def _beyond(numbers: Sequence[float]) -> ValueError:
 
 
 def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:
-    """Return a step, or the last one before it at which a world, or the one of a name, was open if none is then."""
+    """Return the last step, up to a step, at which any world or the one of a name was open."""
     worlds = state_at(log, step).worlds
     if any(world.open for world in worlds.values() if name in (None, world.name)):
         return step
     lives = [lifetime for lifetime in log.lifetimes if name in (None, lifetime.world)]
     ends = {record.seq for record in map(log.end_of, lives) if record is not None and closes_world(record)}
     end = max((seq for seq in ends if seq <= step), default=step + 1)
-    while end - 1 in ends:  # worlds are closed one after the other when a plan ends
+    while end - 1 in ends:  # the end of a plan closes all worlds, one after the other
         end -= 1
     return end - 1

@@ -1,67 +1,104 @@
-"""Checks whether a recording is consistent; for this no world is needed.
+"""Verify a recording without an engine: its file is sound and its records are consistent.
 
-Steps have no gap and time never decreases; every task that starts ends once, as what it began, and its parent exists;
-what began in the thread of the task around it, or is a branch, ends before that does; what failed has its failure, and
-nothing else has; causes came before what they caused; every keyframe equals the fold of the records before it, and
-names the same models, loaded in the same way.
+- Steps have no gap and time never decreases. A cause is recorded before its effect.
+- Every task that starts ends once, under the same name, and its parent exists.
+- A branch, or a task that began in its parent's thread, ends before its parent.
+- A task or run has a failure if and only if it failed.
+- Every keyframe equals the fold of the records before it, with the same models, loaded in the same way.
+
+:mod:`replay.restore.verify` also re-executes the recorded changes.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Envelope, Event, Keyframe, Mutation, Query, Run, Task
-from replay.state.deviation import Deviation, first_deviation
 from replay.state.fold import apply, fold
 from replay.state.json_data import message_data, world_data
-from replay.state.task_integrity import TaskIntegrity
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from recorder.records import Plain, Record
+    from replay.file.record_reader import RecordReader
     from replay.state.fold import WorldBuilder
     from replay.state.state import World
 
 
 @dataclass(frozen=True, slots=True)
+class Deviation:
+    """A value that differs from the recorded one."""
+
+    field: str  # as ``effect.bodies[milk].position[0]``
+    recorded: Plain  # None if there is none
+    found: Plain  # None if there is none
+
+    @property
+    def size(self) -> float:
+        """The difference between numbers, in their unit; infinite for other values."""
+        if isinstance(self.recorded, int | float) and isinstance(self.found, int | float):
+            size = abs(self.recorded - self.found)
+            return math.inf if math.isnan(size) else size
+        return math.inf
+
+    def __str__(self) -> str:
+        text = f"{self.field}: recorded {_short(self.recorded)}, found {_short(self.found)}"
+        return text + (f" (they differ by {self.size:.3g})" if math.isfinite(self.size) else "")
+
+
+def first_deviation(recorded: Plain, actual: Plain, field: str = "") -> Deviation | None:
+    """Return the first deviation between two values of JSON data; None if they are equal."""
+    return next(_deviations(recorded, actual, field), None)
+
+
+def _deviations(recorded: Plain, actual: Plain, field: str) -> Iterator[Deviation]:
+    if isinstance(recorded, dict) and isinstance(actual, dict):
+        for key in [*recorded, *(key for key in actual if key not in recorded)]:
+            yield from _deviations(recorded.get(key), actual.get(key), f"{field}.{key}" if field else key)
+    elif isinstance(recorded, list) and isinstance(actual, list):
+        for index, (a, b) in enumerate(zip(recorded, actual, strict=False)):
+            body = str(a["body"]) if isinstance(a, dict) and "body" in a else ""
+            yield from _deviations(a, b, f"{field}[{body or index}]")
+        if len(recorded) != len(actual):
+            yield Deviation(f"number of {field}", len(recorded), len(actual))
+    elif recorded != actual or type(recorded) is not type(actual):
+        yield Deviation(field, recorded, actual)
+
+
+def _short(value: Plain) -> str:
+    if value is None:
+        return "nothing"
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+@dataclass(frozen=True, slots=True)
 class Problem:
-    """An inconsistency.
+    """An inconsistency."""
 
-    Attributes:
-        step: where; None if it belongs to no step.
-        cause: in words.
-        deviation: the first wrong value, if there is one.
-        task: names of the task in which it is and of those around it, outermost first.
-    """
-
-    step: int | None
-    cause: str
-    deviation: Deviation | None = None
-    task: tuple[str, ...] = ()
+    step: int | None  # None if it belongs to no step
+    cause: str  # in words
+    deviation: Deviation | None = None  # the first wrong value, if there is one
+    task: tuple[str, ...] = ()  # names of the tasks around the step, outermost first
 
 
 class Integrity:
     """Checks records one after the other.
 
     Args:
-        lost: steps that are known to be missing; what they changed isn't known after them.
-        newer: whether a newer release made the recording, whose tasks may have phases that aren't known here.
-
-    Attributes:
-        steps: number of records checked.
-        keyframes: number of keyframes that were compared with the fold of the records before them.
-        tasks: what is known of them.
-        resumed: whether records were missing before the last one; then no world is known any more.
+        lost: steps that are known to be missing; no world is known after them.
+        newer: whether a newer release made the recording, whose tasks may have unknown phases.
     """
 
     def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
         self._lost = tuple(lost)
-        self.steps = self._next = 0
-        self.keyframes = 0
+        self.steps = self._next = 0  # number of records checked
+        self.keyframes = 0  # number of keyframes compared with the fold of the records before them
         self.tasks = TaskIntegrity(newer=newer)
-        self.resumed = False
+        self.resumed = False  # whether records were missing before the last one
         self._time = self._monotonic = 0
         self._events: set[int] = set()
         self._worlds: dict[str, WorldBuilder] = {}
@@ -71,11 +108,11 @@ class Integrity:
         return self._worlds[name].build()
 
     def knows(self, world: str) -> bool:
-        """Return whether the state of a world is known: it was opened, or had a keyframe, behind what is missing."""
+        """Return whether the state of a world is known: it was opened, or had a keyframe, after missing records."""
         return world in self._worlds
 
     def check(self, record: Record) -> Problem | None:
-        """Take the next record; return the problem with it, or with what should have come before it."""
+        """Check the next record; return the problem with it, or with the records before it."""
         step, expected = record.seq, self._next
         self.resumed = step > expected and any(expected in gap and step - 1 in gap for gap in self._lost)
         if self.resumed:
@@ -86,7 +123,15 @@ class Integrity:
             return Problem(expected, f"step {lost} is missing: what followed from it can't be checked")
         self._next = step + 1
         self.steps += 1
-        cause = self._check_envelope(record) or self._check_task(record)
+        cause = self._check_envelope(record)
+        if cause:
+            pass
+        elif isinstance(record, Task):
+            cause = self.tasks.check(record)
+        elif not self.tasks.knows(record.task):
+            cause = f"its task {record.task} never started"
+        elif isinstance(record, Run):
+            cause = self.tasks.check_run(record)
         deviation = None
         if isinstance(record, Keyframe) and self.knows(record.world) and not cause:
             deviation = self._compare(record)
@@ -108,15 +153,8 @@ class Integrity:
             self._events.add(record.seq)
         return ""
 
-    def _check_task(self, record: Record) -> str:
-        if not isinstance(record, Task) and not self.tasks.knows(record.task):
-            return f"its task {record.task} never started"
-        if not isinstance(record, Task):
-            return self.tasks.check_run(record) if isinstance(record, Run) else ""
-        return self.tasks.check(record)
-
     def _apply(self, record: Mutation | Keyframe | Query) -> str:
-        """Bring its world to after a change; one that isn't known is left out behind missing records."""
+        """Apply a change to its world, if that is known."""
         opens = not isinstance(record, Mutation) or record.HasField("open_world")
         if not opens and self.tasks.partial and not self.knows(record.world):
             return ""
@@ -127,7 +165,7 @@ class Integrity:
         return ""
 
     def _compare(self, frame: Keyframe) -> Deviation | None:
-        """Return how a keyframe differs from what the records before it add up to."""
+        """Return how a keyframe differs from the fold of the records before it."""
         self.keyframes += 1
         loaded: list[Plain] = [body.body for body in frame.loaded]
         states: list[Plain] = [body.body for body in frame.bodies]
@@ -139,14 +177,268 @@ class Integrity:
 
 
 def _plain(world: World) -> Plain:
-    """Return a world as JSON data, bodies by name and as they were loaded, attachments by their pairs."""
+    """Return a world as JSON data, with attachments by their pairs and how bodies were loaded."""
     data = world_data(world)
     held = data.pop("attachments")
     assert isinstance(held, list)  # noqa: S101  for mypy
     pairs: dict[str, Plain] = {f"{each['carrier']}, {each['body']}": each for each in held if isinstance(each, dict)}
     loaded: list[Plain] = [
-        # the color is that of now, which the body's state has
+        # a keyframe has the present color there
         {key: value for key, value in message_data(body.loaded).items() if key != "color"}
         for body in world.bodies.values()
     ]
     return data | {"attachments": dict(sorted(pairs.items())), "loaded": loaded}
+
+
+MAX_DEPTH: Final = 2000
+"""Levels of nested tasks; Python's stack ends at about 1,000."""
+_MAIN_THREAD: Final = "MainThread"  # ends the run in recordings of release 0.1.0, which don't record the thread
+#: Phases that may follow each phase of a task; a requested branch may be cancelled before it starts.
+_AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
+    None: (Task.ASKED, Task.STARTED),
+    Task.ASKED: (Task.STARTED, Task.FINISHED, Task.LEFT),
+    Task.STARTED: (Task.FINISHED, Task.LEFT),
+}
+_STATUSES: Final[Mapping[Task.Phase, tuple[Task.Status, ...]]] = {
+    Task.ASKED: (Task.CREATED,),
+    Task.STARTED: (Task.RUNNING,),
+    Task.FINISHED: (Task.SUCCEEDED, Task.FAILED, Task.CANCELLED),
+    Task.LEFT: (Task.CREATED, Task.RUNNING),
+}
+_SAME: Final = ("kind", "name", "attempt", "parent")  # in all records of a task
+
+
+class TaskDepths:
+    """The depth of nested tasks, record by record."""
+
+    def __init__(self) -> None:
+        self._depths: dict[int, int] = {}
+
+    def too_deep(self, record: Task) -> str:
+        """Check the next record of a task; return that it is nested too deep, or ""."""
+        depth = self._depths[record.task] = self._depths.get(record.parent, 0) + 1
+        return f"its task is nested more than {MAX_DEPTH} deep" if depth > MAX_DEPTH else ""
+
+
+class TaskIntegrity:
+    """Checks records of tasks and the run one after the other.
+
+    Args:
+        newer: whether a newer release made the recording, whose tasks may have unknown phases and statuses.
+    """
+
+    def __init__(self, *, newer: bool = False) -> None:
+        self._newer = newer
+        self.tasks = 0  # number of tasks
+        self.partial = False  # whether records are missing, which may have begun or ended any task
+        self._names: dict[int, tuple[str, int]] = {}
+        self._phases: dict[int, Task.Phase] = {}
+        self._running: dict[int, Task] = {}
+        self._threads: dict[int, str] = {}
+        self._left = 0  # number of tasks that are left running when the recording ends
+        self._run: Run | None = None
+
+    @property
+    def unfinished(self) -> int:
+        """Number of tasks that have not ended."""
+        return len(self._running) + self._left
+
+    def path(self, number: int) -> tuple[str, ...]:
+        """Return the names of a task and of the tasks around it, outermost first."""
+        names: list[str] = []
+        while number in self._names and len(names) <= len(self._names):
+            name, number = self._names[number]
+            names.append(name)
+        return tuple(reversed(names))
+
+    def knows(self, number: int) -> bool:
+        """Return whether a task has begun, or may have; 0 is no task."""
+        return not number or number in self._names or self.partial
+
+    def resume(self) -> None:
+        """Continue after missing records."""
+        self.partial = True
+        self._running.clear()
+
+    def check(self, record: Task) -> str:
+        """Check the next record of a task; return what is wrong with it, or ""."""
+        number, before = record.task, self._phases.get(record.task)
+        if self._newer and record.phase not in Task.Phase.values():
+            return ""
+        cause = self._misplaced(record, before) or self._unlike(record)
+        if cause:
+            return cause
+        if before is None:
+            if not self.knows(record.parent):
+                return f"the parent of task {number} never started"
+            self.tasks += 1
+            self._names[number] = record.name, record.parent
+        self._phases[number] = record.phase
+        if record.phase in (Task.FINISHED, Task.LEFT):
+            self._running.pop(number, None)
+            self._left += record.phase == Task.LEFT
+        else:
+            self._running[number] = record
+            self._threads[number] = record.thread
+        return ""
+
+    def _misplaced(self, record: Task, before: Task.Phase | None) -> str:
+        if record.phase in _AFTER.get(before, ()) or self.partial:
+            return ""
+        last = "never started" if before is None else f"was {_name(before)} before"
+        return f"task {record.task} is {_name(record.phase)}, but it {last}"
+
+    def _unlike(self, record: Task) -> str:
+        """Return how a record contradicts itself or its task's beginning; or ""."""
+        subject = f"task {record.task}"
+        if self._newer and record.status not in Task.Status.values():
+            return ""
+        if record.status not in _STATUSES.get(record.phase, ()):
+            return f"{subject} is {_name(record.phase)} with a status that doesn't go with that"
+        cause = _failure(failed=record.status == Task.FAILED, recorded=record.HasField("failure"))
+        if cause:
+            return f"{subject} {cause}"
+        began = self._running.get(record.task)
+        if began is None:
+            return ""
+        for field in _SAME:
+            # the parent of a task that runs on may be in no record
+            elsewhere = field == "parent" and (began.began_ns or record.phase == Task.LEFT)
+            if getattr(began, field) != getattr(record, field) and not elsewhere:
+                return f"the {field} of {subject} isn't that of its beginning at step {began.seq}"
+        return ""
+
+    def check_run(self, record: Run) -> str:
+        """Check the next record of the run; return what is wrong with it, or ""."""
+        failed = record.phase == Run.THREAD_FAILED or (record.phase == Run.FINISHED and not record.succeeded)
+        cause = _failure(failed=failed, recorded=record.HasField("failure"))
+        if cause:
+            return f"the run {cause}"
+        if record.succeeded and record.phase != Run.FINISHED:
+            return "the run succeeded, but does not end here"
+        if self._run is not None and record.name != self._run.name:
+            return f"the run is called {record.name!r}, at its start {self._run.name!r}"
+        self._run = self._run or record
+        if record.phase != Run.FINISHED:
+            return ""
+        self._threads[0] = record.thread or _MAIN_THREAD
+        for number, began in self._running.items():
+            # a daemon thread's or a worker's task can outlive the task around it, or the run
+            in_parent = began.kind == "branch" or began.thread == self._threads.get(began.parent)
+            if began.parent not in self._running and in_parent:
+                return f"the run ends, but task {number} ({began.name}), which started at step {began.seq}, doesn't"
+        return ""
+
+
+def _failure(*, failed: bool, recorded: bool) -> str:
+    if failed == recorded:
+        return ""
+    return "failed, but has no failure" if failed else "has a failure, but did not fail"
+
+
+def _name(phase: Task.Phase) -> str:
+    value = Task.Phase.DESCRIPTOR.values_by_number.get(phase)
+    return value.name.lower() if value is not None else f"in phase {phase}"
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """The result of verifying a recording."""
+
+    steps: int  # number of checked steps
+    tasks: int  # number of tasks that started
+    unfinished: int  # number of tasks that had not ended when the recording did
+    keyframes: int  # number of keyframes that were compared with the records before them
+    files: int  # number of attached files
+    changes: int  # number of changes that were executed again
+    worlds: int  # number of worlds in which changes were executed again
+    # Names of worlds whose physics aren't compared:
+    late: tuple[str, ...] = ()  # they were open before the recording
+    dragged: tuple[str, ...] = ()  # from where somebody dragged a body by hand
+    environment: tuple[str, ...] = ()  # how this environment differs from that of the recording, in words
+    largest: Deviation | None = None  # that the environment or the engine's rounding may explain
+    problem: Problem | None = None  # the first problem
+    damage: str = ""  # damaged or lost parts of the file; that an unclosed recording lacks its end is no damage
+    incomplete: str = ""  # that the recording wasn't closed, or lost records before it was repaired
+    unknown: tuple[str, ...] = ()  # worlds whose physics aren't compared from where a newer release changed them
+    static: bool = False  # whether nothing was executed again
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong with the records that exist."""
+        return self.problem is None and not self.damage
+
+    @property
+    def exact(self) -> bool:
+        """Whether re-execution was complete and bit-identical."""
+        return self.sound and self.largest is None and not (self.static or self.late or self.dragged or self.unknown)
+
+
+def verify_static(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:
+    """Verify everything that needs no engine, up to the first problem; ``progress`` is called with each step."""
+    return Verifier(log).run(progress)
+
+
+class Verifier:
+    """Verifies a recording; :meth:`check` is called with each consistent change and keyframe."""
+
+    static = True
+
+    def __init__(self, log: RecordReader) -> None:
+        self.log = log
+        self.integrity = Integrity(log.lost_before, newer=log.newer is not None)
+        self.changes = 0
+        self.worlds: set[tuple[str, int]] = set()
+        self.late: dict[str, None] = {}
+        self.dragged: dict[str, None] = {}
+        self.unknown: dict[str, None] = {}
+        self.environment: tuple[str, ...] = ()
+        self.largest: Deviation | None = None
+        self.damage: list[str] = []  # found in records, in addition to the file's
+        self._depths = TaskDepths()
+
+    def run(self, progress: Callable[[int], None] | None) -> Verification:
+        """Run every check that any verb does, and compare the records."""
+        self.log.check()
+        problem = self._first_problem(progress)
+        return Verification(
+            self.integrity.steps,
+            self.integrity.tasks.tasks,
+            self.integrity.tasks.unfinished,
+            self.integrity.keyframes,
+            len(self.log.assets),
+            self.changes,
+            len(self.worlds),
+            tuple(self.late),
+            tuple(self.dragged),
+            self.environment,
+            self.largest,
+            problem,
+            "; ".join(filter(None, (self.log.damage, *self.damage))),
+            self.log.incomplete,
+            tuple(self.unknown),
+            self.static,
+        )
+
+    def _first_problem(self, progress: Callable[[int], None] | None) -> Problem | None:
+        for record in self.log.records():
+            if progress is not None:
+                progress(record.seq)
+            if isinstance(record, Task) and (cause := self._depths.too_deep(record)):
+                self.damage.append(f"step {record.seq}: {cause}")
+                return None
+            problem = self.integrity.check(record)
+            if self.integrity.resumed:
+                self.forget()
+            if problem is None and isinstance(record, Keyframe | Mutation) and self.integrity.knows(record.world):
+                problem = self.check(record)
+            if problem is not None:
+                return problem
+        return None
+
+    def forget(self) -> None:
+        """Forget all worlds: records are missing."""
+
+    def check(self, record: Keyframe | Mutation) -> Problem | None:  # noqa: ARG002  for subclasses
+        """Return the problem with a change or keyframe; without an engine there is none."""
+        return None

@@ -1,7 +1,7 @@
-"""The trajectories of a recording as a table: what was planned, and what was driven, a row for each moment of a joint.
+"""The trajectories of a recording as a table: planned and driven, a row for each moment of a joint.
 
-What was driven is known 30 times a simulated second, from the samples of simulations. Joints have the velocities that
-were read from the engine; a base, which is put from pose to pose, has none.
+Driven positions are known 30 times a simulated second, from the samples of simulations. Velocities of joints are those
+read from the engine; a base has none, as it is moved from pose to pose.
 """
 
 from __future__ import annotations
@@ -23,34 +23,22 @@ if TYPE_CHECKING:
     from replay.state.state import Body, World
 
 
-class Row(NamedTuple):
-    """Where one joint, or coordinate of a base, is to be or was.
-
-    Attributes:
-        world: name of the world.
-        trajectory: its number there.
-        body: name of the object.
-        joint: name of the joint; x, y or yaw of the base, in the world frame.
-        source: "planned" or "driven".
-        time: s since the trajectory began, of its own time: it passes more slowly when the trajectory is stopped.
-        seconds: s of the world's simulated time; of what is planned, if nothing stops it.
-        position: rad or m.
-        velocity: rad/s or m/s; None if it isn't known.
-    """
+class MotionRow(NamedTuple):
+    """A planned or driven position of a joint, or of a coordinate of a base."""
 
     world: str
-    trajectory: int
+    trajectory: int  # its number in the world
     body: str
-    joint: str
-    source: str
-    time: float
-    seconds: float
-    position: float
-    velocity: float | None
+    joint: str  # a joint, or x, y or yaw of the base in the world frame
+    source: str  # "planned" or "driven"
+    time: float  # s since the trajectory began, of its own time: it slows down when the trajectory is stopped
+    seconds: float  # s of the world's simulated time; of a planned position, if nothing stops the trajectory
+    position: float  # rad or m
+    velocity: float | None  # rad/s or m/s; None if it isn't known
 
 
-def rows(log: RecordReader) -> Iterator[Row]:
-    """Yield all rows of a recording: of each trajectory what is planned when it begins, then what is driven.
+def rows(log: RecordReader) -> Iterator[MotionRow]:
+    """Yield all rows of a recording: of each trajectory the planned rows when it begins, then the driven ones.
 
     Raises:
         Damaged: a record makes no sense.
@@ -67,17 +55,17 @@ def rows(log: RecordReader) -> Iterator[Row]:
             raise Damaged(log.path, f"step {record.seq}", str(error)) from error
 
 
-def _planned(record: Mutation) -> Iterator[Row]:
+def _planned(record: Mutation) -> Iterator[MotionRow]:
     begin, start = record.begin_trajectory, record.sim_step / STEPS_PER_SECOND
     trajectory = begin.trajectory
     moments = [(time, name) for time in trajectory.times for name in _names(begin)]
     for (time, name), position, velocity in zip(moments, trajectory.positions, trajectory.velocities, strict=True):
         where = record.world, begin.number, begin.body, name
-        yield Row(*where, "planned", time, start + time, position, velocity)
+        yield MotionRow(*where, "planned", time, start + time, position, velocity)
 
 
-def _driven(world: World, record: Mutation) -> Iterator[Row]:
-    """Yield the rows of a stretch of simulation; the world is as it was before."""
+def _driven(world: World, record: Mutation) -> Iterator[MotionRow]:
+    """Yield the rows of a stretch of simulation; the world is the one before it."""
     ends = {each.number: each.time for each in record.simulate.driven}
     followed = {number: each for number, each in world.following.items() if number in ends}
     values = {each.begin.body: _values(world.bodies.get(each.begin.body)) for each in followed.values()}
@@ -92,7 +80,7 @@ def _driven(world: World, record: Mutation) -> Iterator[Row]:
             for name in _names(following.begin):
                 if name in values[body]:
                     where = record.world, number, body, name
-                    yield Row(*where, "driven", time, sim_step / STEPS_PER_SECOND, *values[body][name])
+                    yield MotionRow(*where, "driven", time, sim_step / STEPS_PER_SECOND, *values[body][name])
             if has_ended(following, sim_step):
                 del followed[number]
 
@@ -102,7 +90,7 @@ def _names(begin: BeginTrajectory) -> Sequence[str]:
 
 
 def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
-    """Return position and velocity of what a body can move, by name."""
+    """Return position and velocity of a body's joints and base coordinates, by name."""
     if body is None:  # its loading is lost
         return {}
     joints = {name: (position, body.joint_velocities[name]) for name, position in body.joints.items()}
@@ -110,7 +98,7 @@ def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
 
 
 def _read(state: BodyState) -> dict[str, tuple[float, float | None]]:
-    """Return those that a record has."""
+    """Return those positions and velocities that a record has."""
     speeds = state.joint_velocities or [0.0] * len(state.joints)
     joints = zip(state.joint_positions, speeds, strict=True)
     found: dict[str, tuple[float, float | None]] = dict(zip(state.joints, joints, strict=True))

@@ -1,4 +1,4 @@
-"""States of worlds after a step: plain data, without a physics engine. Each state has its own mappings."""
+"""The state of worlds after a step: plain data, without a physics engine."""
 
 from __future__ import annotations
 
@@ -20,29 +20,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A body.
-
-    Attributes:
-        name: its name.
-        type: "robot", "environment", "milk", ...
-        loaded: the record of its loading: models, initial pose, robot description.
-        position: of its base link in the world, m.
-        orientation: of its base link, xyzw.
-        velocity: of its base, linear (m/s), then angular (rad/s).
-        joints: values by name, rad or m.
-        joint_velocities: by name, rad/s or m/s.
-        color: RGBA 0..1; empty: that of its model.
-    """
+    """A body of a world."""
 
     name: str
-    type: str
-    loaded: LoadBody
-    position: Vector
-    orientation: Quaternion
-    velocity: tuple[float, ...] = (0.0,) * 6
-    joints: Mapping[str, float] = field(default_factory=dict)
-    joint_velocities: Mapping[str, float] = field(default_factory=dict)
-    color: tuple[float, ...] = ()
+    type: str  # "robot", "environment", "milk", ...
+    loaded: LoadBody  # the record of its loading: models, initial pose, robot description
+    position: Vector  # of its base link in the world, m
+    orientation: Quaternion  # of its base link in the world, xyzw
+    velocity: tuple[float, ...] = (0.0,) * 6  # of its base link: linear (m/s), then angular (rad/s)
+    joints: Mapping[str, float] = field(default_factory=dict)  # positions by name, rad or m
+    joint_velocities: Mapping[str, float] = field(default_factory=dict)  # by name, rad/s or m/s
+    color: tuple[float, ...] = ()  # RGBA 0..1; empty: the color of its model
 
     @property
     def pose(self) -> Pose:
@@ -51,20 +39,19 @@ class Body:
 
     @property
     def fixed_base(self) -> bool:
-        """Whether physics doesn't move its base."""
+        """Whether physics can't move its base."""
         return self.loaded.fixed_base
 
     @property
     def models(self) -> tuple[str, ...]:
         """Names of its attached files; the first is the URDF."""
-        names = (asset.path.rpartition("/")[2] for asset in self.loaded.assets)
-        return tuple(f"{asset.sha256}/{name}" for asset, name in zip(self.loaded.assets, names, strict=True))
+        return tuple(f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in self.loaded.assets)
 
     def joint(self, name: str) -> float:
-        """Return the value of a joint, rad or m.
+        """Return the position of a joint, rad or m.
 
         Raises:
-            NoSuchName: there is none of that name.
+            NoSuchName: the body has no movable joint of that name.
         """
         if name not in self.joints:
             raise NoSuchName(f"movable joint of {self.name}", name, self.joints)
@@ -73,46 +60,27 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """One body carried by another.
-
-    Attributes:
-        carrier: name of the body that carries.
-        carrier_link: its link; "" is its base.
-        body: name of the carried body.
-        body_link: the link that is held; "" is its base.
-        position: of the carried body's base in the carrier's link, m.
-        orientation: of the same, xyzw.
-    """
+    """One body carried by another."""
 
     carrier: str
-    carrier_link: str
+    carrier_link: str  # "" is its base
     body: str
-    body_link: str
-    position: Vector
-    orientation: Quaternion
+    body_link: str  # the link that is held; "" is its base
+    position: Vector  # of the carried body's base in the carrier's link, m
+    orientation: Quaternion  # of the same, xyzw
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
-    """Where a robot believes an object to be; :mod:`recorder.records.beliefs` says what it is made of.
-
-    Attributes:
-        robot: name of the robot.
-        object: name of the object.
-        position: where, of its base in the world, m; of what the robot holds, where the hand has it.
-        orientation: of the same, xyzw.
-        source: "seen"; "told", by the world's state; "held"; "placed", where the robot let go of it.
-        sim_step: simulated steps of 1/240 s when that was learned.
-        step: the record that taught it: a look, or what it took or put down; -1: it is older than the recording.
-    """
+class RecordedBelief:
+    """Where a robot believes an object to be; see :mod:`recorder.records.beliefs`."""
 
     robot: str
     object: str
-    position: Vector
-    orientation: Quaternion
-    source: str
-    sim_step: int
-    step: int
+    position: Vector  # of the object's base in the world, m; of a held object, where the gripper has it
+    orientation: Quaternion  # of the same, xyzw
+    source: str  # "seen"; "told", by the world's state; "held"; "placed", where the robot let go of it
+    sim_step: int  # the simulated step of 1/240 s at which the robot learned it
+    step: int  # the record that taught it: a look, a grasp or a release; -1: it is older than the recording
 
     @property
     def pose(self) -> Pose:
@@ -122,35 +90,21 @@ class Belief:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A world.
-
-    Attributes:
-        name: its name.
-        open: whether it is open; a closed one is empty.
-        mode: "DIRECT" or "GUI".
-        sim_step: simulated steps of 1/240 s.
-        gravity: m/s^2.
-        realtime: whether it is simulated in real time.
-        robot: name of the robot that plans control, or "".
-        lifetime: number of its lifetime, from 1: a name can be taken again.
-        bodies: by name, in the order of loading.
-        attachments: by names of carrier and body.
-        following: trajectories that bodies follow, by number.
-        beliefs: what robots believe of objects, by names of robot and object; what was learned last comes last.
-    """
+    """A world."""
 
     name: str
-    open: bool = True
-    mode: str = "DIRECT"
-    sim_step: int = 0
-    gravity: Vector = (0.0, 0.0, 0.0)
-    realtime: bool = False
-    robot: str = ""
-    lifetime: int = 1
-    bodies: Mapping[str, Body] = field(default_factory=dict)
-    attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)
-    following: Mapping[int, Following] = field(default_factory=dict)
-    beliefs: Mapping[tuple[str, str], Belief] = field(default_factory=dict)
+    open: bool = True  # a closed world is empty
+    mode: str = "DIRECT"  # or "GUI"
+    sim_step: int = 0  # simulated steps of 1/240 s
+    gravity: Vector = (0.0, 0.0, 0.0)  # m/s^2
+    realtime: bool = False  # whether it is simulated in real time
+    robot: str = ""  # the robot that plans control
+    lifetime: int = 1  # the number of its lifetime, from 1: a name can be taken again
+    bodies: Mapping[str, Body] = field(default_factory=dict)  # by name, in the order of loading
+    attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)  # by names of carrier and body
+    following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow, by number
+    #: By names of robot and object; the latest is last.
+    beliefs: Mapping[tuple[str, str], RecordedBelief] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -166,18 +120,22 @@ class World:
         """Return a body by name.
 
         Raises:
-            NoSuchName: there is none.
+            NoSuchName: the world has no body of that name.
         """
         if name not in self.bodies:
             raise NoSuchName("object", name, self.bodies)
         return self.bodies[name]
 
     def carrier(self, body: str) -> Attachment | None:
-        """Return how a body is carried; None if it isn't."""
+        """Return the attachment that carries a body, if any."""
         return next((held for held in self.attachments.values() if held.body == body), None)
 
-    def believed(self, what: str | None = None, robot: str | None = None) -> list[Belief]:
-        """Return what robots believe, what was learned last first.
+    def carried(self, carrier: str) -> list[Attachment]:
+        """Return the attachments of the bodies that a body carries directly."""
+        return [held for held in self.attachments.values() if held.carrier == carrier]
+
+    def believed(self, what: str | None = None, robot: str | None = None) -> list[RecordedBelief]:
+        """Return what robots believe, latest first.
 
         Args:
             what: name or type of objects; None for all.
@@ -192,55 +150,35 @@ class World:
     def _type(self, body: str) -> str:
         return self.bodies[body].type if body in self.bodies else ""
 
-    def carried(self, carrier: str) -> list[Attachment]:
-        """Return what a body carries itself."""
-        return [held for held in self.attachments.values() if held.carrier == carrier]
-
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """A moment within a stretch of simulation, of which there are samples, 30 a simulated second.
+    """A moment within a stretch of simulation, which has 30 samples a simulated second."""
 
-    Attributes:
-        step: the record of the stretch.
-        world: name of its world.
-        start: the world's clock before the stretch, s of simulated time.
-        end: its clock after it, s.
-        asked: the moment that was asked for, s.
-        at: the last sample until then, s; ``start`` if there is none. Nothing moved visibly in those that are missing.
-    """
-
-    step: int
+    step: int  # the record of the stretch
     world: str
-    start: float
-    end: float
-    asked: float
+    start: float  # the world's clock before the stretch, s of simulated time
+    end: float  # the world's clock after the stretch, s
+    asked: float  # the requested moment, s
+    #: The last sample until then, s; ``start`` if there is none. A sample is missing only if nothing moved visibly.
     at: float
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Everything after a step, or at a moment within the stretch of simulation that follows it.
-
-    Attributes:
-        step: the step.
-        worlds: by name, in the order of their opening; those that were closed are empty.
-        uncertainty: which lost records could have changed it, in words; else empty.
-        assets: the files that are attached to the recording.
-        sampled: of a moment within a stretch of simulation: how it is known; None after a step.
-    """
+    """All worlds after a step, or at a moment within the stretch of simulation that follows it."""
 
     step: int
-    worlds: Mapping[str, World]
-    uncertainty: str = ""
-    assets: Assets | None = field(default=None, repr=False, compare=False)
-    sampled: Sampled | None = None
+    worlds: Mapping[str, World]  # by name, in the order of their opening
+    uncertainty: str = ""  # which lost records could have changed the state, in words
+    assets: Assets | None = field(default=None, repr=False, compare=False)  # the recording's attached files
+    sampled: Sampled | None = None  # how a moment within a stretch is known; None after a step
 
     def world(self, name: str | None = None) -> World:
-        """Return a world by name; without one, the open one that was opened last.
+        """Return a world by name; by default the open one that was opened last.
 
         Raises:
-            NoSuchName: there is none.
+            NoSuchName: there is no such world.
         """
         opened = [world for world in self.worlds.values() if world.open]
         if name is None and opened:
@@ -252,10 +190,10 @@ class State:
         return self.worlds[name]
 
     def body(self, name: str, world: str | None = None) -> Body:
-        """Return a body by name, of one world, or of the one that was opened last of those that have it.
+        """Return a body by name, of a world or of the world opened last of those that have it.
 
         Raises:
-            NoSuchName: there is none.
+            NoSuchName: there is no such body.
         """
         worlds = [self.world(world)] if world is not None else list(self.worlds.values())
         for candidate in reversed(worlds):
@@ -264,7 +202,7 @@ class State:
         raise self.no_body(name, worlds)
 
     def no_body(self, name: str, worlds: Iterable[World]) -> NoSuchName:
-        """Return the error for a body that isn't in any of some worlds."""
+        """Return the error for a body that none of some worlds has."""
         opened = [world for world in worlds if world.open]
         known = [body for world in opened for body in world.bodies]
         elsewhere = [world.name for world in self.worlds.values() if world not in opened and name in world.bodies]
@@ -293,7 +231,7 @@ class State:
         """Return the pose of a body's link in the world, m and xyzw; "" is its base.
 
         Raises:
-            NoSuchName: there is no such link, or no model of the body.
+            NoSuchName: the body has no such link, or the recording has no model of it.
         """
         if not link:
             return body.pose
@@ -310,7 +248,7 @@ class State:
         """Return the poses of all links of a body in the world, m and xyzw, by name.
 
         Raises:
-            NoSuchName: there is no model of the body.
+            NoSuchName: the recording has no model of the body.
         """
         from recorder import geometry  # noqa: PLC0415  needs numpy, which reading mostly doesn't
 

@@ -17,7 +17,7 @@ import replay
 from recorder.records import Keyframe, Mutation
 from replay.cli.main import main
 from replay.restore.verify import verify
-from replay.state.verification import verify_static
+from replay.state.integrity import verify_static
 from tests.measures import seeded
 from tests.replay.copies import CHUNK, container_records, flipped, zeroed
 from tests.replay.hostile import rewritten

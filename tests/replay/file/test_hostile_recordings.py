@@ -34,7 +34,7 @@ from replay.cli.main import main
 from replay.file.chunks import MAX_STEP
 from replay.file.mcap_format import MAX_INFLATED, MAX_PARTS
 from replay.state.fold import FAR
-from replay.state.task_integrity import MAX_DEPTH
+from replay.state.integrity import MAX_DEPTH
 from tests.measures import seeded
 from tests.replay import forked, hostile
 

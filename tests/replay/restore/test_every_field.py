@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
 
     from recorder.records import Record
-    from replay.state.verification import Verification
+    from replay.state.integrity import Verification
 
 CABINET = Path(__file__).parents[1] / "golden" / "cabinet.urdf"
 
