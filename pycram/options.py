@@ -187,7 +187,7 @@ def _order(text: str) -> str:
 
 
 def _viewer(text: str) -> str:
-    from recorder.viewer.address import Target  # noqa: PLC0415  heavy
+    from recorder.viewer.connection import Target  # noqa: PLC0415  heavy
 
     try:
         Target.parse(text)

@@ -122,7 +122,7 @@ def _report(error: BaseException) -> int:
     """Print how a plan ended, and return the exit code."""
     from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
     from recorder.records import format_error  # noqa: PLC0415  heavy
-    from recorder.records.traceback_text import format_traceback  # noqa: PLC0415  heavy
+    from recorder.records.tracebacks import format_traceback  # noqa: PLC0415  heavy
 
     match error:
         case RecordingError() | NotInstalled():

@@ -12,8 +12,6 @@ import sys
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
-from recorder.secrets import without_secrets
-
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
@@ -110,6 +108,8 @@ def _installed() -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Versions of what a recording depends on, the platform and the arguments of the process."""
+    from recorder.records.values import without_secrets  # noqa: PLC0415  heavy, and help texts need none
+
     return _installed() | {
         "python": platform.python_version(),
         "platform": platform.platform(),

@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import Revision, escaped
-from recorder.secrets import LEFT_OUT, is_secret, without_secrets
+from recorder.records.values import LEFT_OUT, is_secret, without_secrets
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from recorder.records import Run
+
 
 _TIMEOUT: Final = 2.0  # s for git
 _PACKAGES: Final = ("pycram", "recorder")  # folders that make PyCRAM; reading has no part in a run

@@ -18,19 +18,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from recorder import provenance
 from recorder.errors import RecordingError
-from recorder.mcap.output_file import free_path
-from recorder.mcap.sink import McapSink
+from recorder.mcap.sink import McapSink, free_path
 from recorder.packages import hint
 from recorder.records import Run, Task, escaped
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from recorder.tracing import journal, span
-from recorder.tracing.branch_identity import current_name
+from recorder.tracing.call_stack import failure_with_frames
+from recorder.tracing.context import current_name
+from recorder.tracing.forking import process
 from recorder.tracing.interrupts import Uninterrupted, drop_pending, interrupted_at, interrupted_by, terminable
 from recorder.tracing.journal import Journal
-from recorder.tracing.local_variables import failure_with_frames
 from recorder.tracing.output import recorded_output
-from recorder.tracing.process_identity import process
-from recorder.viewer.live_sink import RerunSink
+from recorder.viewer.live import RerunSink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from recorder.records import Record
-    from recorder.records.asset import AssetFile
+    from recorder.records.values import AssetFile
 
 REPO = Path(__file__).parent.parent
 

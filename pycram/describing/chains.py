@@ -12,8 +12,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from recorder.geometry.joints import Joint
-    from recorder.geometry.urdf import Urdf
+    from recorder.geometry.urdf import Joint, Urdf
 
 ARM: Final = 4
 """Joints one after the other that make an arm."""

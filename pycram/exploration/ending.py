@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from recorder.mcap.sink import McapSink
     from recorder.records import Attachment, BodyState, Effect, Failure, Record
-    from recorder.records.asset import AssetFile
+    from recorder.records.values import AssetFile
     from recorder.tracing.journal import Sink
 
 _DISTANCE: Final = 0.01  # m

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.collision_pairs import pair_text
+from recorder.records.text import pair_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -41,7 +41,7 @@ from pycram.scheduling.locks import LockHeld, refuse_held
 from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tasks import State
 from recorder.tracing import interrupts
-from recorder.tracing.branch_identity import current_branch, enter_branch
+from recorder.tracing.context import current_branch, enter_branch
 from recorder.tracing.span import Cancelled, Span, current_call_stack
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.error_families import PlanFailure, PycramError, UsageError, slots_of
 from pycram.foundation.names import export
 from recorder.records import format_error
-from recorder.records.traceback_text import format_traceback
+from recorder.records.tracebacks import format_traceback
 from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:

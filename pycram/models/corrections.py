@@ -39,7 +39,7 @@ from pycram.models.surfaces import (
     open_position,
 )
 from recorder import geometry
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from recorder.suggestions import did_you_mean, suggestion
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import AssetError
-from recorder.geometry.joints import UrdfError
-from recorder.geometry.urdf import Urdf
+from recorder.geometry.urdf import Urdf, UrdfError
 
 if TYPE_CHECKING:
     from pathlib import Path

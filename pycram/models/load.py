@@ -31,7 +31,7 @@ from pycram.models.texture import warn_of_missing
 from pycram.models.visual import piece_bounds
 from pycram.models.warming import notable
 from pycram.physics.loading import NOW, Loading
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from pycram.models.parts import STL_FACE, STL_HEADER, check_vertices, mean, quie
 from pycram.models.warming import notable
 from recorder.packages import needed
 from recorder.records import escaped
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

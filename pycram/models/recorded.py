@@ -17,7 +17,7 @@ from pycram.foundation.failures import AssetError
 from pycram.models import canonical_urdf, corrections, mesh, store
 from pycram.models.files import parse_urdf
 from pycram.models.load import Model
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -14,7 +14,7 @@ from pycram.models import packages, store
 from pycram.models.files import read_text
 from pycram.models.warming import notable
 from recorder.packages import hint
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 
 _DISTRIBUTION: Final = "example-robot-data"
 _FLANGE: Final = "tool0"

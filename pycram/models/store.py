@@ -19,7 +19,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Final
 
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from recorder.tracing.interrupts import Uninterrupted, drop_pending
 
 MESH_TYPE: Final = "model/mesh"

@@ -19,7 +19,7 @@ from pycram.reasoning.driving import check_drives, check_ground
 from pycram.reasoning.rejections import Touching
 from pycram.world.trajectory import BaseFrame
 from recorder import geometry
-from recorder.records.following import BASE_COORDINATES
+from recorder.records.motion import BASE_COORDINATES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

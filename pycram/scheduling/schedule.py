@@ -37,9 +37,9 @@ from greenlet import getcurrent, greenlet
 
 from pycram.scheduling.locks import refuse_held
 from pycram.scheduling.order import DeadlockedBranches, Standing, order_of
-from recorder.tracing import forking, interrupts, journal, stack_room
-from recorder.tracing.branch_identity import enter_branch, new_branch
+from recorder.tracing import context, forking, interrupts, journal
 from recorder.tracing.call_stack import call_site, plan_frame
+from recorder.tracing.context import enter_branch, new_branch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -359,7 +359,7 @@ class Scheduler:
                 if outside:
                     self._outside = waiter
                 if not self._loop:
-                    stack_room.greenlets_begin()
+                    context.greenlets_begin()
                     self._loop = greenlet(self._run)
                 self._loop.switch()
         finally:

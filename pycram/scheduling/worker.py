@@ -10,7 +10,7 @@ from pycram.scheduling.cancellation import join, raise_if_cancelled
 from pycram.scheduling.locks import refuse_held
 from pycram.scheduling.schedule import scheduler
 from pycram.scheduling.strikes import Outer
-from recorder.tracing.branch_identity import current_name
+from recorder.tracing.context import current_name
 from recorder.tracing.span import span
 
 if TYPE_CHECKING:

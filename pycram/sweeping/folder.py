@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import UsageError
 from pycram.foundation.names import export
-from recorder.secrets import LEFT_OUT, is_secret
+from recorder.records.values import LEFT_OUT, is_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""The open worlds of this process by their names, and the current one (:mod:`recorder.tracing.worlds`).
+"""The open worlds of this process by their names, and the current one (:mod:`recorder.tracing.context`).
 
 Names are unique among open worlds, since records refer to worlds by name.
 """
@@ -13,7 +13,7 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, WorldClosed
 from pycram.foundation.refusals import refusing
 from pycram.world.object import Object
-from recorder.tracing import worlds
+from recorder.tracing import context
 
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
@@ -53,24 +53,24 @@ def make_current(world: BulletWorld) -> None:
     with _lock:
         if world.closed:
             raise WorldClosed(world.name, "become current")
-        worlds.make_current(world)
+        context.make_current(world)
 
 
 def remove(world: BulletWorld) -> None:
     """Remove a world that has ended or could not open."""
     with _lock:
         _names.discard(world.name)
-        worlds.remove(world)
+        context.remove_world(world)
 
 
 def open_worlds() -> tuple[BulletWorld, ...]:
     """Return the open worlds, the one that was made current last at the end."""
-    return cast("tuple[BulletWorld, ...]", worlds.open_worlds())
+    return cast("tuple[BulletWorld, ...]", context.open_worlds())
 
 
 def current() -> BulletWorld | None:
     """Return the current world of this branch or thread; None if it has none."""
-    return cast("BulletWorld | None", worlds.current())
+    return cast("BulletWorld | None", context.current_world())
 
 
 class CurrentWorld(type):

@@ -13,7 +13,7 @@ from pycram.world import carried, passing_time
 from pycram.world.followed import LOST, Followed
 from pycram.world.trajectory import Trajectory
 from recorder import geometry, records
-from recorder.records.following import has_ended
+from recorder.records.motion import has_ended
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:

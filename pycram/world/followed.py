@@ -5,7 +5,7 @@ is to be after it; so motors of any gain follow without lagging. The base of a b
 engine: it is put to its pose step by step, and what is attached goes along. All else is physics: what is pushed moves,
 and what doesn't give way keeps joints from following.
 
-A trajectory that is stopped slows down along its path (:mod:`recorder.records.following`), so nothing is touched that
+A trajectory that is stopped slows down along its path (:mod:`recorder.records.motion`), so nothing is touched that
 wouldn't have been anyway, and trajectories that are stopped together stay together.
 """
 
@@ -18,7 +18,7 @@ from pycram.world import carried
 from pycram.world.joints import with_followers
 from pycram.world.trajectory import BaseFrame, Trajectory
 from recorder import records
-from recorder.records.following import has_ended, time_of
+from recorder.records.motion import has_ended, time_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import BadArgument
 from recorder import geometry, records
-from recorder.records.following import BASE_COORDINATES
+from recorder.records.motion import BASE_COORDINATES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

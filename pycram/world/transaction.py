@@ -22,7 +22,7 @@ from pycram.scheduling.cancellation import before_change
 from pycram.world.lock import WorldLock
 from pycram.world.snapshot import state_delta, take_snapshot
 from recorder import records
-from recorder.tracing import journal, span, stack_room
+from recorder.tracing import context, journal, span
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class TransactionManager:
             RunsEarly: Actions of the plan that come before it have not run.
             RecursionError: There is no room on the stack for making and recording it.
         """
-        stack_room.require(stack_room.FOR_TASK)
+        context.require_stack_room(context.FOR_TASK)
         change = str(command.WhichOneof("command")).replace("_", " ")
         before_change(change)
         with self.lock, Uninterrupted() as interrupts:

@@ -32,7 +32,7 @@ from pycram.world.waits import Waits
 from pycram.world.window import outlives_script
 from recorder import records
 from recorder.tracing import journal
-from recorder.tracing.branch_identity import current_name
+from recorder.tracing.context import current_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -1,11 +1,22 @@
 """One line of text for each record, also for other tools (``foxglove.Log`` on /log).
 
 Lists of records are copied (``[:]``) for iteration: protobuf's own iterators take three times as long.
+
+What was chosen, and why not something else, in words: of queries with candidates, and of decisions about motions.
+
+What became of the places that a query considered, in words: of a robot, or of an object that is put down.
+
+What a projection foresaw, in words: of the task that a plan asked for it with.
+
+Collision pairs in words: which link meets which. Whoever makes them and whoever reads them says it the same way.
 """
 
 from __future__ import annotations
 
+import math
 import re
+from collections import Counter
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -25,22 +36,14 @@ from recorder.records import (
     Task,
     format_failure,
 )
-from recorder.records.choices import decision_text, rejections
-from recorder.records.projections import foreseen
+from recorder.records.values import argument_values, from_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from recorder.records import (
-        Argument,
-        BeginTrajectory,
-        Driven,
-        LoadBody,
-        MoveJoints,
-        PathSearch,
-        Record,
-        Simulate,
-    )
+    from recorder.records import Argument, BeginTrajectory, Driven, LoadBody, MoveJoints, PathSearch, Record, Simulate
+    from recorder.records.log_pb2 import Candidate, Decision
+
 
 _NS: Final = 1_000_000_000
 _MS: Final = 1e6
@@ -273,3 +276,246 @@ def values(arguments: Sequence[Argument]) -> str:
 def by_name(text: str) -> str:
     """A recorded value (JSON) with objects by their names."""
     return _OBJECT.sub(r"\1", text) if '{"object":' in text else text
+
+
+_OWN_RESOLVER: Final = "pycram.motions.motion_types.resolve"
+_OWN_ENVIRONMENT: Final = "simulated"
+
+
+_ANSWERS: Final = ("true", "false", "[")  # of queries, as JSON: yes, no, or a list
+
+
+def is_choice(query: Query) -> bool:
+    """Whether a process module chose something with it; a plan's query, which is answered, may have candidates too."""
+    return query.HasField("chosen") and not query.answer_json.startswith(_ANSWERS)
+
+
+def rejections(query: Query) -> str:
+    """Why candidates of a query were rejected, in a line; empty if none was. Of places only how many were for which."""
+    return fates_text(query) if query.grid.spots else "; ".join(rejection_lines(query))
+
+
+def rejection_lines(query: Query) -> Iterator[str]:
+    """Why candidates of a query were rejected: a line for all that were for the same reason."""
+    if query.grid.spots:
+        yield fates_text(query)
+    chosen = query.chosen if query.HasField("chosen") else -1
+    for number, candidate in enumerate(query.candidates[:]):
+        if number != chosen:
+            yield f"{_named(candidate)}: {reason_text(candidate)}" if candidate.names else _named(candidate)
+
+
+def chosen_name(query: Query) -> str:
+    """The name of the candidate that a query chose; empty if none."""
+    known = query.HasField("chosen") and 0 <= query.chosen < len(query.candidates)
+    return ", ".join(query.candidates[query.chosen].names) if known else ""
+
+
+def _named(candidate: Candidate) -> str:
+    names, count = list(candidate.names), max(candidate.count, len(candidate.names))
+    if not names:
+        return f"{count} more were rejected"
+    more = f" ({count})" if len(names) == 1 < count else f" and {count - len(names)} more" if count > len(names) else ""
+    return ", ".join(names) + more
+
+
+def reason_text(candidate: Candidate) -> str:
+    """Why a candidate was rejected, in words; reasons of users by their type and values."""
+    data: Mapping[str, Any] = argument_values(candidate.data)
+    phrase = _REASONS.get(candidate.reason)
+    try:
+        text = phrase(data) if phrase is not None else ""
+    except (KeyError, TypeError, ValueError, AttributeError):  # of another release, or damaged
+        text = ""
+    several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
+    return text + several or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
+
+
+def _out_of_reach(data: Mapping[str, Any]) -> str:
+    distance, turn = data["distance"], math.degrees(data.get("turn") or 0.0)
+    parts = [f"{distance:.3f} m"] if distance else []
+    parts += [f"{turn:.0f} degrees"] if turn >= 1.0 or not parts else []
+    return "out of reach" if distance is None else f"out of reach by {' and '.join(parts)}"
+
+
+def _touching(data: Mapping[str, Any]) -> str:
+    pairs = ", ".join(pair_text(pair) for pair in data["pairs"])
+    return f"{pairs}, and {data['more']} more" if data.get("more") else pairs
+
+
+def _unreached(data: Mapping[str, Any]) -> str:
+    pairs = ", ".join(pair_text(pair) for pair in data["pairs"])
+    often = f"; most often {pairs}" if pairs else ""
+    return f"no path in {data['checks']} checks, which came within {data['distance']:.2f} of the goal{often}"
+
+
+def _misfit(data: Mapping[str, Any]) -> str:
+    width = data["width"]
+    if width is None:
+        return "nothing to take there"
+    return f"{width * 1e3:.0f} mm wide, the fingers hold {data['least'] * 1e3:.0f} to {data['most'] * 1e3:.0f} mm"
+
+
+def _uneven(data: Mapping[str, Any]) -> str:
+    height = data["height"]
+    return "nothing to take there" if height is None else f"uneven by {height * 1e3:.0f} mm"
+
+
+def _slips(data: Mapping[str, Any]) -> str:
+    return "its fingers would touch it on one side only" if data["sides"] else "its fingers would close on nothing"
+
+
+def _unseen(data: Mapping[str, Any]) -> str:
+    share, hiders = data["share"], ", ".join(data["hidden_by"])
+    return (f"seen to {share:.0%} only" if share else "not seen") + (f" (behind {hiders})" if hiders else "")
+
+
+_REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
+    "OutOfReach": _out_of_reach,
+    "Touching": _touching,
+    "Misfit": _misfit,
+    "Uneven": _uneven,
+    "NoRoom": lambda data: str(data["reason"]),
+    "Slips": _slips,
+    "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
+    "Unseen": _unseen,
+    "Unreached": _unreached,
+    "Inferior": lambda data: f"{data['by']} {data['value']:g}",
+    "Untried": lambda _: "not tried",
+    "Unfit": lambda data: str(data["reason"]),
+}
+
+
+def decision_text(decision: Decision, *, full: bool = False) -> str:
+    """How a motion was decided, in words.
+
+    Args:
+        decision: the decision.
+        full: tell also what is so where nobody chose otherwise.
+    """
+    parts = []
+    if full or decision.solution or decision.known > 1 or decision.resolver not in ("", _OWN_RESOLVER):
+        which = f"solution {decision.solution + 1} of {decision.known}{'' if decision.complete else ' or more'}"
+        made = "its data" if decision.known else "no solution"
+        parts.append(f"{which} by {decision.resolver}" if decision.resolver else made)
+    if full or decision.chooser or decision.registered_for:
+        module = decision.module or "no process module"
+        why = f"for {decision.registered_for}" if decision.registered_for else ""
+        why = f"chosen by {decision.chooser}" if decision.chooser else why
+        parts.append(f"{module} {why}".strip())
+    if full or decision.environment not in ("", _OWN_ENVIRONMENT):
+        parts.append(f"in the {decision.environment} environment")
+    return ", ".join(parts)
+
+
+TAKEN: Final = "taken"
+NOT_TRIED: Final = "not tried"
+_OUT_OF_REACH: Final = "is out of reach|are out of reach"
+_NO_GRASP: Final = "offers no grasp|offer no grasp"
+_FATES: Final = {
+    "": NOT_TRIED,
+    "Untried": NOT_TRIED,
+    "OutOfReach": _OUT_OF_REACH,
+    "Unreached": _OUT_OF_REACH,
+    "Contorted": _OUT_OF_REACH,
+    "Unseen": "doesn't see it|don't see it",
+    "Inferior": "is worse|are worse",
+    "Slips": _NO_GRASP,
+    "Misfit": _NO_GRASP,
+    "Uneven": _NO_GRASP,
+}
+"""What becomes of a place for a reason, by its type; of one place, and of several."""
+_MAX_LETTERS: Final = 80
+_MAX_FATES: Final = 4  # in a line
+
+
+def fates(query: Query) -> Iterator[str]:
+    """Yield what became of each place that a query considered, in their order: in a word or two."""
+    names = [_fate(candidate) for candidate in query.candidates]
+    if query.HasField("chosen") and 0 <= query.chosen < len(names):
+        names[query.chosen] = TAKEN
+    for spot in query.grid.spots:
+        yield names[spot.candidate] if 0 <= spot.candidate < len(names) else NOT_TRIED
+
+
+def fates_text(query: Query) -> str:
+    """Return what became of the places, those alike as one; empty for a query that considered none.
+
+    As in "of 60 places 41 collide with the kitchen, 17 are out of reach, 1 was taken".
+    """
+    counts = Counter(fates(query))
+    if not counts:
+        return ""
+    taken, untried = counts.pop(TAKEN, 0), counts.pop(NOT_TRIED, 0)
+    parts = [_counted(count, fate) for fate, count in counts.most_common(_MAX_FATES)]
+    rest = counts.total() - sum(count for _, count in counts.most_common(_MAX_FATES))
+    parts += [f"{rest} won't do for other reasons"] if rest else []
+    parts += [f"{taken} {'was' if taken == 1 else 'were'} taken"] if taken else ["none was taken"]
+    parts += [f"{untried} {'was' if untried == 1 else 'were'} not tried"] if untried else []
+    total = len(query.grid.spots)
+    return f"of {total} {'place' if total == 1 else 'places'} {', '.join(parts)}"
+
+
+def _counted(count: int, fate: str) -> str:
+    one, _, other = fate.partition("|")
+    return f"{count} {one if count == 1 or not other else other}"
+
+
+def _fate(candidate: Candidate) -> str:
+    """Return why a place won't do; of one place, and of several, where the words differ."""
+    data, reason = argument_values(candidate.data), candidate.reason
+    if reason == "Touching":
+        return "collides with {0}|collide with {0}".replace("{0}", _touched(data))
+    text = data.get("reason")
+    why = f": {text}" if isinstance(text, str) and len(text) <= _MAX_LETTERS else ""
+    if reason == "NoRoom":
+        return f"has no room{why}|have no room{why}"
+    return _FATES.get(reason, "won't do" + (why or f": {reason}"))
+
+
+def _touched(data: dict[str, Any]) -> str:
+    """Return what would be touched: of several things the first, which is the deepest."""
+    pairs = data.get("pairs")
+    first = pairs[0] if isinstance(pairs, list) and pairs and isinstance(pairs[0], dict) else {}
+    return str(first.get("body") or "something")
+
+
+def foreseen(record: Task) -> str:
+    """Return how what was projected would end, and where that is recorded; empty for other tasks and without an end."""
+    outcome = _outcome(record)
+    if "succeeded" not in outcome:
+        return ""
+    failure = str(outcome.get("failure") or "").partition("\n")[0]
+    text = "it would succeed" if outcome["succeeded"] is True else f"it would fail{': ' + failure if failure else ''}"
+    recording = recording_name(record)
+    return f"{text}; see {recording}" if recording else text
+
+
+def recording_name(record: Task) -> str:
+    """Return the name of the file, beside the run's, with all that a projection did; empty if there is none.
+
+    Of a path only the name counts: recordings are moved together, and a stranger's shall name no other folder.
+    """
+    recording = _outcome(record).get("recording")
+    return PurePath(recording).name if isinstance(recording, str) else ""
+
+
+def _outcome(record: Task) -> dict[str, Any]:
+    if record.kind != "projection" or not record.result_json:
+        return {}
+    outcome = from_json(record.result_json)
+    return outcome if isinstance(outcome, dict) else {}
+
+
+def pair_text(pair: Mapping[str, object]) -> str:
+    """A recorded pair as text, as "milk in the left gripper would touch sink_area_surface of kitchen".
+
+    Args:
+        pair: ``mover`` and its ``link``, the ``body`` that it would touch and its ``body_link``, and the ``gripper``
+            that holds the mover; links that are the only ones, and no gripper, are "".
+    """
+    mover, link, body, body_link = (str(pair.get(key) or "") for key in ("mover", "link", "body", "body_link"))
+    moved = f"{mover} in the {pair['gripper']} gripper" if pair.get("gripper") else link or mover
+    if body == mover:
+        return f"its own {moved} would touch {body_link}"
+    return f"{moved} would touch {f'{body_link} of {body}' if body_link else body}"

@@ -2,6 +2,10 @@
 
 Whatever has a method ``__record__`` chooses its form with it: the method returns None, a bool, number, string, list or
 dict.
+
+Names that say that a value is secret: such values are left out of recordings.
+
+Files that a recording carries so that it stands alone: models, meshes, the plan's source.
 """
 
 from __future__ import annotations
@@ -11,14 +15,17 @@ import math
 import re
 from collections.abc import Callable, Mapping, Set as AbstractSet
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from hashlib import sha256
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from recorder.records.log_pb2 import Argument, Failure
-from recorder.records.traceback_text import MAX_ERRORS, format_traceback
-from recorder.secrets import LEFT_OUT, is_secret
+from recorder.records.tracebacks import MAX_ERRORS, format_traceback
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
+
 
 MAX_NESTING: Final = 100
 """Levels of lists and dictionaries in each other, in a recorded value; what is deeper is recorded as its text."""
@@ -210,3 +217,57 @@ def escaped(text: str) -> str:
     Python has them for the bytes of names of files, threads and the like that aren't UTF-8.
     """
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
+
+
+LEFT_OUT: Final = "<left out>"
+
+_SECRET: Final = frozenset(
+    word + plural
+    for word in ("password", "passphrase", "passwd", "pwd", "secret", "token", "key", "apikey", "credential")
+    for plural in ("", "s")
+)
+_WORDS: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
+
+
+@lru_cache(maxsize=4096)
+def is_secret(name: str) -> bool:
+    """Whether a word of a name (``api_key``, ``apiKey``, ``API-KEY``) says that its value is secret."""
+    return any(word.lower() in _SECRET for word in _WORDS.findall(name))
+
+
+def without_secrets(arguments: Sequence[str]) -> list[str]:
+    """A command line without the values of options that are named like secrets: ``--token X``, ``--token=X``."""
+    kept: list[str] = []
+    secret = False
+    for text in arguments:
+        option, equals, _ = text.partition("=")
+        if secret and not text.startswith("-"):
+            kept.append(LEFT_OUT)
+        elif equals and is_secret(option):
+            kept.append(f"{option}={LEFT_OUT}")
+        else:
+            kept.append(text)
+        secret = not equals and text.startswith("-") and is_secret(option)
+    return kept
+
+
+@dataclass(frozen=True)
+class AssetFile:
+    """One file, identified by its content; its name has no folders."""
+
+    name: str
+    content: bytes
+    media_type: str = "application/octet-stream"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", escaped(self.name))
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the content in hex."""
+        return sha256(self.content).hexdigest()
+
+    @property
+    def key(self) -> str:
+        """The attachment's name in the recording: ``<sha256>/<name>``."""
+        return f"{self.sha256}/{self.name}"

@@ -13,9 +13,8 @@ from collections import deque
 from typing import TYPE_CHECKING, cast
 
 from recorder.records import Task
-from recorder.tasks import tree_picture, tree_text
-from recorder.tasks.node import BY_ID, Node, State, decisive, walk
-from recorder.tasks.packed import PackedTask
+from recorder.tasks import rendering
+from recorder.tasks.node import BY_ID, Node, PackedTask, State, decisive, walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -131,8 +130,8 @@ class Tree:
         return list(began.around())[::-1] if began is not None else []
 
     def lines(self, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
-        """Lines of text; see :func:`recorder.tasks.tree_text.rows`."""
-        return tree_text.lines(self.roots, self.failure_path(), depth, whole=whole, output=self.output)
+        """Lines of text; see :func:`recorder.tasks.rendering.rows`."""
+        return rendering.lines(self.roots, self.failure_path(), depth, whole=whole, output=self.output)
 
     def text(self, depth: int | None = None, *, whole: bool = False) -> str:
         """The same in one string."""
@@ -140,7 +139,7 @@ class Tree:
 
     def facts(self, depth: int | None = None) -> Iterator[dict[str, object]]:
         """All tasks down to a depth as data for JSON, each before its children."""
-        return tree_text.facts(self.roots, self.failure_path(), depth, self.output)
+        return rendering.facts(self.roots, self.failure_path(), depth, self.output)
 
     def to_json(self) -> str:
         """The same as JSON."""
@@ -148,11 +147,11 @@ class Tree:
 
     def to_dot(self) -> str:
         """A graph for Graphviz."""
-        return tree_picture.dot(self.roots, self.failure_path())
+        return rendering.dot(self.roots, self.failure_path())
 
     def to_svg(self, depth: int | None = None, *, whole: bool = False) -> str:
-        """A picture of the tree with its times, as an SVG document; see :func:`recorder.tasks.tree_text.rows`."""
-        return tree_picture.svg(self.roots, self.failure_path(), depth, whole=whole)
+        """A picture of the tree with its times, as an SVG document; see :func:`recorder.tasks.rendering.rows`."""
+        return rendering.svg(self.roots, self.failure_path(), depth, whole=whole)
 
     def __str__(self) -> str:
         return self.text()

@@ -2,6 +2,12 @@
 
 Only the forking thread lives on in the child. Our other threads (those that flush a file, or feed a viewer) belong to
 the parent's recordings, which the child leaves alone. So it is enough that none of them holds a lock at that moment.
+
+Identity of a process: a forked child is another one, unless it continues its parent, which then only waits.
+
+So a recording knows whose it is: its process's and that of whoever continues it, but not other children's.
+
+Positions in files: a forked child has them in common with its parent, unless it opens the files again.
 """
 
 from __future__ import annotations
@@ -9,6 +15,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+import stat
 import sys
 import threading
 import weakref
@@ -16,10 +23,11 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Final
 from warnings import catch_warnings, simplefilter
 
-from recorder.tracing import file_positions, journal, process_identity
+from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
 
 #: They wait for the end of a fork: Python drops what a handler raises within the hooks that it calls there.
 _INTERRUPTS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -56,7 +64,7 @@ def fork_continuation() -> int:
     Sinks of such journals have no thread and no file that both would write to.
     """
     dice = random.getstate()  # which Python seeds again in a child
-    child = _fork(process_identity.fork_continuation)
+    child = _fork(_fork_continuing)
     if not child:
         random.setstate(dice)
     return child
@@ -70,7 +78,75 @@ def _fork(fork: Callable[[], int]) -> int:
         try:
             child = fork()
             if not child:
-                file_positions.have_own()
+                _separate_file_positions()
             return child
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+_identity: int | None = None  # of a process that continues another one
+_continuing = False  # while one is forked
+
+
+def process() -> int:
+    """Return the identity of this process: its number, or that of the process that it continues."""
+    return os.getpid() if _identity is None else _identity
+
+
+def _fork_continuing() -> int:
+    """Fork a child that continues this process, which must do nothing more that others see; return 0 in the child."""
+    global _identity, _continuing  # noqa: PLW0603  a process has one identity
+    before, _identity, _continuing = _identity, process(), True
+    child = -1
+    try:
+        child = os.fork()
+    finally:
+        _continuing = False
+        if child:
+            _identity = before
+    return child
+
+
+def _in_forked_child() -> None:
+    global _identity  # noqa: PLW0603  as above
+    if not _continuing:
+        _identity = None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_in_forked_child)
+
+
+_OPEN: Final = "/proc/self/fd"  # only Linux has it
+_OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # the links there are to be followed
+
+
+def _separate_file_positions() -> None:
+    """Give this process, a forked child, positions of its own in the files that are open for reading alone.
+
+    So what it reads isn't missing when its parent reads on. Files that are written stay common, as logs are.
+    """
+    try:
+        descriptors = os.listdir(_OPEN)  # noqa: PTH208  as little as can be: each page that this writes to is a copy's own
+    except OSError:
+        return
+    for descriptor in descriptors:
+        try:
+            _reopen(int(descriptor))
+        except OSError:  # it was closed meanwhile, or may not be opened any more
+            continue
+
+
+def _reopen(descriptor: int) -> None:
+    import fcntl  # noqa: PLC0415  only systems that can fork have it
+
+    flags = fcntl.fcntl(descriptor, fcntl.F_GETFL)
+    if flags & os.O_ACCMODE != os.O_RDONLY or not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        return
+    position = os.lseek(descriptor, 0, os.SEEK_CUR)
+    again = os.open(f"{_OPEN}/{descriptor}", flags & ~_OF_PATHS)
+    try:
+        os.lseek(again, position, os.SEEK_SET)
+        os.dup2(again, descriptor, inheritable=os.get_inheritable(descriptor))
+    finally:
+        os.close(again)

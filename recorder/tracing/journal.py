@@ -16,11 +16,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
 from recorder.records import TOPICS, Keyframe, Mutation, Output, Record, Strike
-from recorder.records.asset import AssetFile
-from recorder.tracing import stack_room, worlds
-from recorder.tracing.branch_identity import current_name
+from recorder.records.values import AssetFile
+from recorder.tracing import context
+from recorder.tracing.context import KnownWorld, current_name
 from recorder.tracing.interrupts import Uninterrupted
-from recorder.tracing.worlds import World
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -70,7 +69,7 @@ class NullSink:
         """Nothing is open."""
 
 
-class Source(World, Protocol):
+class RecordedWorld(KnownWorld, Protocol):
     """A world as the journal sees it."""
 
     def record_keyframe(self, journal: Journal) -> None:
@@ -240,7 +239,7 @@ def task_id() -> int:
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # journals so far
-_sources: tuple[Source, ...] = ()  # the worlds that are known; replaced, never changed
+_sources: tuple[RecordedWorld, ...] = ()  # the worlds that are known; replaced, never changed
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
@@ -311,7 +310,7 @@ def emit(
         RecordingError: a sink can't keep it.
         RecursionError: there is no room on the stack for it; it isn't numbered.
     """
-    stack_room.require(stack_room.FOR_RECORD)
+    context.require_stack_room(context.FOR_RECORD)
     record.world = world
     record.sim_step = sim_step
     record.task = task_id() if task is None else task
@@ -386,7 +385,7 @@ def flush() -> None:
         journal.flush()
 
 
-def register(source: Source) -> None:
+def register(source: RecordedWorld) -> None:
     """Makes a world known to journals, until it is unregistered: one that is opened unrecorded isn't."""
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
@@ -394,14 +393,14 @@ def register(source: Source) -> None:
             _sources = (*(known for known in _sources if known is not source), source)
 
 
-def announce(source: Source) -> None:
+def announce(source: RecordedWorld) -> None:
     """Makes a world known that was opened unrecorded: open journals get its state now, others when they open."""
     register(source)
     for journal in _listening():
         source.record_keyframe(journal)
 
 
-def unregister(source: Source) -> None:
+def unregister(source: RecordedWorld) -> None:
     """Forgets a world that has ended."""
     global _sources  # noqa: PLW0603  see open_journal
     with _registry:
@@ -410,7 +409,7 @@ def unregister(source: Source) -> None:
 
 def current_world() -> tuple[str, int]:
     """Name and simulated steps of the known world that is current in this context; "", 0 if none is."""
-    world = worlds.current(_sources)
+    world = context.current_world(_sources)
     return (world.name, world.sim_step) if world is not None else ("", 0)
 
 
@@ -431,10 +430,10 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
         RecursionError: there is no room on the stack for the keyframes.
     """
     global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
-    stack_room.require(stack_room.FOR_TASK)
+    context.require_stack_room(context.FOR_TASK)
     with _registry, running or nullcontext(()) as tasks:
         _opened += 1
-        order = worlds.open_worlds()  # one that is only being opened isn't there yet
+        order = context.open_worlds()  # one that is only being opened isn't there yet
         sources = sorted(_sources, key=lambda source: order.index(source) if source in order else len(order))
         for record in tasks:
             journal.append(record)

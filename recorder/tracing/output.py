@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from recorder.closed_output import discard
 from recorder.records import Output, escaped, format_error
-from recorder.tracing import journal, stack_room
-from recorder.tracing.branch_identity import current_ident, current_name
+from recorder.tracing import context, journal
 from recorder.tracing.call_stack import CallSite, call_site
+from recorder.tracing.context import current_ident, current_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -192,7 +192,7 @@ def _visible(text: str) -> str:
 def _append(log: Journal, record: Output, origin: _Origin) -> None:
     if not journal.records_here(log):
         return
-    stack_room.require(stack_room.FOR_RECORD)
+    context.require_stack_room(context.FOR_RECORD)
     record.world, record.sim_step = journal.current_world()
     record.task, record.thread = origin.task, current_name()
     record.source_file, record.source_line = origin.site

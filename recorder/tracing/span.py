@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING, Final, TypeAlias, cast
 
 from recorder.records import Decision, Task, arguments, escaped, failure, to_json
 from recorder.tasks import Tree
-from recorder.tracing import journal, stack_room
-from recorder.tracing.branch_identity import current_name
-from recorder.tracing.call_stack import CallStack, call_site, plan_frame, walk
+from recorder.tracing import context, journal
+from recorder.tracing.call_stack import CallStack, call_site, failure_with_frames, plan_frame, walk
+from recorder.tracing.context import current_name
 from recorder.tracing.interrupts import Uninterrupted
-from recorder.tracing.local_variables import failure_with_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -188,7 +187,7 @@ class Span:
             _current.reset(self._token)
 
     def _emit_begin(self, phase: Task.Phase, status: Task.Status) -> None:
-        stack_room.require(stack_room.FOR_TASK)
+        context.require_stack_room(context.FOR_TASK)
         record = self._record(phase, status)
         if self.source is None:
             self.source = current_call_stack()

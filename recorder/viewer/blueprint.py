@@ -7,16 +7,12 @@ from typing import TYPE_CHECKING, Final
 import rerun.blueprint as rrb
 from rerun import new_entity_path
 
-from recorder.records.frames import ROOT
-from recorder.viewer.log_lines import LOG
+from recorder.records.motion import ROOT
 from recorder.viewer.marks import FAILURES
-from recorder.viewer.plots import HEIGHTS, JOINTS
-from recorder.viewer.query_page import PAGE, QUERIES
-from recorder.viewer.query_picture import PICTURE
-from recorder.viewer.record_tables import KINDS, RECORDS
+from recorder.viewer.queries import PAGE, PICTURE, QUERIES
 from recorder.viewer.scene import COLLISION
-from recorder.viewer.task_graph import GRAPH
-from recorder.viewer.task_timeline import LANES
+from recorder.viewer.tables_and_plots import HEIGHTS, JOINTS, KINDS, LOG, RECORDS
+from recorder.viewer.tasks import GRAPH, LANES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -4,31 +4,36 @@ A failure for a collision marks the links that would have met, where they are, j
 
 A failure's mark and its line in the log are one entity: selecting the line shows the position. A query's marks are
 green where its answer is yes (or nothing blocks), red where it is no.
+
+Attachments in the scene: lines from carriers to what they hold, which move with the carriers' links.
+
+Cameras in the scene: where they are, and where those of robots look, as frustums that move with their links.
+
+Positions that recorded values give: of targets, given themselves or by an object's name.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+import math
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import rerun as rr
 
 from recorder import geometry
-from recorder.records import Task, argument_values
+from recorder.records import Keyframe, Task, argument_values
 from recorder.records.text import by_name
-from recorder.viewer.cameras import camera_position
-from recorder.viewer.colors import BLUE, GREEN, RED
-from recorder.viewer.log_lines import numbered
-from recorder.viewer.positions import name_of, position, target_position, vector
+from recorder.viewer.rerun_stream import BLUE, GREEN, RED, YELLOW
+from recorder.viewer.scene import offset, table
+from recorder.viewer.tables_and_plots import numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from recorder.geometry import Vector
-    from recorder.records import Query
-    from recorder.viewer.colors import Color
-    from recorder.viewer.columns import Columns, TimePoint
-    from recorder.viewer.positions import Values
-    from recorder.viewer.scene import Scene
+    from recorder.records import Attachment, Mutation, Query
+    from recorder.viewer.rerun_stream import Color, Columns, TimePoint
+    from recorder.viewer.scene import Scene, SceneBody
+
 
 FAILURES: Final = "failures"
 _PAIRS: Final = "pairs"
@@ -219,3 +224,139 @@ def _line(positions: Sequence[Vector], color: Color, radius: float = _LINE) -> r
 
 def _arrow(start: Vector, vector: Vector, color: Color) -> rr.AsComponents:
     return rr.Arrows3D(origins=[start], vectors=[vector], colors=[color], radii=[_ARROW_RADIUS])
+
+
+_ATTACHMENT_LINE: Final = 0.003  # m
+
+
+class Attachments:
+    """The lines of all attachments; the scene has shown a record before they do."""
+
+    def __init__(self, columns: Columns, scene: Scene) -> None:
+        self._columns = columns
+        self._scene = scene
+        self._paths: dict[tuple[str, str, str], str] = {}  # by world, carrier and body
+
+    def show(self, record: Mutation | Keyframe, now: TimePoint) -> None:
+        """Shows what a record changed."""
+        world = record.world
+        bodies = self._scene.bodies.get(world, {})
+        pairs = [key[1:] for key in self._paths if key[0] == world]
+        attached, detached = _attachment_changes(record, pairs)
+        for pair in {*detached, *(pair for pair in pairs if not {*pair} <= bodies.keys())}:
+            path = self._paths.pop((world, *pair), None)
+            if path is not None:
+                self._columns.clear(path, now)
+        for attachment in attached:
+            self._show_attachment(world, attachment, now)
+
+    def _show_attachment(self, world: str, attachment: Attachment, now: TimePoint) -> None:
+        path = self._columns.path(
+            world, "attachments", attachment.carrier, attachment.carrier_link or "base", attachment.body
+        )
+        self._paths[world, attachment.carrier, attachment.body] = path
+        self._columns.set_frame(path, self._scene.frame(world, attachment.carrier, attachment.carrier_link))
+        line = [(0.0, 0.0, 0.0), tuple(attachment.position)]
+        self._columns.send(
+            path,
+            now,
+            rr.LineStrips3D([line], colors=[YELLOW], radii=[_ATTACHMENT_LINE], labels=[f"holds {attachment.body}"]),
+        )
+
+
+def _attachment_changes(
+    record: Mutation | Keyframe, pairs: list[tuple[str, str]]
+) -> tuple[Iterable[Attachment], list[tuple[str, str]]]:
+    """Attachments that were made, and those of the pairs of carrier and body that ended."""
+    if not isinstance(record, Keyframe):
+        return record.effect.attached, [(ended.carrier, ended.body) for ended in record.effect.detached]
+    carried = {(attachment.carrier, attachment.body) for attachment in record.attachments}
+    return record.attachments, [pair for pair in pairs if pair not in carried]
+
+
+_FRUSTUM: Final = 0.6  # m, length
+_FRUSTUM_LINE: Final = 0.003  # m
+
+
+class CameraFrustums:
+    """The frustums of all robots' cameras."""
+
+    def __init__(self, columns: Columns, scene: Scene) -> None:
+        self._columns = columns
+        self._scene = scene
+        self._paths: dict[tuple[str, str], str] = {}  # by world and robot
+
+    def show(self, world: str, now: TimePoint) -> None:
+        """Shows those of the robots that a world has by now."""
+        bodies = self._scene.bodies.get(world, {})
+        for key in [key for key in self._paths if key[0] == world and key[1] not in bodies]:
+            self._columns.clear(self._paths.pop(key), now)
+        for name, body in bodies.items():
+            if body.loaded.robot_description and (world, name) not in self._paths:
+                self._show_frustum(world, name, body, now)
+
+    def _show_frustum(self, world: str, name: str, body: SceneBody, now: TimePoint) -> None:
+        path = self._paths[world, name] = self._columns.path(world, "camera", name)
+        camera = table(body.loaded, "camera")
+        try:
+            right, down = (math.tan(camera[f"{axis}_fov"] / 2) * _FRUSTUM for axis in ("horizontal", "vertical"))
+            frame = self._scene.frame(world, name, str(camera["frame"]))
+        except (KeyError, TypeError):
+            return  # a robot without one
+        link_T_optical = offset(camera, "frame_offset")
+        corners = [
+            geometry.transform(link_T_optical, (right * x, down * y, _FRUSTUM))
+            for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        strips = [[*corners, corners[0]], *([link_T_optical[0], corner] for corner in corners)]
+        self._columns.set_frame(path, frame)
+        self._columns.send(path, now, rr.LineStrips3D(strips, colors=[BLUE], radii=[_FRUSTUM_LINE]))
+
+
+def camera_position(scene: Scene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
+    """Where a camera is, given as position, pose or frame, by default the robot's own; None if that isn't known."""
+    robot = scene.robot(world, robot_name)
+    if isinstance(camera, list) or robot is None:
+        return position(camera)
+    name, body = robot
+    frame = str(camera or table(body.loaded, "camera").get("frame", ""))
+    pose = scene.pose(world, name, frame) if frame else None
+    return pose[0] if pose is not None else None
+
+
+Values: TypeAlias = "dict[str, Any]"
+
+
+def name_of(value: object) -> str:
+    """The name of the object that a recorded value is, or the value itself if it is a text; else ""."""
+    name = value.get("object") if isinstance(value, dict) else value
+    return name if isinstance(name, str) else ""
+
+
+def vector(value: object, length: int) -> tuple[float, ...] | None:
+    """A recorded value as that many finite numbers; None if it isn't that."""
+    if not isinstance(value, list | tuple) or len(value) != length:
+        return None
+    finite = all(isinstance(number, int | float) and math.isfinite(number) for number in value)
+    return tuple(map(float, value)) if finite else None
+
+
+def position(value: object) -> Vector | None:
+    """The position, or that of the pose, that a recorded value is; None if it is neither."""
+    if isinstance(value, list) and len(value) == 2:
+        value = value[0]
+    numbers = vector(value, 3)
+    return (numbers[0], numbers[1], numbers[2]) if numbers is not None else None
+
+
+def target_position(scene: Scene, world: str, values: Values) -> Vector | None:
+    """The target position among values: a position, else that of an object; None if there is neither."""
+    for value in values.values():
+        point = position(value)
+        if point is not None:
+            return point
+    for value in values.values():
+        body = scene.bodies.get(world, {}).get(name_of(value))
+        if body is not None and not body.loaded.robot_description:
+            return body.pose[0]
+    return None

@@ -15,17 +15,16 @@ import rerun as rr
 
 from recorder import geometry
 from recorder.records import Following, Keyframe
-from recorder.records.following import BASE_COORDINATES
-from recorder.viewer.colors import BLUE, GREEN, GREY
-from recorder.viewer.descriptions import offset, table
+from recorder.records.motion import BASE_COORDINATES
+from recorder.viewer.rerun_stream import BLUE, GREEN, GREY
+from recorder.viewer.scene import offset, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from recorder.geometry import Vector
     from recorder.records import Mutation
-    from recorder.viewer.colors import Color
-    from recorder.viewer.columns import Columns, TimePoint
+    from recorder.viewer.rerun_stream import Color, Columns, TimePoint
     from recorder.viewer.scene import Scene
 
 PATHS: Final = "paths"

@@ -3,10 +3,15 @@
 A link's entity holds its transform, between frames named as on ``/tf``; entities below it hold shapes and name their
 frame. What isn't there yet, or no more, has no shapes; but its frames are there at any time, as the viewer complains of
 entities without a path to the root.
+
+A link's shapes, as the viewer draws them.
+
+What the recorded descriptions of robots say of tool frames and cameras; nothing where they don't say it.
 """
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
@@ -18,19 +23,20 @@ import pyarrow as pa
 import rerun as rr
 
 from recorder import geometry
-from recorder.geometry.shapes import read_shapes
+from recorder.geometry.urdf import read_shapes
 from recorder.records import Keyframe
-from recorder.records.frames import ROOT, FrameTree, frame_name
-from recorder.viewer.link_shapes import draw
+from recorder.records.motion import ROOT, FrameTree, frame_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from recorder.geometry import Pose, Vector
+    from recorder.geometry.urdf import Color, Shape
     from recorder.records import LoadBody, Mutation
-    from recorder.records.asset import AssetFile
-    from recorder.records.frames import BodyMotion, Frame
-    from recorder.viewer.columns import Columns, Series, TimePoint
+    from recorder.records.motion import BodyMotion, Frame
+    from recorder.records.values import AssetFile
+    from recorder.viewer.rerun_stream import Columns, Series, TimePoint
+
 
 BODIES: Final = "bodies"
 COLLISION: Final = "collision"
@@ -279,3 +285,80 @@ def _transforms(parent: str, child: str, rows: Sequence[tuple[Any, ...]]) -> rr.
         parent_frame=pa.repeat(parent, count),
         child_frame=pa.repeat(child, count),
     )
+
+
+_MEDIA_TYPES: Final = {"stl": "model/stl", "obj": "model/obj"}
+
+
+def draw(
+    shapes: Sequence[Shape], meshes: Callable[[str], bytes | None], color: Color | None
+) -> Iterator[tuple[str, list[rr.AsComponents]]]:
+    """Draws a link's shapes: one entity for all boxes, one for all cylinders, one for each mesh.
+
+    ``meshes`` gives a mesh's content, None if it is not known; without a color of the body, shapes have their own.
+
+    Yields:
+        Names, unique within the link, and what is to be shown there.
+    """
+    for kind, solids in _SOLIDS.items():
+        alike = [shape for shape in shapes if shape.kind == kind]
+        if alike:
+            yield kind, [solids(alike, [color or shape.color for shape in alike])]
+    number = 0
+    for shape in shapes:
+        content = meshes(shape.mesh) if shape.kind == "mesh" else None
+        if content is not None:
+            media = _MEDIA_TYPES[shape.mesh.rpartition(".")[2].lower()]
+            asset = rr.Asset3D(contents=content, media_type=media, albedo_factor=color or shape.color)
+            position, orientation = shape.pose
+            pose = rr.InstancePoses3D(translations=[position], quaternions=[orientation], scales=[shape.size])
+            yield f"mesh_{number}", [asset, pose]
+            number += 1
+
+
+def _boxes(shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.AsComponents:
+    half = [[edge / 2 for edge in shape.size] for shape in shapes]
+    centers, turns = zip(*(shape.pose for shape in shapes), strict=True)
+    return rr.Boxes3D(half_sizes=half, centers=centers, quaternions=turns, colors=colors, fill_mode="solid")
+
+
+def _cylinders(shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.AsComponents:
+    centers, turns = zip(*(shape.pose for shape in shapes), strict=True)
+    radii, lengths = zip(*(shape.size for shape in shapes), strict=True)
+    return rr.Cylinders3D(
+        lengths=lengths, radii=radii, centers=centers, quaternions=turns, colors=colors, fill_mode="solid"
+    )
+
+
+def _spheres(shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.AsComponents:
+    radii, centers = [shape.size[0] for shape in shapes], [shape.pose[0] for shape in shapes]
+    return rr.Ellipsoids3D(radii=radii, centers=centers, colors=colors, fill_mode="solid")
+
+
+def _capsules(shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.AsComponents:
+    """The viewer's capsules begin at their origin and have no length of their caps; a URDF's are centred."""
+    radii, lengths = zip(*(shape.size for shape in shapes), strict=True)
+    turns = [shape.pose[1] for shape in shapes]
+    feet = [geometry.transform(shape.pose, (0.0, 0.0, -shape.size[1] / 2)) for shape in shapes]
+    return rr.Capsules3D(
+        lengths=lengths, radii=radii, translations=feet, quaternions=turns, colors=colors, fill_mode="solid"
+    )
+
+
+_SOLIDS: Final = {"box": _boxes, "cylinder": _cylinders, "sphere": _spheres, "capsule": _capsules}
+
+
+def table(robot: LoadBody, name: str) -> Mapping[str, Any]:
+    """A table of a robot's description; empty if there is none."""
+    try:
+        found = tomllib.loads(robot.robot_description).get(name, {})
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def offset(described: Mapping[str, Any], name: str) -> Pose:
+    """A described pose in a link; by default the link's own."""
+    found = described.get(name, {})
+    x, y, z = found.get("xyz", (0.0, 0.0, 0.0))
+    return (x, y, z), geometry.from_rpy(*found.get("rpy", (0.0, 0.0, 0.0)))

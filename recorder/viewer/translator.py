@@ -1,4 +1,7 @@
-"""Translates records into rows for the viewer, live and afterwards: gives each to the parts that show it."""
+"""Translates records into rows for the viewer, live and afterwards: gives each to the parts that show it.
+
+Worlds that a plan acts in: where the viewer looks in each, and which of them is in front.
+"""
 
 from __future__ import annotations
 
@@ -6,27 +9,21 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe, Mutation, Output, Query, Run, Task
 from recorder.records.text import text_of
-from recorder.viewer.active_worlds import ActiveWorlds
-from recorder.viewer.attachments import Attachments
-from recorder.viewer.cameras import CameraFrustums
-from recorder.viewer.columns import Columns, TimePoint, sim_ns
-from recorder.viewer.log_lines import LogLines
-from recorder.viewer.marks import QueryMarks, TaskMarks
+from recorder.viewer.marks import Attachments, CameraFrustums, QueryMarks, TaskMarks
 from recorder.viewer.paths import TrajectoryPaths
-from recorder.viewer.plots import Plots
-from recorder.viewer.query_page import QueryPage
-from recorder.viewer.query_picture import QueryPicture
-from recorder.viewer.query_places import QueryPlaces
-from recorder.viewer.record_tables import RecordTables
+from recorder.viewer.queries import QueryPage, QueryPicture, QueryPlaces
+from recorder.viewer.rerun_stream import Columns, TimePoint, sim_ns
 from recorder.viewer.scene import Scene
-from recorder.viewer.task_graph import TaskGraph
-from recorder.viewer.task_timeline import TaskTimeline
+from recorder.viewer.tables_and_plots import LogLines, Plots, RecordTables
+from recorder.viewer.tasks import TaskGraph, TaskTimeline
 
 if TYPE_CHECKING:
     import rerun as rr
 
+    from recorder.geometry import Vector
     from recorder.records import Record
-    from recorder.records.asset import AssetFile
+    from recorder.records.values import AssetFile
+
 
 _BATCH: Final = 20_000  # records; sending fewer takes more time, and more take more memory
 _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that add and remove no bodies
@@ -131,3 +128,57 @@ def _within(record: Mutation | Keyframe, sim_step: int, now: TimePoint, previous
     steps = max(record.simulate.steps, 1) if isinstance(record, Mutation) else 1
     share = min(max((sim_step - record.sim_step + steps) / steps, 0.0), 1.0)
     return TimePoint(now.step, sim_ns(sim_step), previous_ns + round((now.wall - previous_ns) * share))
+
+
+_SETUP: Final = ("open_world", "load_body", "set_gravity", "set_realtime", "set_robot", "set_color")
+_CLOSE: Final = "close_world"
+_KEYFRAME: Final = "keyframe"
+
+
+class ActiveWorlds:
+    """The worlds that plans have acted in so far.
+
+    Attributes:
+        centres: their centres in m when plans began to act in them, by name.
+        front: the first that is still open; "" before there is one.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._open: dict[str, None] = {}  # worlds that a plan acted in
+        self.centres: dict[str, Vector] = {}
+        self.front = ""
+
+    def follow(self, record: Record) -> None:
+        """Notes when a plan begins to act in a world, and when it closes it; the scene has shown the record."""
+        world, action = record.world, _action(record)
+        if world not in self.centres and action not in _SETUP:
+            self.centres[world] = self._scene.centre(world)
+        if world in self._open:
+            if action != _CLOSE:
+                return
+            del self._open[world]
+        elif _is_act(action):
+            self._open[world] = None
+        self.front = next(iter(self._open), self.front)
+
+    def add_others(self) -> None:
+        """Adds the worlds that no plan acted in."""
+        for world in self._scene.bodies:
+            self.centres.setdefault(world, self._scene.centre(world))
+
+
+def acts(record: Record) -> bool:
+    """Whether a plan acts in the record's world, beyond opening, filling and closing it."""
+    return bool(record.world) and _is_act(_action(record))
+
+
+def _is_act(action: str) -> bool:
+    return action not in (*_SETUP, _CLOSE, _KEYFRAME)
+
+
+def _action(record: Record) -> str:
+    """What a record does to a world: a mutation's command; "" if it does nothing."""
+    if type(record) is Mutation:  # isinstance takes five times as long where it is none
+        return record.WhichOneof("command") or "change"  # of another version
+    return _KEYFRAME if type(record) is Keyframe else ""

@@ -2,7 +2,21 @@
 
 It works without a network, and where there is one it contacts nobody there: what the viewer's page gets from elsewhere,
 a font and examples, is left out, and a policy forbids other connections than to its own server
-(:mod:`recorder.viewer.page_server`). Records reach the page as one file that grows.
+(:class:`PageServer`). Records reach the page as one file that grows.
+
+Serves a page and the records that it shows to browsers of one user of this machine.
+
+It listens on the loopback only, which other machines don't reach; but other users of this one do, and so does every
+page that one of its browsers shows. So each request has to
+
+- name this server as its ``Host``: a name of somebody else's that was made to lead here (DNS rebinding) is refused;
+- hold the token that only the address of the page has;
+- come from the page itself, where a browser says from where (``Origin``); no other page may read the answer.
+
+The files of the viewer's page: the viewer as WebAssembly, which its library holds in its program.
+
+The library gives them over HTTP only. Its own server of pages listens on all addresses of the machine; that of its
+program can be told to listen on the loopback alone. So the program is started, asked, and ended again.
 """
 
 from __future__ import annotations
@@ -11,20 +25,26 @@ import contextlib
 import html
 import os
 import re
+import secrets
+import subprocess
+import sys
 import tempfile
 import threading
+from http import HTTPStatus
+from http.client import OK, HTTPConnection, HTTPException
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
-from urllib.parse import quote
+from typing import TYPE_CHECKING, Final, Protocol
+from urllib.parse import quote, urlsplit
 
 import rerun as rr
+import rerun_cli
 
-from recorder.viewer.address import ViewerGone, free_port
-from recorder.viewer.page_server import INDEX, RECORDS, PageServer
-from recorder.viewer.viewer_files import read_viewer_files
+from recorder.viewer.connection import HOST, ViewerGone, free_port
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
+
 
 _PORT: Final = 9090  # of pages
 _MAX_TRIES: Final = 5  # for a free port
@@ -97,7 +117,7 @@ class _Files:
 
 
 class _GrowingFile:
-    """What a stream gets, in a file without a name; see :class:`recorder.viewer.page_server.Records`."""
+    """What a stream gets, in a file without a name; see :class:`Records`."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._grown = threading.Condition()
@@ -121,3 +141,190 @@ class _GrowingFile:
             piece = os.pread(self._file.fileno(), _PIECE, at)
             at += len(piece)
             yield piece
+
+
+RECORDS: Final = "records.rrd"
+INDEX: Final = "index.html"
+_REQUEST_TIMEOUT: Final = 10.0  # s for a client to say what it wants
+_TYPES: Final = {
+    "html": "text/html",
+    "js": "text/javascript",
+    "wasm": "application/wasm",
+    "ico": "image/x-icon",
+}
+_HEADERS: Final = {
+    "Content-Security-Policy": (
+        "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
+        "style-src 'self' 'unsafe-inline'; connect-src 'self' data: blob:; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",  # the token is part of the address
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+
+
+class Records(Protocol):
+    """The records that a page shows, as they come."""
+
+    def pieces(self) -> Iterable[bytes]:
+        """All from the beginning, and then what comes; waits for it."""
+
+
+class PageServer(ThreadingHTTPServer):
+    """Serves the page from threads of its own until it is closed, or this process ends.
+
+    Args:
+        port: where; 0 for one that is free.
+        files: gives the content of each file of the page, when one is asked for.
+        records: what the page shows, at ``RECORDS`` beside the files.
+
+    Attributes:
+        host: its own name and port, as browsers give it.
+        token: what requests have to hold.
+
+    Raises:
+        OSError: the port isn't free.
+    """
+
+    daemon_threads = True
+    allow_reuse_address = False  # a port that somebody has isn't free
+
+    def __init__(self, port: int, files: Callable[[], dict[str, bytes]], records: Records) -> None:
+        super().__init__((HOST, port), _Request)
+        self.files, self.records = files, records
+        self.host = f"{HOST}:{self.server_port}"
+        self.token = secrets.token_urlsafe(16)
+        threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
+
+    @property
+    def address(self) -> str:
+        """Of the folder that the page is in; whoever has it, may read."""
+        return f"http://{self.host}/{self.token}/"
+
+    def server_bind(self) -> None:
+        """Binds, without looking up this machine's name on the network."""
+        self.socket.bind(self.server_address)
+        self.server_address = self.socket.getsockname()
+        self.server_name, self.server_port = HOST, int(self.server_address[1])
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Says nothing: standard error is the plan's, and clients may send what they like."""
+
+
+class _Request(BaseHTTPRequestHandler):
+    server: PageServer
+    timeout = _REQUEST_TIMEOUT
+
+    def do_GET(self) -> None:
+        """Sends a file, or the records."""
+        if self.headers.get_all("Host") != [self.server.host]:
+            self._refuse(HTTPStatus.MISDIRECTED_REQUEST)
+            return
+        if self.headers.get("Origin", f"http://{self.server.host}") != f"http://{self.server.host}":
+            self._refuse(HTTPStatus.FORBIDDEN)
+            return
+        token, _, name = urlsplit(self.path).path.removeprefix("/").partition("/")
+        if not secrets.compare_digest(token.encode("latin-1", "replace"), self.server.token.encode()):
+            self._refuse(HTTPStatus.FORBIDDEN)
+            return
+        self.connection.settimeout(None)  # a browser in the background takes its time
+        with contextlib.suppress(ConnectionError):  # it went away
+            self._send(name or INDEX)
+
+    def _send(self, name: str) -> None:
+        if name == RECORDS:
+            self._begin("application/octet-stream", None)
+            for piece in self.server.records.pieces():
+                self.wfile.write(piece)
+            return
+        content = self.server.files().get(name)
+        if content is None:
+            self._refuse(HTTPStatus.NOT_FOUND)
+            return
+        self._begin(_TYPES[name.rpartition(".")[2]], len(content))
+        self.wfile.write(content)
+
+    def _begin(self, media_type: str, size: int | None) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", media_type)
+        if size is not None:  # else the end of the connection is that of the content
+            self.send_header("Content-Length", str(size))
+        for name, value in _HEADERS.items():
+            self.send_header(name, value)
+        self.end_headers()
+
+    def _refuse(self, status: HTTPStatus) -> None:
+        """Answers without a content; it says nothing about what is here."""
+        self.close_connection = True
+        with contextlib.suppress(OSError):
+            self.send_response(status)
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the library's name
+        """Logs nothing: standard error is the plan's."""
+
+
+NAMES: Final = (INDEX, "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico")
+_PROGRAM: Final = Path(rerun_cli.__file__).with_name("rerun")
+_TIMEOUT: Final = 20.0  # s for the program to answer
+_ADDRESS: Final = re.compile(rb"web-viewer at http://127\.0\.0\.1:(\d+)")
+# Given an address of records, the program serves the page and nothing else. CI keeps it from reporting its use.
+_OPTIONS: Final = ("--serve-web", "--bind", HOST, "--web-viewer-port", "0", f"rerun+http://{HOST}:1/proxy")
+_ENVIRONMENT: Final = {"CI": "1", "NO_COLOR": "1", "RUST_LOG": "re_sdk=info"}
+_END_WITH_PARENT: Final = """
+import ctypes, os, signal, sys
+if sys.platform == "linux":
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+
+
+def read_viewer_files() -> dict[str, bytes]:
+    """Returns the content of each of ``NAMES``.
+
+    Raises:
+        ViewerGone: the library's program doesn't give them.
+    """
+    with subprocess.Popen(  # noqa: S603  the viewer that came with the library
+        [sys.executable, "-c", _END_WITH_PARENT, str(_PROGRAM), *_OPTIONS],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env=os.environ | _ENVIRONMENT,
+    ) as process:
+        overdue = threading.Timer(_TIMEOUT, process.kill)
+        overdue.daemon = True
+        overdue.start()
+        try:
+            port = _port(process)
+            return {name: _get(port, "" if name == INDEX else name) for name in NAMES}
+        except (OSError, HTTPException) as error:
+            raise ViewerGone(f"the viewer's page can't be had ({error})") from error
+        finally:
+            overdue.cancel()
+            process.kill()
+
+
+def _port(process: subprocess.Popen[bytes]) -> int:
+    """The port that it says it listens on; asking one that was free a moment ago could reach somebody else's server."""
+    said = b""
+    for line in process.stderr or ():
+        said = line
+        if address := _ADDRESS.search(line):
+            return int(address[1])
+    raise OSError(said.decode(errors="replace").strip() or "it didn't begin")
+
+
+def _get(port: int, name: str) -> bytes:
+    connection = HTTPConnection(HOST, port, timeout=_TIMEOUT)
+    try:
+        connection.request("GET", f"/{name}")
+        reply = connection.getresponse()
+        content = reply.read()
+        if reply.status != OK:
+            raise OSError(f"{name}: {reply.status} {reply.reason}")
+        return content
+    finally:
+        connection.close()

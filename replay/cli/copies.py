@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, TypeVar
 
-from recorder.mcap.output_file import open_output
+from recorder.mcap.sink import open_output
 from recorder.mcap.writer import MAGIC
 from replay.cli.console import print_message
 from replay.errors import ReplayError

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND
-from recorder.records.following import time_of
+from recorder.records.motion import time_of
 from replay.cli.arguments import add_step
 from replay.cli.console import print_message, print_result
 from replay.compare.states import NOTABLE_METRES

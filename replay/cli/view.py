@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Task
-from recorder.records.projections import recording_name
+from recorder.records.text import recording_name
 from replay.cli.console import native_output_to_stderr, print_json, print_message, print_result, print_text
 from replay.errors import ReplayError
 from replay.history.steps import HINT

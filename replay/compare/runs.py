@@ -19,7 +19,7 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Fluent, Mutation, Query, Refusal, Run, Task, without_addresses
-from recorder.records.choices import is_choice
+from recorder.records.text import is_choice
 from replay.compare import states
 from replay.compare.states import Difference, difference
 from replay.history.summary import Summary, summary

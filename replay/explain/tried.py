@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query, argument_values
-from recorder.records.places import fates_text
-from recorder.records.projections import foreseen
+from recorder.records.text import fates_text, foreseen
 from replay.report import phrases
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Failure, Query, argument_values
-from recorder.records.choices import is_choice
+from recorder.records.text import is_choice
 from replay.compare.states import difference
 from replay.errors import NoSuchStep
 from replay.explain.causes import find

@@ -7,9 +7,7 @@ import shlex
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Failure, Query, format_failure
-from recorder.records.choices import chosen_name, decision_text, rejection_lines
-from recorder.records.places import fates_text
-from recorder.records.projections import foreseen
+from recorder.records.text import chosen_name, decision_text, fates_text, foreseen, rejection_lines
 from replay.compare import states
 from replay.explain.causes.cause import Cause
 from replay.explain.causes.waiting import Interruption

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Output, Query, Task
-from recorder.records.choices import is_choice
+from recorder.records.text import is_choice
 from recorder.tasks import Tree
 from replay.errors import Damaged
 from replay.history.failures import root_cause, uncaught_failure

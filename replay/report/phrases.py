@@ -10,10 +10,8 @@ from itertools import takewhile
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final
 
-from recorder.collision_pairs import pair_text
 from recorder.records import STEPS_PER_SECOND, Event, Query, Refusal, Task, argument_values, format_failure, from_json
-from recorder.records.choices import is_choice, rejection_lines, rejections
-from recorder.records.text import text_of
+from recorder.records.text import is_choice, pair_text, rejection_lines, rejections, text_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -95,7 +93,7 @@ def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
     if kind == "timeout":
-        from recorder.tasks.tree_text import timeout_text  # noqa: PLC0415  most verbs show no tasks
+        from recorder.tasks.rendering import timeout_text  # noqa: PLC0415  most verbs show no tasks
 
         return timeout_text(name, parameters.get("clock"))
     called = name if kind == "process-module" else call(name, parameters)

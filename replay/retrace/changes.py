@@ -34,7 +34,7 @@ from pycram.world.object import Object
 from recorder import records
 from recorder.records import Change, Mutation, Query, from_json
 from recorder.tracing import interrupts, journal
-from recorder.tracing.process_identity import process
+from recorder.tracing.forking import process
 from replay.errors import NoSuchName, ReplayError
 from replay.report.question import BadQuestion, Name, Question, parse
 from replay.state.fold import state_at

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from recorder.records import Change, Query, Run
-from recorder.secrets import LEFT_OUT
+from recorder.records.values import LEFT_OUT
 from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
 from replay.retrace.changes import BadChange, parse_answer, seed_change, settings as settings_of, text_of

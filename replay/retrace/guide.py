@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
 
     from recorder.records import Plain, Record
-    from recorder.records.asset import AssetFile
+    from recorder.records.values import AssetFile
     from recorder.tracing.journal import Sink
     from replay.file.record_reader import RecordReader
 

@@ -29,8 +29,8 @@ from recorder.mcap.sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
 from recorder.records import Change, Run, escaped, format_error
+from recorder.tracing.forking import process
 from recorder.tracing.journal import NullSink
-from recorder.tracing.process_identity import process
 from replay.file.record_reader import RecordReader
 from replay.retrace.changes import BadChange, PendingChanges, QueryAnswers, parse_setting, text_of
 from replay.retrace.guide import Guidance, Guide, GuidedSink

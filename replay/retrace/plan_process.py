@@ -20,7 +20,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 from recorder.packages import other_versions
 from recorder.provenance import pycram_revision
 from recorder.records import Mutation, Output, Run, Task
-from recorder.secrets import LEFT_OUT
+from recorder.records.values import LEFT_OUT
 from replay.errors import ReplayError
 from replay.history.source import name_of
 from replay.retrace.guide import FirstDifference, Guidance

@@ -10,8 +10,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from recorder.collision_pairs import pair_text
 from recorder.records import argument_values
+from recorder.records.text import pair_text
 
 if TYPE_CHECKING:
     from recorder.records import Failure

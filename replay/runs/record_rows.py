@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import pyarrow as pa
 
 from recorder.records import STEPS_PER_SECOND, Event, Fluent, Keyframe, Mutation, Query, Refusal, Run, Task
-from recorder.records.choices import chosen_name
-from recorder.records.text import mutation_text
+from recorder.records.text import chosen_name, mutation_text
 from replay.errors import Damaged
 from replay.history.failures import INTERRUPT, root_cause, uncaught_failure
 from replay.runs.cells import json_of, label, parameters, source

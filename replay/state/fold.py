@@ -20,7 +20,7 @@ from recorder.records import (
     argument_values,
     beliefs,
 )
-from recorder.records.following import has_ended
+from recorder.records.motion import has_ended
 from replay.errors import Damaged
 from replay.file.lifetimes import closes_world
 from replay.file.repair import range_text

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
-from recorder.records.following import BASE_COORDINATES, has_ended, time_of
+from recorder.records.motion import BASE_COORDINATES, has_ended, time_of
 from replay.errors import Damaged
 from replay.state.fold import apply
 

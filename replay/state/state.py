@@ -236,7 +236,7 @@ class State:
         if not link:
             return body.pose
         from recorder import geometry  # noqa: PLC0415  these need numpy, which reading mostly doesn't
-        from recorder.geometry.joints import UrdfError  # noqa: PLC0415
+        from recorder.geometry.urdf import UrdfError  # noqa: PLC0415
 
         model = self.urdf(body)
         try:

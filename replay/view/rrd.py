@@ -24,14 +24,12 @@ from rerun.experimental import ViewerClient
 
 import recorder.viewer
 from recorder.errors import RecordingError
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from recorder.user_folders import cache_folder, is_own
-from recorder.viewer.active_worlds import acts
-from recorder.viewer.address import PORT, Kind, Target, ViewerGone, address, answers
 from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
+from recorder.viewer.connection import END_TIMEOUT, PORT, Kind, Target, ViewerGone, ViewerWindow, address, answers
 from recorder.viewer.rerun_stream import stream_to_file
-from recorder.viewer.translator import Translator
-from recorder.viewer.viewer_window import END_TIMEOUT, ViewerWindow
+from recorder.viewer.translator import Translator, acts
 from replay.errors import Damaged, ReplayError
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ import pytest
 import rerun_cli
 
 import recorder
-from recorder.viewer.address import address, answers
+from recorder.viewer.connection import address, answers
 from replay.cli.main import main
 from tests.benchmarks.test_reading import write
 from tests.benchmarks.timing import amount, goal

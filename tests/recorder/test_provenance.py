@@ -15,7 +15,7 @@ import recorder
 import replay
 from recorder import provenance
 from recorder.records import Run, Task
-from recorder.secrets import LEFT_OUT, is_secret, without_secrets
+from recorder.records.values import LEFT_OUT, is_secret, without_secrets
 from recorder.tracing.span import span
 from replay.cli.main import main
 

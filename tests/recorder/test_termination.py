@@ -186,7 +186,7 @@ def interrupted(file: Path, ended: list[BaseException]) -> None:
 @pytest.mark.slow
 def test_a_second_ctrl_c_while_the_recording_is_closed_changes_nothing(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
-    closing = modules("recorder/mcap/writer.py", "recorder/mcap/output_file.py", "recorder/tracing/journal.py")
+    closing = modules("recorder/mcap/writer.py", "recorder/mcap/sink.py", "recorder/tracing/journal.py")
     lines = reached_lines(partial(interrupted, file, []), closing)
     for line in range(lines - 60, lines, 3):  # the last ones are run while it is closed
         ended: list[BaseException] = []

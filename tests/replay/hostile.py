@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 import replay
 from recorder.mcap.writer import McapWriter
 from recorder.records import TOPICS, Asset
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from tests.replay.copies import container_records
 
 if TYPE_CHECKING:

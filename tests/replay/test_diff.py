@@ -16,7 +16,7 @@ from pycram.language import par
 from pycram.process_module import ProcessModule
 from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Query, Task
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.compare.runs import compare

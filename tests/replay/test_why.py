@@ -17,7 +17,7 @@ from pycram.failures import PlanFailure
 from pycram.language import par
 from pycram.running import RunSpec, run
 from recorder.records import Query, Run
-from recorder.records.choices import is_choice
+from recorder.records.text import is_choice
 from recorder.tracing.span import span
 from replay.cli.main import main
 

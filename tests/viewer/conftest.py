@@ -36,7 +36,7 @@ from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 from rerun.experimental import ViewerClient
 
-from recorder.viewer.address import address, answers
+from recorder.viewer.connection import address, answers
 from tests import needs
 
 if TYPE_CHECKING:

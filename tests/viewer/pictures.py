@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 import replay
-from recorder.viewer.address import free_port
+from recorder.viewer.connection import free_port
 from replay.cli.main import main
 from replay.view.rrd import convert
 from tests.viewer.conftest import Headless, wait_until

@@ -20,8 +20,8 @@ import pytest
 
 import recorder
 import replay
-from recorder.viewer import live_sink
-from recorder.viewer.address import Kind, Target, free_port
+from recorder.viewer import live
+from recorder.viewer.connection import Kind, Target, free_port
 from replay.restore.verify import verify
 from replay.view.rrd import convert
 from tests.viewer.conftest import processes, rows_of, wait_until
@@ -56,21 +56,21 @@ Path("begun").touch()
 
 
 HURRY = """
-from recorder.viewer import live_sink
-live_sink._START_TIMEOUTS = dict.fromkeys(live_sink.Kind, 0.0)
-live_sink._END_TIMEOUT = 0.0
+from recorder.viewer import live
+live._START_TIMEOUTS = dict.fromkeys(live.Kind, 0.0)
+live._END_TIMEOUT = 0.0
 """
 
 
 PATIENT = """
-from recorder.viewer import live_sink
-live_sink._START_TIMEOUTS = dict.fromkeys(live_sink.Kind, 60.0)
-live_sink._HAND_OVER_TIMEOUT = 60.0
+from recorder.viewer import live
+live._START_TIMEOUTS = dict.fromkeys(live.Kind, 60.0)
+live._HAND_OVER_TIMEOUT = 60.0
 """
 
 BRIEF = """
-from recorder.viewer import live_sink
-live_sink._LINGER_TIMEOUT = 3.0
+from recorder.viewer import live
+live._LINGER_TIMEOUT = 3.0
 """
 
 
@@ -95,7 +95,7 @@ with execution_environment("continuous"):
 
 
 FEW = """
-live_sink.LiveQueue.__init__.__defaults__ = (1_000, 128 << 20)
+live.LiveQueue.__init__.__defaults__ = (1_000, 128 << 20)
 """
 
 
@@ -116,7 +116,7 @@ class Ended:
     def check(self) -> int:
         """The plan has succeeded, its recording is complete, nothing of it runs any more; the number of records."""
         assert self.code == 0, self.err
-        wait_until(lambda: not marked(self.mark), "no process is left", live_sink._LINGER_TIMEOUT + 10)
+        wait_until(lambda: not marked(self.mark), "no process is left", live._LINGER_TIMEOUT + 10)
         with replay.open(self.log) as log:
             assert log.complete
             verification = verify(log)
@@ -238,7 +238,7 @@ def test_a_plan_runs_without_a_viewer(plan: Callable[..., Plan], port: int) -> N
 def test_a_short_plan_waits_only_until_no_viewer_answers(
     tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live_sink, "_END_TIMEOUT", 90.0)
+    monkeypatch.setattr(live, "_END_TIMEOUT", 90.0)
     begun = time.monotonic()
     with recorder.record(tmp_path / "log.mcap", live=f"connect:rerun+http://127.0.0.1:{port}/proxy"):
         pass

@@ -22,11 +22,11 @@ from recorder.records import (
     Simulate,
     Task,
 )
-from recorder.records.asset import AssetFile
-from recorder.viewer.live_queue import LiveQueue, is_transient
+from recorder.records.values import AssetFile
+from recorder.viewer.live import LiveQueue, is_transient
 
 if TYPE_CHECKING:
-    from recorder.viewer.live_queue import Item
+    from recorder.viewer.live import Item
 
 ALL = 1_000_000
 

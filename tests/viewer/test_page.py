@@ -19,10 +19,9 @@ import numpy as np
 import psutil
 import pytest
 
-from recorder.viewer import address, viewer_files, viewer_window
-from recorder.viewer.address import PORT
-from recorder.viewer.page_server import PageServer
-from recorder.viewer.web_page import private_link
+from recorder.viewer import connection, web_page
+from recorder.viewer.connection import PORT
+from recorder.viewer.web_page import PageServer, private_link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -200,7 +199,7 @@ def test_it_listens_on_the_loopback_alone(server: PageServer, place: str) -> Non
 #: beside it, which asks for both.
 MACHINE = """
 import socket, subprocess, sys
-from recorder.viewer.page_server import PageServer
+from recorder.viewer.web_page import PageServer
 
 ip = lambda *words: subprocess.run(["ip", *words], check=True)
 with subprocess.Popen(
@@ -250,27 +249,27 @@ def listening_to(user: int, port: int) -> str:
 def test_a_port_is_told_from_another_user_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as ours, socket.create_server(("", 0)) as everywhere:
         for listener in (ours, everywhere):
-            assert address.is_own(listener.getsockname()[1])
+            assert connection.is_own(listener.getsockname()[1])
         port = ours.getsockname()[1]
-    assert not address.is_own(port), "nobody listens any more"
+    assert not connection.is_own(port), "nobody listens any more"
     monkeypatch.setattr(address, "_SOCKETS", tmp_path / "tcp")
     for user, own in ((os.getuid(), True), (os.getuid() + 1, False)):
         (tmp_path / "tcp").write_text(listening_to(user, 9876))
-        assert address.is_own(9876) == own
+        assert connection.is_own(9876) == own
 
 
 def test_another_user_s_viewer_gets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """It answers at the usual port; a viewer of this user's is started at another."""
     started: list[int] = []
-    monkeypatch.setattr(viewer_window, "answers", lambda _: True)
-    monkeypatch.setattr(viewer_window, "is_own", lambda _: False)
-    monkeypatch.setattr(viewer_window.ViewerWindow, "_start", lambda _, port: started.append(port))
+    monkeypatch.setattr(connection, "answers", lambda _: True)
+    monkeypatch.setattr(connection, "is_own", lambda _: False)
+    monkeypatch.setattr(connection.ViewerWindow, "_start", lambda _, port: started.append(port))
     with socket.socket() as theirs:
         theirs.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         with contextlib.suppress(OSError):  # somebody's viewer is open
             theirs.bind(("127.0.0.1", PORT))
             theirs.listen()
-        viewer_window.ViewerWindow()._stderr.close()
+        connection.ViewerWindow()._stderr.close()
     assert started
     assert PORT not in started
 
@@ -303,6 +302,6 @@ def test_the_browser_is_called_with_a_file_that_only_its_user_can_read() -> None
 
 @pytest.mark.slow
 def test_a_library_whose_program_fails_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viewer_files, "_OPTIONS", ("--no-such-option",))
-    with pytest.raises(viewer_files.ViewerGone, match=r"can't be had \(.+\)"):
-        viewer_files.read_viewer_files()
+    monkeypatch.setattr(web_page, "_OPTIONS", ("--no-such-option",))
+    with pytest.raises(web_page.ViewerGone, match=r"can't be had \(.+\)"):
+        web_page.read_viewer_files()

@@ -13,7 +13,7 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import STEPS_PER_SECOND, Mutation
-from recorder.viewer.colors import BLUE, GREY
+from recorder.viewer.rerun_stream import BLUE, GREY
 from tests.smooth_motions import drive, smooth, to
 from tests.viewer.shown import Shown, view
 

@@ -10,7 +10,7 @@ import pytest
 
 from recorder.records import Argument, Candidate, Grid, Query, Spot, Task, to_json
 from recorder.records.text import text_of
-from recorder.viewer.colors import BLUE, GREEN, GREY, RED
+from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED
 from replay.cli.main import main
 from tests.viewer.shown import Shown
 from tests.viewer.test_conversion import write

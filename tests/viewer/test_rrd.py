@@ -16,7 +16,7 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Task
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from replay.cli.main import main
 from replay.errors import ReplayError
 from tests.viewer.shown import Shown, in_front, small, view

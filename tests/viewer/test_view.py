@@ -25,7 +25,7 @@ from pycram.process_module import ProcessModule
 from recorder import geometry
 from recorder.records import Argument, Mutation, Query, Task, to_json
 from recorder.tracing.span import Span
-from recorder.viewer import query_page
+from recorder.viewer import queries
 from replay.cli.main import main
 from tests.viewer.conftest import rows_of
 from tests.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, correlation, golden, robot_pixels, structure
@@ -346,7 +346,7 @@ def test_a_stranger_s_query_names_no_picture_that_the_viewer_would_fetch() -> No
         "![seen](http://127.0.0.1:9/x.png) \\<img src='http://127.0.0.1:9/y.png'> ![1]\n[1]: http://127.0.0.1:9/z"
     )
     evidence = [Argument(name=fetching, json=to_json(fetching))]
-    page = query_page._page(Query(name=fetching, world=fetching, answer_json=to_json(fetching), evidence=evidence))
+    page = queries._page(Query(name=fetching, world=fetching, answer_json=to_json(fetching), evidence=evidence))
     assert page.count("127.0.0.1:9/x.png") == 5
     assert not re.search(r"(?<!\\)(\\\\)*(!\[|\]\(|\]\[|<)", page)
     assert not re.search(r"^\[1\]:", page, re.MULTILINE)

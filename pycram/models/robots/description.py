@@ -20,7 +20,7 @@ from pycram.models.robots.gripper import Gripper
 from pycram.models.robots.limits import MotionLimits, read_limits
 from pycram.models.robots.sensors import CameraDescription, Head, read_camera, read_head
 from pycram.models.warming import notable
-from recorder.geometry.joints import UrdfError
+from recorder.geometry.urdf import UrdfError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

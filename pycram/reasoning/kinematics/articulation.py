@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from pycram.physics.body import Body
     from pycram.physics.engine import Engine
-    from recorder.geometry.joints import Joint
+    from recorder.geometry.urdf import Joint
 
     Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
-from recorder.geometry.shapes import read_shapes
+from recorder.geometry.urdf import read_shapes
 from recorder.records import Mutation, Plain, Query, Refusal, Task, argument_values, format_failure
 from recorder.tasks import Node, State
 from replay.errors import Damaged, NoSuchName

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records.choices import rejection_lines
+from recorder.records.text import rejection_lines
 from replay.explain.causes.case import FailureCase, joints_of
 from replay.explain.causes.cause import Cause, CausingChange, since
 from replay.explain.causes.lacked import Swallowed

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Fluent, Query, Refusal, Task, from_json
-from recorder.records.choices import is_choice
+from recorder.records.text import is_choice
 from replay.explain.causes.cause import Cause
 from replay.report import phrases
 

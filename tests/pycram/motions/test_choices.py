@@ -14,7 +14,7 @@ from pycram.process_module import ProcessModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Rejection, Unfit
 from recorder.records import Mutation, Query, Task, argument_values
-from recorder.records.choices import chosen_name, is_choice, rejection_lines
+from recorder.records.text import chosen_name, is_choice, rejection_lines
 
 if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld

@@ -13,7 +13,7 @@ from pycram.failures import PlanFailure
 from pycram.language import par
 from pycram.process_module import NoProcessModule, ProcessModule, execution_environment, register
 from recorder.records import Query, Refusal, Task, argument_values
-from recorder.records.choices import decision_text
+from recorder.records.text import decision_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -13,7 +13,7 @@ from pycram.failures import InCollision, NoPath, NotDrivable
 from pycram.planning import base_motion, path
 from pycram.world.snapshot import take_snapshot
 from recorder import geometry, records
-from recorder.records.choices import rejections
+from recorder.records.text import rejections
 from tests.pycram.motions.placing_scenes import box
 from tests.pycram.planning.random_queries import deepest
 

@@ -19,7 +19,7 @@ from pycram.reasoning.kinematics import solver
 from pycram.scheduling.schedule import seed_order
 from pycram.world.snapshot import take_snapshot
 from recorder import geometry, records
-from recorder.records.choices import rejections
+from recorder.records.text import rejections
 from tests.pycram.motions.placing_scenes import box
 from tests.pycram.planning.conftest import LEFT, RIGHT
 from tests.pycram.planning.random_queries import deepest

@@ -15,9 +15,8 @@ from pycram.failures import BadArgument, NoPlace, UnknownName
 from pycram.reasoning.places import free_places
 from recorder import geometry
 from recorder.records import Query
-from recorder.records.choices import rejections
-from recorder.records.grids import scores_of, spots_of
-from recorder.records.text import text_of
+from recorder.records.text import rejections, text_of
+from recorder.viewer.queries import scores_of, spots_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -23,8 +23,8 @@ from pycram.reasoning.places import Pull, free_places, reaching, standing_places
 from pycram.world.snapshot import take_snapshot
 from recorder import geometry
 from recorder.records import Query, argument_values
-from recorder.records.choices import rejections
-from recorder.records.grids import scores_of
+from recorder.records.text import rejections
+from recorder.viewer.queries import scores_of
 
 if TYPE_CHECKING:
     from recorder.geometry import Pose

@@ -11,7 +11,7 @@ import pytest
 from pycram import tasks
 from pycram.failures import Unreachable
 from pycram.language import in_thread, par, pursue
-from recorder.tracing.branch_identity import current_name
+from recorder.tracing.context import current_name
 from recorder.tracing.span import span
 from tests.pycram.language.gates import C, F, Gate, S, fails
 

@@ -27,7 +27,7 @@ from pycram.scheduling.cancellation import checkpoint, wait
 from pycram.scheduling.locks import LockHeld
 from pycram.scheduling.schedule import Condition
 from recorder.records import Event, Mutation, Task
-from recorder.tracing import journal, stack_room
+from recorder.tracing import context, journal
 from tests.conftest import MemorySink
 from tests.pycram.language.gates import Gate, Meeting, fails, succeeds
 
@@ -355,13 +355,13 @@ def test_each_thread_has_branches_of_its_own() -> None:
 
 
 def test_a_branch_has_no_more_room_on_the_stack_than_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stack_room, "_outside", 0)
+    monkeypatch.setattr(context, "_outside", 0)
 
     def recursive(left: int) -> None:
         if left:
             recursive(left - 1)
         else:
-            par(lambda: stack_room.require(220))
+            par(lambda: context.require_stack_room(220))
 
     recursive(20)
     with pytest.raises(RecursionError):

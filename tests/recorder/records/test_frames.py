@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given, strategies as st
 
 from recorder.records import Effect, LoadBody, Mutation
-from recorder.records.frames import ROOT, Frame, FrameTree, frame_name
+from recorder.records.motion import ROOT, Frame, FrameTree, frame_name
 
 MODEL = b"""<robot name="arm"><link name="base"/><link name="a/b"/><link name="world"/>
 <joint name="hinge" type="continuous"><parent link="base"/><child link="a/b"/><axis xyz="0 0 1"/></joint>

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from recorder.records import Grid, Spot
-from recorder.records.grids import MAX_CELLS, scores_of, spots_of
+from recorder.viewer.queries import MAX_CELLS, scores_of, spots_of
 
 
 def made(**other: object) -> Grid:

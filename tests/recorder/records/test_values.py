@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import JointLimitError
 from recorder.records import arguments, failure, to_json
-from recorder.records.traceback_text import MAX_FRAMES
+from recorder.records.tracebacks import MAX_FRAMES
 from recorder.records.values import MAX_CHARACTERS
 
 scalars = st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False)

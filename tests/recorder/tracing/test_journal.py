@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from recorder.records import Record
-    from recorder.records.asset import AssetFile
+    from recorder.records.values import AssetFile
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import par
 from recorder.records import Run, Task
-from recorder.tracing.local_variables import MAX_CHARACTERS, MAX_FRAMES, MAX_VARIABLES, described
+from recorder.tracing.call_stack import MAX_CHARACTERS, MAX_FRAMES, MAX_VARIABLES, described
 from recorder.tracing.span import span
 from replay.cli.main import main
 

@@ -26,7 +26,7 @@ from replay.restore.verify import verify
 
 if TYPE_CHECKING:
     from recorder.records import Record
-    from recorder.records.asset import AssetFile
+    from recorder.records.values import AssetFile
 
 
 @pytest.fixture

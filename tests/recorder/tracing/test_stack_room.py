@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 from greenlet import greenlet
 
-from recorder.tracing import stack_room
-from recorder.tracing.stack_room import require
+from recorder.tracing import context
+from recorder.tracing.context import require_stack_room
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,7 +22,7 @@ def calls(number: int, function: Callable[[], object]) -> object:
 
 def succeeds_at(depth: int) -> bool:
     try:
-        calls(depth, lambda: require(100))
+        calls(depth, lambda: require_stack_room(100))
     except RecursionError:
         return False
     return True
@@ -49,11 +49,11 @@ def test_what_is_granted_is_there() -> None:
 
 
 def test_a_greenlet_has_no_more_room_than_where_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stack_room, "_outside", 0)
+    monkeypatch.setattr(context, "_outside", 0)
 
     def begin() -> object:
-        stack_room.greenlets_begin()
-        return greenlet(lambda: require(100)).switch()
+        context.greenlets_begin()
+        return greenlet(lambda: require_stack_room(100)).switch()
 
     calls(20, begin)
     with pytest.raises(RecursionError):
@@ -62,5 +62,5 @@ def test_a_greenlet_has_no_more_room_than_where_it_begins(monkeypatch: pytest.Mo
 
 def test_the_frames_that_were_tried_are_not_in_the_traceback() -> None:
     with pytest.raises(RecursionError) as raised:
-        calls(sys.getrecursionlimit() - 120, lambda: require(100))
+        calls(sys.getrecursionlimit() - 120, lambda: require_stack_room(100))
     assert traceback.extract_tb(raised.value.__traceback__)[-1].name == "require"

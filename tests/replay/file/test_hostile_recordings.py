@@ -29,7 +29,7 @@ from recorder.mcap.writer import FREE, MAX_RATIO, McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, BodyState, Grid, Keyframe, Mutation, Picture, Query, Run, Task
 from recorder.records.values import MAX_CHARACTERS, MAX_DIGITS, MAX_NESTING
-from recorder.viewer.query_picture import MAX_PIXELS
+from recorder.viewer.queries import MAX_PIXELS
 from replay.cli.main import main
 from replay.file.chunks import MAX_STEP
 from replay.file.mcap_format import MAX_INFLATED, MAX_PARTS

@@ -15,7 +15,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.world import current
 from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Keyframe, Mutation, Query, Task
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from replay.cli.main import main
 from tests.measures import seeded
 

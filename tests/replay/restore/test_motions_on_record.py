@@ -15,7 +15,7 @@ from pycram.language import par, pursue
 from pycram.world import transaction
 from pycram.world.snapshot import take_snapshot
 from recorder.records import Following, Keyframe, Mutation
-from recorder.records.following import time_of
+from recorder.records.motion import time_of
 from replay.errors import Damaged
 from replay.recording import Recording
 from replay.restore.verify import verify

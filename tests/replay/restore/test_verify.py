@@ -19,7 +19,7 @@ from pycram.language import par
 from recorder.mcap import sink
 from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Keyframe, Mutation, Record, Task
-from recorder.records.asset import AssetFile
+from recorder.records.values import AssetFile
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.restore.verify import verify

@@ -11,7 +11,7 @@ import pytest
 from pycram.failures import PlanFailure
 from pycram.language import par, seq
 from recorder.records import Task
-from recorder.records.traceback_text import MAX_ERRORS, format_traceback
+from recorder.records.tracebacks import MAX_ERRORS, format_traceback
 
 if TYPE_CHECKING:
     from collections.abc import Callable

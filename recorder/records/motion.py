@@ -7,6 +7,8 @@ simulation can be watched although it is one record.
 
 This runs for every change while a plan runs. So lists of records are copied (``[:]``) for iteration: protobuf's own
 iterators take three times as long.
+
+How far a body has got on a trajectory that it follows: known from simulated steps alone, without physics.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from recorder.geometry import Pose
-    from recorder.geometry.joints import Joint
-    from recorder.records import BodyState, Record
+    from recorder.geometry.urdf import Joint
+    from recorder.records import BodyState, Following, Record
+
 
 ROOT: Final = "world"
 _FIRST_WORLD: Final = "world_1"
@@ -182,3 +185,27 @@ def _message(sim_step: int, frames: Iterable[tuple[Frame, Pose]]) -> FrameTransf
         position, orientation = transform.translation, transform.rotation
         (position.x, position.y, position.z), (orientation.x, orientation.y, orientation.z, orientation.w) = pose
     return message
+
+
+BASE_COORDINATES: Final = ("x", "y", "yaw")
+"""Of the trajectory of a base: m, m and rad in the world frame."""
+
+STOPPING_STEPS: Final = 36
+"""In which a stopped trajectory slows down, 0.15 s; recordings are executed again with it, so it never changes."""
+
+
+def time_of(following: Following, sim_step: int) -> float:
+    """Return the trajectory's own time in s at a simulated step; it slows down evenly when it is stopped."""
+    if not following.stopped or sim_step <= following.stopped:
+        return (sim_step - following.began) / STEPS_PER_SECOND
+    slowing = min(sim_step - following.stopped, STOPPING_STEPS)
+    driven = following.stopped - following.began + slowing - slowing * slowing / (2 * STOPPING_STEPS)
+    return driven / STEPS_PER_SECOND
+
+
+def has_ended(following: Following, sim_step: int) -> bool:
+    """Return whether a trajectory has come to its end by a simulated step, or stands since it was stopped."""
+    if following.stopped and sim_step >= following.stopped + STOPPING_STEPS:
+        return True
+    times = following.begin.trajectory.times
+    return bool(times) and sim_step > following.began and time_of(following, sim_step) >= times[-1]

@@ -1,13 +1,23 @@
-"""The typed records as columns of tables, one entity for each type."""
+"""The log: a line for each record, with its level. Each kind of record has an entity, so that kinds can be hidden.
+
+Lines begin with the step, which is what people type: the viewer's own column of times has room for two digits, and
+shows another time line when one is chosen.
+
+The typed records as columns of tables, one entity for each type.
+
+Curves over time: the heights of bodies, and the joints of robots and furniture.
+"""
 
 from __future__ import annotations
 
 from functools import partial
+from itertools import chain
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, get_args
 
 import pyarrow as pa
 import rerun as rr
+from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import (
     TOPICS,
@@ -22,7 +32,8 @@ from recorder.records import (
     Task,
     format_failure,
 )
-from recorder.records.text import by_name, values
+from recorder.records.text import by_name, has_line, values
+from recorder.viewer.rerun_stream import RED, YELLOW
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +41,39 @@ if TYPE_CHECKING:
     from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
 
     from recorder.records import Record
-    from recorder.viewer.columns import Columns, TimePoint
+    from recorder.records.motion import BodyMotion
+    from recorder.viewer.rerun_stream import Columns, Series, TimePoint
+    from recorder.viewer.scene import SceneBody
+
+
+LOG: Final = "log"
+_COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # of lines; the viewer's own are of the level alone, and dark
+_LEVELS: Final = {Log.DEBUG: "DEBUG", Log.INFO: "INFO", Log.WARNING: "WARN", Log.ERROR: "ERROR"}
+
+
+def numbered(text: str, now: TimePoint) -> str:
+    """A text with its step before it."""
+    return f"#{now.step} {text}"
+
+
+class LogLines:
+    """The lines of all records."""
+
+    def __init__(self, columns: Columns) -> None:
+        self._lines = {kind: columns.series(columns.path(LOG, topic[1:]), _lines) for kind, topic in TOPICS.items()}
+
+    def show(self, record: Record, text: str, level: Log.Level.ValueType, now: TimePoint) -> None:
+        """Adds a record's line, if it has one."""
+        if has_line(record):
+            self._lines[type(record)].add(now, (numbered(text, now), _LEVELS[level]))
+
+
+def _lines(rows: Sequence[tuple[Any, ...]]) -> list[rr.ComponentColumn]:
+    text, levels = zip(*rows, strict=True)
+    colors = [_COLORS.get(level, []) for level in levels]
+    colored = rr.TextLog.columns(color=[*chain.from_iterable(colors)]).partition([*map(len, colors)])
+    return [*rr.TextLog.columns(text=pa.array(text), level=pa.array(levels)), *colored]
+
 
 RECORDS: Final = "records"
 
@@ -134,3 +177,44 @@ def _rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentCo
     names = (*_COMMON, *_COLUMNS[kind], *(("source",) if kind in _SOURCED else ()))
     components = {name: pa.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
     return rr.DynamicArchetype.columns(archetype=f"pycram.{kind.__name__}", components=components)
+
+
+HEIGHTS: Final = "heights"
+JOINTS: Final = "joints"
+_STEPS: Final = rr.components.InterpolationMode.StepAfter  # a value holds until the next record
+
+
+class Plots:
+    """A curve for each body's height (m) and for each joint (rad or m) that ever changes."""
+
+    def __init__(self, columns: Columns) -> None:
+        self._columns = columns
+        self._last: dict[tuple[str, str, str], tuple[TimePoint, float]] = {}
+        self._series: dict[tuple[str, str, str], Series] = {}
+
+    def show(self, world: str, body: SceneBody, motion: BodyMotion, now: TimePoint) -> None:
+        """Adds the values that a motion changed; the body is at its end already."""
+        for joint, value in motion.joints.items():
+            self._add((world, motion.body, joint), value, now)
+        if not body.loaded.fixed_base:
+            self._add((world, motion.body, ""), body.pose[0][2], now)
+
+    def _add(self, key: tuple[str, str, str], value: float, now: TimePoint) -> None:
+        last = self._last.get(key)
+        if last is not None and last[1] == value:
+            return
+        self._last[key] = (now, value)
+        if last is None:  # a curve begins with the first change
+            return
+        series = self._series.get(key)
+        if series is None:
+            world, body, joint = key
+            path = self._columns.path("plots", *((JOINTS, world, body, joint) if joint else (HEIGHTS, world, body)))
+            self._columns.send_static(path, rr.SeriesLines(interpolation_mode=_STEPS))
+            series = self._series[key] = self._columns.series(path, _scalars)
+            series.add(last[0], (last[1],))
+        series.add(now, (value,))
+
+
+def _scalars(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    return rr.Scalars.columns(scalars=[value for (value,) in rows])

@@ -1,0 +1,254 @@
+"""The last reasoning query as a page: what was asked, the answer and its evidence.
+
+What the camera of the last reasoning query saw, as an image whose pixels name bodies.
+
+The places that the last query for some considered: a coloured map on the floor, and what became of each sample.
+
+Where a place may do, a cell is coloured: blue where hardly, green where well. What was taken is a green point with its
+heading, what won't do a red one that says why, what nobody looked at a grey one.
+
+Maps of places on record, read with care: they may be a stranger's.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import math
+import re
+import zlib
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from recorder.records import format_failure
+from recorder.records.text import NOT_TRIED, TAKEN, by_name, fates, fates_text, rejection_lines, values
+from recorder.viewer.marks import Marks
+from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from recorder.records import Query
+    from recorder.records.log_pb2 import Grid
+    from recorder.viewer.rerun_stream import Columns, TimePoint
+    from recorder.viewer.scene import Scene
+
+
+QUERIES: Final = "queries"
+PAGE: Final = "page"
+_ACTIVE: Final = re.compile(r"\\|(?<=!)\[|(?<=\])[\[(]|<")
+
+
+class QueryPage:
+    """Page of the last query."""
+
+    def __init__(self, columns: Columns) -> None:
+        self._pages = columns.series(columns.path(QUERIES, PAGE), _pages)
+
+    def show(self, record: Query, now: TimePoint) -> None:
+        """Shows a query."""
+        self._pages.add(now, (_page(record),))
+
+
+def _pages(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    text = pa.array([text for (text,) in rows])
+    return rr.TextDocument.columns(text=text, media_type=pa.repeat("text/markdown", len(rows)))
+
+
+def _page(record: Query) -> str:
+    raised = f"raised {format_failure(record.failure)}" if record.HasField("failure") else ""
+    lines = [
+        _text(f"## {record.name}({values(record.arguments)})"),
+        _text(f"**{raised or by_name(record.answer_json)}**"),
+        "",
+        _text(f"asked at step {record.seq} of {record.world}, took {record.duration_ns / 1e6:.1f} ms"),
+        "",
+        "| evidence | |",
+        "|---|---|",
+        *[f"| {_cell(fact.name)} | {_cell(by_name(fact.json))} |" for fact in record.evidence[:]],
+        *[f"| rejected | {_cell(line)} |" for line in rejection_lines(record)],
+    ]
+    return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    return _text(text).replace("|", "\\|")
+
+
+def _text(line: str) -> str:
+    """A line of a stranger's recording: viewers would fetch the pictures that Markdown names from wherever they are."""
+    return _ACTIVE.sub(r"\\\g<0>", " ".join(line.splitlines()))
+
+
+PICTURE: Final = "picture"
+_MAX_CLASSES: Final = 60_000  # the viewer's classes are 16 bits
+MAX_PIXELS: Final = 1 << 24  # of a picture; robots' cameras have a tenth of it
+_GOLDEN_RATIO: Final = 0.618034  # steps of hue that keep neighbours apart
+
+
+class QueryPicture:
+    """Picture of the last query that has one."""
+
+    def __init__(self, columns: Columns) -> None:
+        self._columns = columns
+        self._path = columns.path(QUERIES, PICTURE)
+        self._classes: dict[str, int] = {}  # by body; the same in all pictures
+
+    def show(self, record: Query, now: TimePoint) -> None:
+        """Shows a query's picture."""
+        if not record.HasField("picture"):
+            return
+        picture = record.picture
+        classes = [0, *(self._class(body) for body in picture.bodies)]
+        size = picture.width * picture.height
+        if not 0 < size <= MAX_PIXELS:
+            raise ValueError(f"a picture of {picture.width} x {picture.height} pixels")
+        pixels = np.frombuffer(zlib.decompressobj().decompress(picture.pixels, size), dtype=np.uint8)
+        image = np.array(classes, dtype=np.uint16)[pixels].reshape(picture.height, picture.width)
+        self._columns.send(self._path, now, rr.SegmentationImage(image))
+
+    def _class(self, body: str) -> int:
+        number = self._classes.get(body)
+        if number is None:
+            number = self._classes[body] = min(len(self._classes) + 1, _MAX_CLASSES)
+            classes = [
+                rr.AnnotationInfo(id=id_, label=name, color=_class_color(id_)) for name, id_ in self._classes.items()
+            ]
+            context = rr.AnnotationContext([(0, "nothing near", (0, 0, 0)), *classes])
+            self._columns.send_static(self._path, context)
+        return number
+
+
+def _class_color(number: int) -> tuple[int, int, int]:
+    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN_RATIO % 1.0, 0.65, 0.95)
+    return round(red * 255), round(green * 255), round(blue * 255)
+
+
+PLACES: Final = "places"
+_ABOVE: Final = 0.01  # m, of what would lie in the floor or on a surface
+_POINT: Final = 0.025  # m
+_TAKEN: Final = 0.05
+_HEADING: Final = 0.15  # m, of the arrow of a place that was taken
+_ALPHA: Final = 150
+_MAX_LABELS: Final = 200
+_COLORS: Final = {TAKEN: GREEN, NOT_TRIED: GREY}
+
+
+class QueryPlaces:
+    """The map and the samples of the last query for places, until the next one, or until a task begins that moves."""
+
+    def __init__(self, columns: Columns, scene: Scene) -> None:
+        self._marks = Marks(columns, scene)
+
+    def clear(self, now: TimePoint) -> None:
+        """Removes them."""
+        self._marks.clear(now)
+
+    def show(self, record: Query, now: TimePoint) -> None:
+        """Shows a query for places.
+
+        Raises:
+            ValueError: The map is impossible.
+        """
+        if not record.HasField("grid"):
+            return
+        self._marks.clear(now)
+        cells = _cells(record)
+        if cells is not None:
+            self._marks.add(record.world, (PLACES, record.name, "map"), now, cells)
+        spots = spots_of(record.grid) + np.array([0.0, 0.0, _ABOVE])
+        if len(spots):
+            names = list(fates(record))
+            labels = [fate.partition("|")[0] for fate in names] if len(names) <= _MAX_LABELS else None
+            points = rr.Points3D(
+                spots,
+                colors=[_COLORS.get(name, RED) for name in names],
+                radii=[_TAKEN if name == TAKEN else _POINT for name in names],
+                labels=labels,
+                show_labels=False,
+            )
+            self._marks.add(record.world, (PLACES, record.name, "samples"), now, points)
+            self._marks.add(record.world, (PLACES, record.name, "taken"), now, *_taken(record, spots, names))
+
+
+def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[rr.AsComponents]:
+    """Return where something was taken, and how it faces; above the map else what became of all."""
+    text = fates_text(record)
+    chosen = [number for number, name in enumerate(names) if name == TAKEN]
+    if not chosen:
+        return [rr.Points3D([spots.mean(axis=0)], colors=[RED], radii=[_POINT], labels=[text])]
+    ways = [(math.cos(yaw), math.sin(yaw), 0.0) for yaw in (record.grid.spots[number].yaw for number in chosen)]
+    vectors = np.array(ways) * _HEADING
+    return [rr.Arrows3D(origins=spots[chosen], vectors=vectors, colors=[GREEN], radii=[_POINT / 2], labels=[text])]
+
+
+def _cells(record: Query) -> rr.Mesh3D | None:
+    """Return the cells where a place may do, as coloured squares; None if there are none."""
+    grid = record.grid
+    scores = scores_of(grid)
+    rows, columns = np.nonzero(scores)
+    if not len(rows):
+        return None
+    x, y, z = grid.origin
+    corners = np.stack([columns, rows], axis=1)[:, None, :] + np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    points = np.empty((len(rows), 4, 3), np.float32)
+    points[..., :2] = corners * grid.resolution + (x, y)
+    points[..., 2] = z + _ABOVE / 2
+    share = scores[rows, columns][:, None]
+    colors = np.empty((len(rows), 4), np.uint8)
+    colors[:, :3] = share * np.array(GREEN) + (1.0 - share) * np.array(BLUE)
+    colors[:, 3] = _ALPHA
+    first = 4 * np.arange(len(rows), dtype=np.uint32)[:, None, None]
+    triangles = (first + np.array([[0, 1, 2], [0, 2, 3]], np.uint32)).reshape(-1, 3)
+    return rr.Mesh3D(
+        vertex_positions=points.reshape(-1, 3), triangle_indices=triangles, vertex_colors=np.repeat(colors, 4, axis=0)
+    )
+
+
+MAX_CELLS: Final = 1 << 20
+"""Of a map; those of recorders have some thousands."""
+_FARTHEST: Final = 1e6  # m
+
+
+def scores_of(grid: Grid) -> NDArray[np.float64]:
+    """Return the scores (height, width) of a map's cells, 0 to 1, rows along x from the lowest y.
+
+    Raises:
+        ValueError: The map is impossible: too many cells for its bytes, a size that isn't positive, an origin that is
+            nowhere.
+    """
+    width, height = grid.width, grid.height
+    if width <= 0 or height <= 0 or width * height > MAX_CELLS:
+        raise ValueError(f"a map of {width} x {height} cells")
+    origin = list(grid.origin)
+    if len(origin) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in origin):
+        raise ValueError(f"a map at {origin}")
+    if not 0.0 < grid.resolution <= _FARTHEST:
+        raise ValueError(f"a map with cells of {grid.resolution} m")
+    try:
+        content = zlib.decompressobj().decompress(grid.scores, width * height)
+    except zlib.error as error:
+        raise ValueError(f"a map that can't be inflated: {error}") from error
+    if len(content) != width * height:
+        raise ValueError(f"a map of {width} x {height} cells with {len(content)} scores")
+    scores: NDArray[np.float64] = np.frombuffer(content, dtype=np.uint8).reshape(height, width) / 255.0
+    return scores
+
+
+def spots_of(grid: Grid) -> NDArray[np.float64]:
+    """Return the positions (n, 3) of the places that were drawn from a map, m.
+
+    Raises:
+        ValueError: One is nowhere, or faces nowhere.
+    """
+    positions = [list(spot.position) for spot in grid.spots]
+    for spot, position in zip(grid.spots, positions, strict=True):
+        if len(position) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in position):
+            raise ValueError(f"a place at {position}")
+        if not math.isfinite(spot.yaw):
+            raise ValueError(f"a place that faces {spot.yaw}")
+    return np.array(positions, dtype=np.float64).reshape(-1, 3)

@@ -1,0 +1,178 @@
+"""Tasks over time: what ran when, and how it ended.
+
+A lane holds the tasks of one depth, one after the other; what runs side by side there has lanes of its own. When a task
+ends, its beginning is sent again with its outcome: later rows of a time point replace earlier ones.
+
+The task tree as a graph: what runs now and what it is part of, with what went before, and the path to a failure.
+
+What ended well is folded: of a task's children only the last few are shown, and of these only the last one's children.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import rerun as rr
+
+from recorder.records import Task
+from recorder.tasks import State, Tree
+from recorder.tasks.rendering import COLORS
+from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from recorder.tasks import Node
+    from recorder.viewer.rerun_stream import Columns, Series, TimePoint
+
+
+LANES: Final = "level"  # which is what the viewer titles them with
+STATUS_MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
+_MAX_NAMES: Final = 300  # that have colours of their own in a lane; from then on tasks go by their kinds
+
+
+@dataclass(slots=True)
+class _Lane:
+    path: str
+    states: Series
+    labels: dict[str, tuple[str, State]] = field(default_factory=dict)  # label and status by the viewer's state
+
+
+@dataclass(slots=True)
+class _Running:
+    record: Task
+    depth: int
+    slot: int
+    since: TimePoint
+
+
+class TaskTimeline:
+    """Lanes of all tasks."""
+
+    def __init__(self, columns: Columns) -> None:
+        self._columns = columns
+        self._running: dict[int, _Running] = {}
+        self._slots: dict[int, set[int]] = {}  # that are taken, by depth
+        self._lanes: dict[tuple[int, int], _Lane] = {}
+
+    def show(self, record: Task, now: TimePoint) -> None:
+        """Shows a task's start or end."""
+        if record.phase == Task.STARTED:
+            parent = self._running.get(record.parent)
+            depth = parent.depth + 1 if parent is not None else 1
+            taken = self._slots.setdefault(depth, set())
+            slot = next(slot for slot in range(len(taken) + 1) if slot not in taken)
+            taken.add(slot)
+            running = self._running[record.task] = _Running(record, depth, slot, now)
+            self._label(running, State.RUNNING)
+        elif record.phase == Task.FINISHED and record.task in self._running:
+            running = self._running.pop(record.task)
+            self._label(running, State(record.status))
+            self._lane(running).states.add(now, ("",))
+            self._slots[running.depth].discard(running.slot)
+
+    def _label(self, running: _Running, status: State) -> None:
+        lane, record = self._lane(running), running.record
+        name = record.name if len(lane.labels) < _MAX_NAMES else record.kind
+        state = f"{name} {status.word}"
+        if state not in lane.labels:
+            lane.labels[state] = (name + STATUS_MARKS.get(status, ""), status)
+            labels, statuses = zip(*lane.labels.values(), strict=True)
+            colors = [[*bytes.fromhex(COLORS[status].removeprefix("#"))] for status in statuses]
+            configuration = rr.StateConfiguration(values=list(lane.labels), labels=labels, colors=colors)
+            self._columns.send_static(lane.path, configuration)
+        lane.states.add(running.since, (state,))
+
+    def _lane(self, running: _Running) -> _Lane:
+        key = (running.depth, running.slot)
+        if key not in self._lanes:
+            beside = f".{running.slot + 1}" if running.slot else ""
+            path = self._columns.path(LANES, f"{running.depth}{beside}")
+            self._lanes[key] = _Lane(path, self._columns.series(path, _states))
+        return self._lanes[key]
+
+
+def _states(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    return rr.StateChange.columns(state=[state for (state,) in rows])
+
+
+GRAPH: Final = "graph"
+_MARKS: Final = STATUS_MARKS | {State.SUCCEEDED: " \u2713"}
+_COLORS: Final = {
+    State.SUCCEEDED: GREEN,
+    State.FAILED: RED,
+    State.CANCELLED: GREY,
+    State.RUNNING: BLUE,
+    State.CREATED: YELLOW,
+}
+_PLAN: Final = "plan"
+_MAX_TASKS: Final = 300  # that are remembered
+_MAX_CHILDREN: Final = 7  # of a task that are shown
+_THINNING: Final = 1000  # after so many pictures only each second one is drawn, then each third, ...
+_ACROSS: Final = 120.0  # px from a task to its children
+_DOWN: Final = 34.0  # px
+_MAX_LETTERS: Final = 24
+
+
+class TaskGraph:
+    """The tree of the latest tasks below one node for the plan.
+
+    Attributes:
+        plan: name of the outermost node.
+    """
+
+    def __init__(self, columns: Columns) -> None:
+        self._columns = columns
+        self._path = columns.path("tasks", GRAPH)
+        self._tree = Tree(limit=_MAX_TASKS)
+        self._count = 0
+        self.plan = ""
+
+    def show(self, record: Task, now: TimePoint) -> None:
+        """Shows the tree after a task's start or end."""
+        self._tree.apply(record)
+        if record.phase == Task.ASKED:
+            return
+        self._count += 1
+        if self._count % (1 + self._count // _THINNING) and record.status != Task.FAILED:
+            return
+        ids, labels, colors, positions = [_PLAN], [self.plan or "plan"], [_COLORS[State.RUNNING]], [(0.0, 0.0)]
+        edges = []
+        for row, (depth, node) in enumerate(_shown(self._tree), 1):
+            ids.append(str(node.id))
+            labels.append(_node_label(node))
+            colors.append(_COLORS.get(node.status, _COLORS[State.CREATED]))
+            positions.append(((depth + 1) * _ACROSS, row * _DOWN))
+            edges.append((str(node.parent.id) if node.parent is not None else _PLAN, ids[-1]))
+        nodes = rr.GraphNodes(node_ids=ids, labels=labels, colors=colors, positions=positions)
+        self._columns.send(self._path, now, nodes, rr.GraphEdges(edges=edges, graph_type="directed"))
+
+
+def _shown(tree: Tree) -> Iterator[tuple[int, Node]]:
+    failing = {node.id for node in tree.failure_path()}
+    roots = _latest(tree.roots, failing)
+    last = roots[-1] if roots else None
+    stack = [(0, root) for root in reversed(roots)]
+    while stack:
+        depth, node = stack.pop()
+        yield depth, node
+        if node.finished is None or node.id in failing or node is last:
+            children = _latest(node.children, failing)
+            last = children[-1] if node is last and children else last
+            stack += [(depth + 1, child) for child in reversed(children)]
+
+
+def _latest(nodes: Sequence[Node], failing: set[int]) -> list[Node]:
+    """The last few, and all that still run or are on the path to the failure."""
+    first = len(nodes) - _MAX_CHILDREN
+    return [
+        node
+        for number, node in enumerate(nodes)
+        if number >= first or node.id in failing or node.status in (State.RUNNING, State.CREATED)
+    ]
+
+
+def _node_label(node: Node) -> str:
+    name = node.name if len(node.name) <= _MAX_LETTERS else f"{node.name[: _MAX_LETTERS - 1]}\u2026"
+    return name + _MARKS.get(node.status, "")
