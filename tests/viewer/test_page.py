@@ -252,7 +252,7 @@ def test_a_port_is_told_from_another_user_s(tmp_path: Path, monkeypatch: pytest.
             assert connection.is_own(listener.getsockname()[1])
         port = ours.getsockname()[1]
     assert not connection.is_own(port), "nobody listens any more"
-    monkeypatch.setattr(address, "_SOCKETS", tmp_path / "tcp")
+    monkeypatch.setattr(connection, "_SOCKETS", tmp_path / "tcp")
     for user, own in ((os.getuid(), True), (os.getuid() + 1, False)):
         (tmp_path / "tcp").write_text(listening_to(user, 9876))
         assert connection.is_own(9876) == own
