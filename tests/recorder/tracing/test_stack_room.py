@@ -63,4 +63,4 @@ def test_a_greenlet_has_no_more_room_than_where_it_begins(monkeypatch: pytest.Mo
 def test_the_frames_that_were_tried_are_not_in_the_traceback() -> None:
     with pytest.raises(RecursionError) as raised:
         calls(sys.getrecursionlimit() - 120, lambda: require_stack_room(100))
-    assert traceback.extract_tb(raised.value.__traceback__)[-1].name == "require"
+    assert traceback.extract_tb(raised.value.__traceback__)[-1].name == "require_stack_room"
