@@ -258,11 +258,11 @@ def _clear(case: FailureCase) -> Iterator[Lacking]:
 
 def _taken_out(case: FailureCase) -> Iterator[Lacking]:
     """Yield the drawers and doors that should have been moved to get at what lies in them."""
-    names = shut_in(case)
+    names = _shut_in(case)
     for task in case.motions("accessing") if names else ():
         given = values(task)
         owner, joint = _accessed(case, given)
-        if task.failed and any(lies_in(case, name, owner, joint) for name in names):
+        if task.failed and any(_lies_in(case, name, owner, joint) for name in names):
 
             def fits(other: Node, accessed: tuple[str, str] = (owner, joint)) -> bool:
                 return _accessed(case, values(other)) == accessed
@@ -280,12 +280,12 @@ def _accessed(case: FailureCase, given: Mapping[str, Plain]) -> tuple[str, str]:
     return owner, joint
 
 
-def shut_in(case: FailureCase) -> list[str]:
+def _shut_in(case: FailureCase) -> list[str]:
     """Return the objects that couldn't be got at, which may be for what they lie in."""
     return _wanted(case) if case.failure.type in _SHUT_IN else []
 
 
-def lies_in(case: FailureCase, name: str, owner: str, joint: str) -> bool:
+def _lies_in(case: FailureCase, name: str, owner: str, joint: str) -> bool:
     """Return whether an object is within what a joint of another body moves, by the boxes of its links."""
     assets = case.state.assets
     if case.world is None or assets is None or owner not in case.world.bodies or not joint:
@@ -331,7 +331,10 @@ def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
         for arm in case.hands:
             joints = joints_of(case.robot, arm)
             if moving.intersection(joints):
-                fits = partial(_has_slot, f"{arm}-arm")
+
+                def fits(task: Node, slot: str = f"{arm}-arm") -> bool:
+                    return slot in task.parameters
+
                 yield Lacking("posture", "", arm, ("move-arm-joints",), fits, case.robot.name, joints)
 
 
@@ -365,10 +368,6 @@ def _wanted(case: FailureCase) -> list[str]:
     return [name for name in names if case.free_body(name) is not None]
 
 
-def _has_slot(slot: str, task: Node) -> bool:
-    return slot in task.parameters
-
-
 # --- swallowed failures ----------------------------------------------------------------------------------------------
 
 
@@ -381,10 +380,13 @@ def _was_done_since(case: FailureCase, lack: Lacking, failed: Node) -> bool:
 def _swallowing(
     case: FailureCase, precondition: str, subject: str, arm: str, failed: Node, also: tuple[Node, ...] = ()
 ) -> Swallowed:
-    step, next_step = _next_step_after(case, max((failed, *also), key=lambda task: task.last_step))
+    outer = max((failed, *also), key=lambda task: task.last_step).outermost_failed
+    stack = case.source.call_stack(outer.started)
+    around = {node.id for node in outer.around()} - {outer.id} | {0}
+    step, went_on = _next_step(case, outer.last_step, around, outer.started.thread, stack)
     steps = {failed.last_step, *([step] if step else []), case.step, *(task.last_step for task in also)}
     line = case.line_of(failed.started)
-    return Swallowed(tuple(sorted(steps)), precondition, subject, arm, failed, line, next_step, also)
+    return Swallowed(tuple(sorted(steps)), precondition, subject, arm, failed, line, went_on, also)
 
 
 def _also(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
@@ -400,29 +402,15 @@ def _also(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
     return tuple(found[:_MAX_ALSO][::-1])
 
 
-def _next_step_after(case: FailureCase, failed: Node) -> tuple[int, Line | None]:
-    """Return the step with which the plan went on after a failure, and its line."""
-    outer = failed.outermost_failed
-    stack = case.source.call_stack(outer.started)
-    around = {node.id for node in outer.around()} - {outer.id} | {0}
-    stop = min(case.began + 1, outer.last_step + _GOES_ON)
-    return next_step(case, outer.last_step + 1, stop, around, outer.started.thread, stack)
-
-
-def next_step(
-    case: FailureCase, start: int, stop: int, around: Collection[int], thread: str, stack: Sequence[Line]
+def _next_step(
+    case: FailureCase, end: int, around: Collection[int], thread: str, stack: Sequence[Line]
 ) -> tuple[int, Line | None]:
-    """Return the first step with which a part of the plan went on, and its line; 0 and None if there is none.
+    """Return the first step with which a part of the plan went on after another, and its line; else 0 and None.
 
-    Args:
-        case: the case.
-        start: the step from which on to look.
-        stop: the step before which to look.
-        around: ids of the tasks that are that part, 0 for the plan itself.
-        thread: name of its thread.
-        stack: the plan's lines after which it went on.
+    ``around`` are the ids of the tasks that are that part, 0 for the plan itself; ``stack`` are the plan's lines after
+    which it went on.
     """
-    for record in case.log.records((Task, Mutation), start, stop):
+    for record in case.log.records((Task, Mutation), end + 1, min(case.began + 1, end + _GOES_ON)):
         if not isinstance(record, Task | Mutation) or (isinstance(record, Task) and record.phase == Task.FINISHED):
             continue
         parent = record.parent if isinstance(record, Task) else record.task
@@ -437,7 +425,7 @@ def next_step(
 
 def _results(case: FailureCase) -> Iterator[Swallowed]:
     """Yield the failures that left without a value, or empty, what the failed line reads."""
-    setting = _setting(case) if lacks_value(case) else iter(())
+    setting = _setting(case) if _lacks_value(case) else iter(())
     if case.failure.type in _EMPTY:  # several things may have been put into it
         found = list(islice(setting, _MAX_SETTING))
         succeeded = [motion.parameters for motion, _ in found if motion.status not in _UNSUCCESSFUL]
@@ -455,21 +443,22 @@ def _setting(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
     """Yield the earlier motions whose lines set variables that the failed line reads, the last first, and these."""
     for motion in reversed(case.failed.motions):
         if motion.last_step < case.step and motion is not case.motion:
-            names = values_from(case, case.source.call_stack(motion.started))
+            names = _values_from(case, case.source.call_stack(motion.started))
             if names:
                 yield motion, names
 
 
-def lacks_value(case: FailureCase) -> bool:
+def _lacks_value(case: FailureCase) -> bool:
     """Return whether a line of the plan failed for want of a value."""
-    own_mistake = hasattr(builtins, case.failure.type) or case.failure.type in _MISSING_VALUE
-    if case.failure.type in _EMPTY:
+    failed, message = case.failure.type, case.failure.message
+    if failed in _EMPTY or failed in ("NameError", "UnboundLocalError"):
         return True
-    texts = (case.failure.message, *(case.motion.parameters.values() if case.motion is not None else ()))
-    return own_mistake and any(text is None or "None" in str(text) or _unset(case, str(text)) for text in texts)
+    own_mistake = hasattr(builtins, failed) or failed in _MISSING_VALUE
+    texts = (message, *(case.motion.parameters.values() if case.motion is not None else ()))
+    return own_mistake and any(text is None or "None" in str(text) for text in texts)
 
 
-def values_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
+def _values_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
     """Return the variables that some lines of the plan set, and those that failed read."""
     stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
     lines = (*stack, *(line for error in case.traced for line in error.lines))
@@ -482,12 +471,8 @@ def values_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
     return sorted(name for _, name in read & written)
 
 
-def _unset(case: FailureCase, text: str) -> bool:
-    return case.failure.type in ("NameError", "UnboundLocalError") and text == case.failure.message
-
-
 def _skipped(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | None:
-    """Return the failed perception of what a motion lacked, the variable, and the line that _skipped what uses it."""
+    """Return the failed perception of what a motion lacked, the variable, and the line that skipped what uses it."""
     body = case.world.bodies.get(lack.subject) if case.world is not None else None
     if body is None:
         return None
@@ -536,8 +521,7 @@ def _ran(case: FailureCase, motion: Node, head: Line, last: int) -> bool:
 
 def _refusal(case: FailureCase, refusal: Refusal, precondition: str, subject: str) -> RefusedRequest:
     stack = case.source.call_stack(refusal)
-    stop = min(case.began + 1, refusal.seq + _GOES_ON)
-    step, line = next_step(case, refusal.seq + 1, stop, {refusal.task}, refusal.thread, stack)
+    step, line = _next_step(case, refusal.seq, {refusal.task}, refusal.thread, stack)
     tasks = (each.started for each in causing_tasks(case.log, refusal).tasks)
     handler = next((each for each in tasks if each.kind == HANDLER), None)
     event = [handler.cause] if handler is not None and handler.cause else []
@@ -552,6 +536,7 @@ def _missed(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
     subject = next(objects_in(given.get("object")), "")
     lacks = {(each.precondition, each.subject) for each in lacking(case)}
     by_hands = {(kind, name) for kind, name in lacks if kind in _HANDS}
+    is_robot = case.robot is not None and case.robot.name == subject
     if refusal.name == "Object" and case.failure.type == "UnknownName":
         if case.data.get("name") == given.get("name"):
             yield "loaded", str(given.get("name"))
@@ -561,21 +546,16 @@ def _missed(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
         if case.robot is not None and case.robot.name in (subject, other):  # it is the robot's hands that matter
             yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
     elif is_mistake(case):  # however the world was
-        names = values_from(case, case.source.call_stack(refusal)) if lacks_value(case) else []
+        names = _values_from(case, case.source.call_stack(refusal)) if _lacks_value(case) else []
         yield from [("result", ", ".join(names))] if names else []
     elif by_hands:
         return
-    elif refusal.name in _POSES and (subject in case.mentioned or _depends_on_robot(case, subject)):
+    elif refusal.name in _POSES and (subject in case.mentioned or (is_robot and case.motion is not None)):
         yield "moved", subject
     elif refusal.name in _JOINTS:
         yield from _refused_joints(case, subject, refusal, given)
     elif refusal.name == "remove" and ("clear", subject) in lacks:
         yield "clear", subject
-
-
-def _depends_on_robot(case: FailureCase, name: str) -> bool:
-    """Return whether it is the robot, and the failure depends on where that stands."""
-    return case.motion is not None and case.robot is not None and case.robot.name == name
 
 
 def _refused_joints(
@@ -589,7 +569,7 @@ def _refused_joints(
         relevant = {joint for part in (*parts, *touching) for joint in joints_of(case.robot, part)}
         names = names & relevant if case.motion is not None else set()
     elif subject not in case.mentioned:
-        names = {joint for joint in names for name in shut_in(case) if lies_in(case, name, subject, joint)}
+        names = {joint for joint in names for name in _shut_in(case) if _lies_in(case, name, subject, joint)}
     if names:
         yield "joint-moved", f"{', '.join(sorted(names))} of {subject}"
 
@@ -618,12 +598,8 @@ def _was_asked_again(case: FailureCase, refusal: Refusal) -> bool:
         loaded = command in ("load_body", "reset")
         if refusal.name in _POSES and (moved or (loaded and record.load_body.body in ("", subject))):
             return True
-        if refusal.name in ("attach", "detach") and command == f"{refusal.name}_body" and _same(record, given):
-            return True
+        if refusal.name in ("attach", "detach") and command == f"{refusal.name}_body":
+            grip = record.attach_body if command == "attach_body" else record.detach_body
+            if {grip.carrier, grip.body} == {*objects_in(given.get("object")), *objects_in(given.get("other"))}:
+                return True
     return False
-
-
-def _same(record: Mutation, given: Mapping[str, Plain]) -> bool:
-    names = {*objects_in(given.get("object")), *objects_in(given.get("other"))}
-    grip = record.attach_body if record.HasField("attach_body") else record.detach_body
-    return {grip.carrier, grip.body} == names

@@ -122,7 +122,7 @@ def _doing(pending: Sequence[PendingTask]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedLine:
-    """SimulatedLine time that a line of the plan took."""
+    """Simulated time that a line of the plan took."""
 
     line: Line | None
     seconds: float  # of simulated time
@@ -150,7 +150,7 @@ class Timeout(Cause):
     def find(cls, case: FailureCase) -> Iterator[Timeout]:
         """Yield what missed a deadline: that of a timeout, or of a wait by whose outcome the plan judged."""
         if case.task is not None and case.task.kind == "timeout" and case.failure.type == "TimedOut":
-            tree = _subtree(case, 0, case.task.last_step + 1)
+            tree = _tree(case, case.task.last_step + 1)
             scope = tree.nodes[case.task.id]
             doing = tuple(_pending(case, node, tree, case.step) for node in _stopped(tree, scope))
             seconds, clock = case.task.parameters.get("seconds"), str(case.task.parameters.get("clock"))
@@ -160,7 +160,7 @@ class Timeout(Cause):
             return
         for wait in list(answers(case))[-1:]:
             if isinstance(wait, Task) and from_json(wait.result_json) is False:
-                tree = _subtree(case, 0, case.step + 1)
+                tree = _tree(case, case.step + 1)
                 node = tree.nodes[wait.task]
                 single = _pending(case, node, tree, wait.seq)
                 yield _timeout(case, node.parameters.get("timeout"), "wall", (single,), (), case.line_of(node.started))
@@ -197,7 +197,7 @@ class Interruption(Cause):
         if case.failure.type != (INTERRUPT if closed else ""):  # what failed before is another case
             return
         by = _NAMES.get(end.interrupted_by, end.interrupted_by) if isinstance(end, Run) and closed else ""
-        tree = _subtree(case, 0, len(case.log))
+        tree = _tree(case, len(case.log))
         doing = tuple(_pending(case, node, tree, case.step) for node in (_interrupted(tree) if by else _stopped(tree)))
         error = next(reversed(case.traced), None)
         line = case.line(error.lines) if error is not None and error.lines else None
@@ -225,10 +225,10 @@ def _interrupted(tree: Tree) -> list[Node]:
     return found
 
 
-def _subtree(case: FailureCase, start: int, stop: int) -> Tree:
-    """Return the tasks of some steps; of very many the last ones."""
+def _tree(case: FailureCase, stop: int) -> Tree:
+    """Return the tasks before a step; of very many the last ones."""
     tree = Tree(limit=_MAX_TASKS)
-    for record in case.log.records(Task, start, stop):
+    for record in case.log.records(Task, stop=stop):
         tree.apply(record)
     return tree
 
@@ -254,14 +254,13 @@ def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTas
     inner = [child for child in node.children if child.kind == "process-module"]
     if motion.kind != "motion" or inner or node.kind == "process-module":
         return PendingTask(node, node.start is not None, line)
-    others = [each for _, each in tree.walk() if each.kind == "motion" and each is not motion]
-    holders = tuple(each for each in others if _ran(each, node, step))
-    return PendingTask(node, False, line, holders=holders)
 
+    def ran(other: Node) -> bool:
+        begun = other.started.seq < step and any(child.kind == "process-module" for child in other.children)
+        return begun and (other.finished is None or other.last_step > node.started.seq)
 
-def _ran(motion: Node, waiting: Node, step: int) -> bool:
-    begun = any(child.kind == "process-module" for child in motion.children)
-    return begun and motion.started.seq < step and (motion.finished is None or motion.last_step > waiting.started.seq)
+    others = (each for _, each in tree.walk() if each.kind == "motion" and each is not motion)
+    return PendingTask(node, False, line, holders=tuple(filter(ran, others)))
 
 
 def _values(
@@ -282,7 +281,8 @@ def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step
     last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
     for name in leaves:
         record = last.get(name)
-        for file, number in _lines_that_set(case, name):
+        lines = ((file, line) for file in case.source.files for line in _setters(case.source.text(file), name))
+        for file, number in lines:
             line = case.source.line(file, number)
             task = _task_of(tree, line.function, step) if line is not None else None
             failed = _failed_in(case, task)
@@ -310,11 +310,6 @@ def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
             if words & given:
                 return motion
     return None
-
-
-def _lines_that_set(case: FailureCase, name: str) -> list[tuple[str, int]]:
-    """Return the lines of the plan that set or pulse the fluent of a name, by its attached source."""
-    return [(file, line) for file in case.source.files for line in _setters(case.source.text(file), name)]
 
 
 @lru_cache(maxsize=64)
@@ -388,14 +383,10 @@ def _simulated(case: FailureCase, scope: Node) -> tuple[SimulatedLine, ...]:
     for record in case.log.records(Mutation, scope.started.seq, scope.last_step):
         if record.HasField("simulate") and case.is_here(record):
             lines[case.line_of(record)].append(record)
-    found = [
-        SimulatedLine(
-            line,
-            sum(record.simulate.steps for record in records) / STEPS_PER_SECOND,
-            tuple(record.seq for record in records),
-        )
-        for line, records in lines.items()
-    ]
+    found = []
+    for line, records in lines.items():
+        seconds = sum(record.simulate.steps for record in records) / STEPS_PER_SECOND
+        found.append(SimulatedLine(line, seconds, tuple(record.seq for record in records)))
     return tuple(sorted(found, key=lambda each: -each.seconds)[:_MAX_TOOK])
 
 
