@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from recorder.tasks import Node
-    from replay.explain.why import ChangesSince, FailedAttempt, Why
+    from replay.explain.why import ChangesSince, Why
     from replay.history.source import Line
 
 _FIRST, _LAST = 2, 5  # attempts that are listed one by one
@@ -136,7 +136,11 @@ def lines(why: Why, path: str) -> Iterator[str]:
         return
     yield from section("Why" if len(why.causes) < 2 else "Why: the causes that are on record", causes)
     yield from section("Where in the plan", _where(why))
-    yield from section("What failed", _failed(why))
+    threads = (
+        f"also failed: thread {record.thread}, at step {record.seq}: {phrases.failure(record.failure)}"
+        for record in why.failed_threads
+    )
+    yield from section("What failed", [*_tasks(why), *threads])
     if why.tried is not None:
         yield from section(f"What {phrases.node(why.tried.action)} tried", why.tried.lines())
     world = why.world
@@ -161,12 +165,14 @@ def _headline(why: Why) -> Iterator[str]:
         yield f"{name} was {next(interrupted.lines())}, after {run.seconds:.1f} s."
         return
     if run.outcome == "failed":
-        message = run.failure
-        if why.exceptions and why.failure is not None and _is_self_explanatory(why.failure):
-            message = why.failure.message
+        message, failure = run.failure, why.failure
+        if why.exceptions and failure is not None and " " in failure.message and not hasattr(builtins, failure.type):
+            message = failure.message  # which needs no type before it, unlike messages of Python's own errors
         yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
-        yield f"{name} succeeded{_though(why)}"
+        thread = f"its thread {why.thread} failed: " if why.thread and why.failure is not None else ""
+        failed = f"{thread}{phrases.failure(why.failure)}" if thread else "a task failed."
+        yield f"{name} succeeded" + (f", although {failed}" if why.failure is not None else ".")
     elif run.outcome == "interrupted":
         yield f"{name} was interrupted after {run.seconds:.1f} s."
     elif run.outcome == "lost":
@@ -179,17 +185,6 @@ def _headline(why: Why) -> Iterator[str]:
     warning = why.warning
     if warning is not None and not why.is_python_error:
         yield f"The plan had been warned: {_asked_again(warning)} was answered no at step {warning.seq}."
-
-
-def _though(why: Why) -> str:
-    if why.thread and why.failure is not None:
-        return f", although its thread {why.thread} failed: {phrases.one_line(format_failure(why.failure))}"
-    return ", although a task failed." if why.failure is not None else "."
-
-
-def _is_self_explanatory(failure: Failure) -> bool:
-    """Return whether a message needs no type before it; messages of Python's own errors do."""
-    return " " in failure.message and not hasattr(builtins, failure.type)
 
 
 def _summary(why: Why, task: Node) -> Iterator[str]:
@@ -250,13 +245,6 @@ def _line(line: Line, why: Why) -> Iterator[str]:
         yield "    and others, which `why --json` has"
 
 
-def _failed(why: Why) -> Iterator[str]:
-    yield from _tasks(why)
-    for record in why.failed_threads:
-        failure = phrases.one_line(format_failure(record.failure))
-        yield f"also failed: thread {record.thread}, at step {record.seq}: {failure}"
-
-
 def _tasks(why: Why) -> Iterator[str]:
     if why.task is None:
         if why.failure is not None:
@@ -299,7 +287,10 @@ def _attempts(why: Why) -> Iterator[str]:
         return
     *earlier, last = (attempt.task.motion.parameters for attempt in why.attempts)
     varying = [key for key in last if any(parameters.get(key) != last[key] for parameters in earlier)]
-    poses = [_robot_pose(attempt) for attempt in why.attempts]
+    poses = [
+        f"{robot.name} at {phrases.vector(robot.position[:2])} facing {facing(robot)}" if robot is not None else ""
+        for robot in (attempt.robot for attempt in why.attempts)
+    ]
     differ = len({pose for pose in poses if pose}) > 1
     groups: list[tuple[str, str, list[int]]] = []  # parameters, error and steps of equal attempts in a row
     for attempt, pose in zip(why.attempts, poses, strict=True):
@@ -317,11 +308,6 @@ def _attempts(why: Why) -> Iterator[str]:
             many = f"steps {steps[0]} to {steps[-1]}, {len(steps)} times" if len(steps) > 1 else f"step {steps[0]}"
             yield f"{many}: {parameters}" if parameters else f"{many}:"
             yield f"    {error}"
-
-
-def _robot_pose(attempt: FailedAttempt) -> str:
-    robot = attempt.robot
-    return f"{robot.name} at {phrases.vector(robot.position[:2])} facing {facing(robot)}" if robot else ""
 
 
 def _queries(why: Why) -> Iterator[str]:

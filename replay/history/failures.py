@@ -33,23 +33,14 @@ _MAX_KEPT: Final = 5_000  # failures, and motions: a node with its records takes
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """What failed, what is unfinished and what succeeded; as parts tasks have those that failed or have not ended.
+    """What failed, what is unfinished and what succeeded; as parts tasks have those that failed or have not ended."""
 
-    Attributes:
-        origins: the tasks in which failures began, in the order of their ends; the last ones.
-        running: the tasks that have not ended, in the order of their starts.
-        successes: the last successful one of each kind and name.
-        motions: the motions that have ended, in the order of their ends; the last ones.
-        forgotten: number of earlier origins that were left out.
-        first_motion: the step at which the first motion began; None if none did.
-    """
-
-    origins: tuple[Node, ...]
-    running: tuple[Node, ...]
-    successes: Mapping[tuple[str, str], Node]
-    motions: tuple[Node, ...] = ()
-    forgotten: int = 0
-    first_motion: int | None = None
+    origins: tuple[Node, ...]  # the tasks in which failures began, in the order of their ends; the last ones
+    running: tuple[Node, ...]  # the tasks that have not ended, in the order of their starts
+    successes: Mapping[tuple[str, str], Node]  # the last successful one of each kind and name
+    motions: tuple[Node, ...] = ()  # the motions that have ended, in the order of their ends; the last ones
+    forgotten: int = 0  # number of earlier origins that were left out
+    first_motion: int | None = None  # the step at which the first motion began; None if none did
 
     @property
     def last_success(self) -> Node | None:
@@ -111,22 +102,15 @@ INTERRUPT: Final = "KeyboardInterrupt"
 
 @dataclass(frozen=True, slots=True)
 class RootCause:
-    """The root cause of a failure.
+    """The root cause of a failure."""
 
-    Attributes:
-        step: the moment of it: the end of the task in which it began; of a failure of the plan's own code the last step
-            before worlds were closed, or that in which its thread ended.
-        task: the task in which it began; None if the plan's own code did it.
-        failure: what the plan, or a thread of it, failed with; None if neither did.
-        thread: name of that thread; "" if the plan failed.
-        exceptions: those from that task on that led to the plan's failure, causes first.
-    """
-
+    #: the moment of it: the end of the task in which it began; of a failure of the plan's own code the last step before
+    #: worlds were closed, or that in which its thread ended
     step: int
-    task: Node | None
-    failure: Failure | None = None
-    thread: str = ""
-    exceptions: tuple[ParsedException, ...] = ()
+    task: Node | None  # the task in which it began; None if the plan's own code did it
+    failure: Failure | None = None  # what the plan, or a thread of it, failed with; None if neither did
+    thread: str = ""  # name of that thread; "" if the plan failed
+    exceptions: tuple[ParsedException, ...] = ()  # those from that task on that led to the plan's failure, causes first
 
 
 def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:

@@ -19,19 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line of the plan.
+    """A line of the plan."""
 
-    Attributes:
-        file: as it was when the plan ran.
-        number: from 1.
-        function: the one that it is in; "" if its source is not attached.
-        text: the line itself; "" if its source is not attached.
-    """
-
-    file: str
-    number: int
-    function: str = ""
-    text: str = ""
+    file: str  # as it was when the plan ran
+    number: int  # from 1
+    function: str = ""  # the one that it is in; "" if its source is not attached
+    text: str = ""  # the line itself; "" if its source is not attached
 
     def __str__(self) -> str:
         return f"{name_of(self.file)}:{self.number}"
@@ -136,19 +129,12 @@ _FOREIGN: Final = re.compile(r"^<|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|si
 
 @dataclass(frozen=True, slots=True)
 class ParsedException:
-    """One exception.
-
-    Attributes:
-        type: its type's name.
-        message: its message.
-        lines: the plan's own lines that led to it, outermost first.
-        own: whether the last of these raised it itself.
-    """
+    """One exception."""
 
     type: str
     message: str
-    lines: tuple[Line, ...]
-    own: bool = False
+    lines: tuple[Line, ...]  # the plan's own lines that led to it, outermost first
+    own: bool = False  # the last of these lines raised it itself
 
 
 def parse_traceback(traceback: str, source: PlanSource) -> list[ParsedException]:

@@ -23,56 +23,33 @@ MAX_CHECKED: Final = 16 << 20
 
 @dataclass(frozen=True, slots=True)
 class WorldClock:
-    """A world and its clock.
-
-    Attributes:
-        world: its name.
-        lifetime: number of its lifetime, from 1.
-        seconds: its simulated time at its last change, s.
-    """
+    """A world and its clock."""
 
     world: str
-    lifetime: int
-    seconds: float
+    lifetime: int  # its number, from 1
+    seconds: float  # its simulated time at its last change, s
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """A recording in short.
-
-    Attributes:
-        plan: name of the plan.
-        started: wall-clock time of the first record.
-        seconds: by the clock from the first to the last record.
-        worlds: with the simulated time that each reached, in the order of their opening.
-        outcome: "succeeded", "failed", "interrupted", "running", "cut off", or "lost" where its end is damaged.
-        failure: of the plan, as "Type: message"; or "".
-        threads: failures that ended threads of the plan's own while it went on, with the names of the threads.
-        records: number of steps.
-        counts: number of records of each kind.
-        attachments: number of attached files.
-        size: of the file, bytes.
-        problems: what is missing or damaged, in words; or "".
-        checked: whether every part was read for this.
-        metadata: of the run.
-        start: the first record, with what the plan was given; None if it is lost.
-    """
+    """A recording in short."""
 
     plan: str
-    started: datetime
-    seconds: float
-    worlds: tuple[WorldClock, ...]
-    outcome: str
-    failure: str
+    started: datetime  # wall-clock time of the first record
+    seconds: float  # by the clock from the first to the last record
+    worlds: tuple[WorldClock, ...]  # with the simulated time that each reached, in the order of their opening
+    outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" where its end is damaged
+    failure: str  # of the plan, as "Type: message"; or ""
+    #: failures that ended threads of the plan's own while it went on, with the names of the threads
     threads: tuple[tuple[str, str], ...]
-    records: int
-    counts: Mapping[str, int]
+    records: int  # number of steps
+    counts: Mapping[str, int]  # number of records of each kind
     attachments: int
-    size: int
-    problems: str
-    checked: bool
-    metadata: Mapping[str, str]
-    start: Run | None
+    size: int  # of the file, bytes
+    problems: str  # what is missing or damaged, in words; or ""
+    checked: bool  # every part was read
+    metadata: Mapping[str, str]  # of the run
+    start: Run | None  # the first record, with what the plan was given; None if it is lost
 
 
 def _simulated(log: RecordReader, lifetime: Lifetime) -> WorldClock:

@@ -24,28 +24,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CausingTask:
-    """A task that a record is part of.
+    """A task that a record is part of."""
 
-    Attributes:
-        started: the record of its start.
-        call_stack: the plan's lines that led to it, outermost first and that which started it last; empty if unknown.
-    """
-
-    started: Task
+    started: Task  # the record of its start
+    #: the plan's lines that led to it, outermost first and that which started it last; empty if unknown
     call_stack: tuple[Line, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class CausingTasks:
-    """The causes of a record.
+    """The causes of a record."""
 
-    Attributes:
-        tasks: the tasks that it is part of, innermost first; none if the plan itself did it, outside of any task.
-        call_stack: the plan's lines that led to the record, outermost first and that line last: those that the record
-            has if the plan's own code made it, else those of the innermost task that has them.
-    """
-
+    #: the tasks that it is part of, innermost first; none if the plan itself did it, outside of any task
     tasks: tuple[CausingTask, ...]
+    #: the plan's lines that led to the record, outermost first and that line last: those that the record has if the
+    #: plan's own code made it, else those of the innermost task that has them
     call_stack: tuple[Line, ...]
 
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import STEPS_PER_SECOND, Event, Query, Refusal, Task, argument_values, format_failure, from_json
 from recorder.records.text import is_choice, pair_text, rejection_lines, rejections, text_of
@@ -16,7 +16,7 @@ from recorder.records.text import is_choice, pair_text, rejection_lines, rejecti
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from recorder.records import Plain, Record
+    from recorder.records import Failure, Plain, Record
     from recorder.tasks import Node
     from replay.history.source import Line
     from replay.state.state import Attachment, Sampled
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 100  # characters of a value
 _MAX_NAMES: Final = 4  # that are listed one by one
+_MAX_REASONS: Final = 3  # why others wouldn't do, in a line
 _PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling", "attempt"})
 
 
@@ -57,6 +58,14 @@ def one_line(text: str) -> str:
     return f"{first} ..." if more else first
 
 
+def names(items: Sequence[str]) -> str:
+    """Return names in a row, the first few."""
+    shown = list(items[:_MAX_NAMES])
+    if len(items) > _MAX_NAMES:
+        shown.append(f"{len(items) - _MAX_NAMES} more")
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}" if shown else "nothing"
+
+
 def number(amount: float) -> str:
     """Return a number with three decimals, without trailing zeros."""
     text = f"{amount:.3f}".rstrip("0").rstrip(".")
@@ -71,15 +80,77 @@ def apart(before: float, after: float) -> tuple[str, str]:
     return next((pair for pair in texts if pair[0] != pair[1]), (repr(before), repr(after)))
 
 
+def vector(values: Sequence[float]) -> str:
+    """Return a position or the like."""
+    return "[" + ", ".join(number(part) for part in values) + "]"
+
+
 def vectors(before: Sequence[float], after: Sequence[float]) -> tuple[str, str]:
     """Return two positions or the like, with as many digits as distinguish them."""
     pairs = [apart(a, b) for a, b in zip(before, after, strict=True)]
     return f"[{', '.join(a for a, _ in pairs)}]", f"[{', '.join(b for _, b in pairs)}]"
 
 
-def vector(values: Sequence[float]) -> str:
-    """Return a position or the like."""
-    return "[" + ", ".join(number(part) for part in values) + "]"
+def length(metres: float) -> str:
+    """Return a distance."""
+    if metres >= 0.1:
+        return f"{metres:.3f} m"
+    return f"{metres * 1e3:.1f} mm" if metres >= 5e-5 else f"{metres * 1e3:.1g} mm"
+
+
+def degrees(angle: float) -> str:
+    """Return an angle."""
+    value = math.degrees(angle)
+    return f"{value:.1f} degrees" if value >= 0.05 else f"{value:.1g} degrees"
+
+
+def turned(angle: float) -> str:
+    """Return by how much something turned."""
+    return f"turned by {degrees(angle)}"
+
+
+def seconds(duration_ns: int) -> str:
+    """Return how long something took."""
+    return f"{duration_ns / 1e9:.2f} s" if duration_ns >= 1e9 else f"{duration_ns / 1e6:.1f} ms"
+
+
+# --- the plan: lines, tasks, failures ---------------------------------------------------------------------------------
+
+
+def path(file: str) -> str:
+    """Return a file's path: from the folder that one is in, if it is below that."""
+    with suppress(ValueError, OSError):  # it is elsewhere; the folder is gone
+        return str(PurePath(file).relative_to(Path.cwd()))
+    return file
+
+
+def place(line: Line) -> str:
+    """Return where a line of the plan is, as file:line."""
+    return f"{path(line.file)}:{line.number}"
+
+
+def at(line: Line | None) -> str:
+    """Return where a line of the plan is, as the end of a clause; "" if it isn't known."""
+    return f", at {place(line)}" if line is not None else ""
+
+
+def location(line: Line) -> str:
+    """Return a line of the plan: its location and its text."""
+    function = f" in {line.function}" if line.function else ""
+    return f"{place(line)}{function}" + (f":  {short(line.text)}" if line.text else "")
+
+
+def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> Iterator[str]:
+    """Yield the lines of a call stack, innermost first, down to those that were printed with another one."""
+    common = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, earlier, strict=False)) for earlier in printed)
+    shared = max((len(list(pairs)) for pairs in common), default=0)
+    printed.append(stack)
+    word = "from"
+    for line in reversed(stack[shared:] if shared > 1 else stack):
+        yield f"{word} {location(line)}"
+        word = "called from"
+    if shared > 1:
+        yield f"{word} {location(replace(stack[shared - 1], text=''))}, as above"
 
 
 def call(name: str, parameters: Mapping[str, Plain]) -> str:
@@ -100,211 +171,34 @@ def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
     return called if kind in _PLAIN_KINDS else f"{called} {kind}"
 
 
-def names(items: Sequence[str]) -> str:
-    """Return names in a row, the first few."""
-    shown = list(items[:_MAX_NAMES])
-    if len(items) > _MAX_NAMES:
-        shown.append(f"{len(items) - _MAX_NAMES} more")
-    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}" if shown else "nothing"
+def node(task_: Node) -> str:
+    """Return a task with what it was given."""
+    return task(task_.kind, task_.name, task_.parameters)
 
 
-def seconds(duration_ns: int) -> str:
-    """Return how long something took."""
-    return f"{duration_ns / 1e9:.2f} s" if duration_ns >= 1e9 else f"{duration_ns / 1e6:.1f} ms"
+def error(task_: Node) -> str:
+    """Return what a task failed with, in a line; its status if it has no error."""
+    return one_line(task_.error[1] or task_.error[0]) if task_.error is not None else task_.status.word
 
 
-def length(metres: float) -> str:
-    """Return a distance."""
-    if metres >= 0.1:
-        return f"{metres:.3f} m"
-    return f"{metres * 1e3:.1f} mm" if metres >= 5e-5 else f"{metres * 1e3:.1g} mm"
+def failure(failed: Failure) -> str:
+    """Return a failure in a line."""
+    return one_line(format_failure(failed))
 
 
-def degrees(angle: float) -> str:
-    """Return an angle."""
-    value = math.degrees(angle)
-    return f"{value:.1f} degrees" if value >= 0.05 else f"{value:.1g} degrees"
+def refused(refusal: Refusal) -> str:
+    """Return the call that was refused."""
+    return call(refusal.name, argument_values(refusal.arguments))
 
 
-def path(file: str) -> str:
-    """Return a file's path: from the folder that one is in, if it is below that."""
-    with suppress(ValueError, OSError):  # it is elsewhere; the folder is gone
-        return str(PurePath(file).relative_to(Path.cwd()))
-    return file
+def handler(started: Task) -> str:
+    """Return a handler's call, with the step of its event."""
+    event = argument_values(started.parameters).get("event", "")
+    step = f" of step {started.cause}" if started.cause else ""  # 0: the event came before the recording
+    return f"the handler {started.name} of event {event}{step}"
 
 
-def location(line: Line) -> str:
-    """Return a line of the plan: its location and its text."""
-    function = f" in {line.function}" if line.function else ""
-    return f"{path(line.file)}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
-
-
-def sampled(moment: Sampled, *, exact: bool = False) -> str:
-    """Return how a moment within a stretch of simulation is known."""
-    stretch = f"step {moment.step} ({moment.world} simulated from {moment.start:.3f} s to {moment.end:.3f} s)"
-    if exact:
-        return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to then"
-    if moment.at == moment.start:
-        return f"at {moment.asked:.3f} s, within {stretch}: as before it, no sample until then has a movement"
-    return f"at {moment.asked:.3f} s, within {stretch}: as sampled at {moment.at:.3f} s, to 0.01 mm"
-
-
-def learned(source: str, step: int) -> str:
-    """Return how a robot came to believe something, as "seen at step 40"."""
-    words = {"held": "in its hand since", "told": "told by the world's state at", "placed": "let go of there at"}
-    word = words.get(source, f"{source} at")
-    return f"{word} step {step}" if step >= 0 else f"{word.rpartition(' ')[0]} before the recording"
-
-
-def carrier(held: Attachment) -> str:
-    """Return a carrier, with the link that holds a body."""
-    return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
-
-
-_MAX_REASONS: Final = 3  # why others wouldn't do, in a line
-
-
-def record_line(record: Record) -> str:
-    """Return a record as one line."""
-    if isinstance(record, Task) and record.phase == Task.STARTED:
-        earlier = ", which runs already" if record.began_ns else ""
-        return f"{record.kind} {call(record.name, argument_values(record.parameters))}{earlier}"
-    if isinstance(record, Query):
-        text = reasons(record)
-        return f"{question(record)}: {answer(record)}" + (f"; {text}" if text else "")
-    if isinstance(record, Event):
-        text = f"event {call(record.name, argument_values(record.arguments))}"
-        return f"{text}, {len(record.handlers)} handlers" if record.handlers else text
-    if isinstance(record, Refusal):
-        asked = call(record.name, argument_values(record.arguments))
-        return f"refused: {asked}: {one_line(format_failure(record.failure))}"
-    return "; ".join(text_of(record)[0].splitlines())
-
-
-def question(query: Query) -> str:
-    """Return what a query asked."""
-    return call(query.name, argument_values(query.arguments))
-
-
-def answer(query: Query) -> str:
-    """Return its answer: yes, no, the objects found, or how it failed; and whether a fork gave it."""
-    if query.HasField("failure"):
-        return one_line(format_failure(query.failure))
-    if query.by_fork:
-        return f"{_answer(query.answer_json)}, by the fork; else {_answer(query.own_answer_json)}"
-    return _answer(query.answer_json)
-
-
-def _answer(text: str) -> str:
-    result = from_json(text)
-    if isinstance(result, bool):
-        return "yes" if result else "no"
-    if isinstance(result, list):
-        return names([value(item) for item in result])
-    return value(result)
-
-
-def reasons(query: Query) -> str:
-    """Return what its answer rests on."""
-    evidence = argument_values(query.evidence)
-    phrases = [text] if is_choice(query) and (text := rejections(query)) else []
-    for key, item in evidence.items():
-        if key in _PHRASES:
-            phrases += _PHRASES[key](item, evidence)
-        elif key not in _INCLUDED and isinstance(item, bool | int | float | str):
-            phrases.append(f"{key.replace('_', ' ')} {value(item)}")
-    return "; ".join(filter(None, (", ".join(phrases), "" if is_choice(query) else _others(query))))
-
-
-def _others(query: Query) -> str:
-    """Return why other candidates for an answer wouldn't do; of one alone the evidence tells."""
-    lines = list(rejection_lines(query))
-    if len(query.candidates) < 2:
-        return ""
-    more = [f"{len(lines) - _MAX_REASONS} more reasons"] if len(lines) > _MAX_REASONS else []
-    return "; ".join((*lines[:_MAX_REASONS], *more))
-
-
-def _share(share: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(share, int | float):
-        visible, unoccluded = evidence.get("pixels_seen"), evidence.get("pixels_alone")
-        how_much = "all" if share >= 1 else "nothing" if not share else f"{share:.0%}"
-        yield f"{how_much} of it is seen" + (f" ({visible} of {unoccluded} pixels)" if unoccluded else "")
-
-
-def _hidden(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(bodies, dict):
-        for name, share in bodies.items():
-            yield f"{name} hides {share:.0%}" if isinstance(share, int | float) else f"{name} hides it"
-
-
-def _distance(distance: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
-    if not isinstance(distance, int | float):
-        return
-    if "joints" not in evidence:
-        yield (f"{number(distance * 1e3)} mm apart" if distance >= 0 else f"{number(-distance * 1e3)} mm deep")
-        return
-    turn = evidence.get("turn")
-    turned = isinstance(turn, int | float) and turn >= math.radians(1)
-    if distance >= 1e-3 or turned:
-        yield f"the nearest posture stays {distance:.3f} m away" + (
-            f" and is turned by {math.degrees(turn):.0f} degrees" if isinstance(turn, int | float) and turned else ""
-        )
-    else:
-        yield "there is a posture for it"
-
-
-def _obstacles(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if not isinstance(bodies, dict) or not bodies:
-        return
-    pairs = [fact["pair"] if isinstance(fact, dict) and "pair" in fact else None for fact in bodies.values()]
-    known = [pair_text(pair) for pair in pairs if isinstance(pair, dict)]
-    if len(known) == len(bodies):
-        yield names(known)
-    else:  # older releases didn't tell the links
-        yield f"the arm would touch {names(list(bodies))}"
-
-
-def _measure(verb: str, factor: float, unit: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
-    def phrase(amount: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-        if isinstance(amount, int | float):
-            yield f"{verb} {amount * factor:.1f} {unit}"
-
-    return phrase
-
-
-def _links(links: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(links, list) and links:
-        pairs = [
-            " and ".join(str(part) or "base" for part in item) if isinstance(item, list) else str(item) or "base"
-            for item in links
-        ]
-        yield f"at {names(pairs)}"
-
-
-def _simulated(steps: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(steps, int):
-        yield f"in {steps / STEPS_PER_SECOND:.2f} s of simulation"
-
-
-#: Phrases for parts of queries' evidence; single values that are not here are printed with their names.
-_PHRASES: Final[Mapping[str, Callable[[Plain, Mapping[str, Plain]], Iterator[str]]]] = {
-    "share": _share,
-    "hidden_by": _hidden,
-    "distance": _distance,
-    "obstacles": _obstacles,
-    "moved": _measure("it moved", 1e3, "mm"),
-    "turned": _measure("turned", math.degrees(1), "degrees"),
-    "links": _links,
-    "simulated_steps": _simulated,
-}
-#: Parts that the phrases of others include.
-_INCLUDED: Final = frozenset({"pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})
-
-
-def turned(angle: float) -> str:
-    """Return by how much something turned."""
-    return f"turned by {degrees(angle)}"
+# --- the world: changes, attachments, beliefs -------------------------------------------------------------------------
 
 
 #: How something changed, as in :class:`replay.history.blame.Blame` and the causes of failures.
@@ -333,46 +227,153 @@ def change(name: str, how: str, mover: str = "") -> str:
     return f"{name} {_CHANGES.get(how, 'changed')}" + (f" {word} {mover}" if word else "")
 
 
-def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> Iterator[str]:
-    """Yield the lines of a call stack, innermost first, down to those that were printed with another one."""
-    common = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, earlier, strict=False)) for earlier in printed)
-    shared = max((len(list(pairs)) for pairs in common), default=0)
-    printed.append(stack)
-    word = "from"
-    for line in reversed(stack[shared:] if shared > 1 else stack):
-        yield f"{word} {location(line)}"
-        word = "called from"
-    if shared > 1:
-        yield f"{word} {location(replace(stack[shared - 1], text=''))}, as above"
+def carrier(held: Attachment) -> str:
+    """Return a carrier, with the link that holds a body."""
+    return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
 
 
-def place(line: Line) -> str:
-    """Return where a line of the plan is, as file:line."""
-    return f"{path(line.file)}:{line.number}"
+def learned(source: str, step: int) -> str:
+    """Return how a robot came to believe something, as "seen at step 40"."""
+    words = {"held": "in its hand since", "told": "told by the world's state at", "placed": "let go of there at"}
+    word = words.get(source, f"{source} at")
+    return f"{word} step {step}" if step >= 0 else f"{word.rpartition(' ')[0]} before the recording"
 
 
-def at(line: Line | None) -> str:
-    """Return where a line of the plan is, as the end of a clause; "" if it isn't known."""
-    return f", at {place(line)}" if line is not None else ""
+def sampled(moment: Sampled, *, exact: bool = False) -> str:
+    """Return how a moment within a stretch of simulation is known."""
+    stretch = f"step {moment.step} ({moment.world} simulated from {moment.start:.3f} s to {moment.end:.3f} s)"
+    if exact:
+        return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to then"
+    if moment.at == moment.start:
+        return f"at {moment.asked:.3f} s, within {stretch}: as before it, no sample until then has a movement"
+    return f"at {moment.asked:.3f} s, within {stretch}: as sampled at {moment.at:.3f} s, to 0.01 mm"
 
 
-def node(task_: Node) -> str:
-    """Return a task with what it was given."""
-    return task(task_.kind, task_.name, task_.parameters)
+# --- records ----------------------------------------------------------------------------------------------------------
 
 
-def error(task_: Node) -> str:
-    """Return what a task failed with, in a line; its status if it has no error."""
-    return one_line(task_.error[1] or task_.error[0]) if task_.error is not None else task_.status.word
+def record_line(record: Record) -> str:
+    """Return a record as one line."""
+    if isinstance(record, Task) and record.phase == Task.STARTED:
+        earlier = ", which runs already" if record.began_ns else ""
+        return f"{record.kind} {call(record.name, argument_values(record.parameters))}{earlier}"
+    if isinstance(record, Query):
+        text = reasons(record)
+        return f"{question(record)}: {answer(record)}" + (f"; {text}" if text else "")
+    if isinstance(record, Event):
+        text = f"event {call(record.name, argument_values(record.arguments))}"
+        return f"{text}, {len(record.handlers)} handlers" if record.handlers else text
+    if isinstance(record, Refusal):
+        return f"refused: {refused(record)}: {failure(record.failure)}"
+    return "; ".join(text_of(record)[0].splitlines())
 
 
-def handler(started: Task) -> str:
-    """Return a handler's call, with the step of its event."""
-    event = argument_values(started.parameters).get("event", "")
-    step = f" of step {started.cause}" if started.cause else ""  # 0: the event came before the recording
-    return f"the handler {started.name} of event {event}{step}"
+def question(query: Query) -> str:
+    """Return what a query asked."""
+    return call(query.name, argument_values(query.arguments))
 
 
-def refused(refusal: Refusal) -> str:
-    """Return the call that was refused."""
-    return call(refusal.name, argument_values(refusal.arguments))
+def answer(query: Query) -> str:
+    """Return its answer: yes, no, the objects found, or how it failed; and whether a fork gave it."""
+    if query.HasField("failure"):
+        return failure(query.failure)
+    if query.by_fork:
+        return f"{_answer(query.answer_json)}, by the fork; else {_answer(query.own_answer_json)}"
+    return _answer(query.answer_json)
+
+
+def _answer(text: str) -> str:
+    result = from_json(text)
+    if isinstance(result, bool):
+        return "yes" if result else "no"
+    return names([value(item) for item in result]) if isinstance(result, list) else value(result)
+
+
+def reasons(query: Query) -> str:
+    """Return what its answer rests on, and why other candidates wouldn't do; of one alone the evidence tells."""
+    evidence = argument_values(query.evidence)
+    found = []
+    for key, item in evidence.items():
+        if key in _EVIDENCE:
+            found.append(_EVIDENCE[key](item, evidence))
+        elif key not in _INCLUDED and isinstance(item, bool | int | float | str):
+            found.append(f"{key.replace('_', ' ')} {value(item)}")
+    if is_choice(query):
+        found.insert(0, rejections(query))
+    lines = [] if is_choice(query) or len(query.candidates) < 2 else list(rejection_lines(query))
+    more = [f"{len(lines) - _MAX_REASONS} more reasons"] if len(lines) > _MAX_REASONS else []
+    return "; ".join(filter(None, (", ".join(filter(None, found)), *lines[:_MAX_REASONS], *more)))
+
+
+# --- evidence of queries ----------------------------------------------------------------------------------------------
+
+
+_Evidence: TypeAlias = "Mapping[str, Plain]"
+
+
+def _share(share: Plain, evidence: _Evidence) -> str:
+    if not isinstance(share, int | float):
+        return ""
+    visible, unoccluded = evidence.get("pixels_seen"), evidence.get("pixels_alone")
+    how_much = "all" if share >= 1 else "nothing" if not share else f"{share:.0%}"
+    return f"{how_much} of it is seen" + (f" ({visible} of {unoccluded} pixels)" if unoccluded else "")
+
+
+def _hidden(bodies: Plain, _: _Evidence) -> str:
+    shares = bodies.items() if isinstance(bodies, dict) else ()
+    return ", ".join(
+        f"{name} hides {share:.0%}" if isinstance(share, int | float) else f"{name} hides it" for name, share in shares
+    )
+
+
+def _distance(distance: Plain, evidence: _Evidence) -> str:
+    if not isinstance(distance, int | float):
+        return ""
+    if "joints" not in evidence:
+        return f"{number(abs(distance) * 1e3)} mm {'apart' if distance >= 0 else 'deep'}"
+    turn = evidence.get("turn")
+    turned = ""
+    if isinstance(turn, int | float) and turn >= math.radians(1):
+        turned = f" and is turned by {math.degrees(turn):.0f} degrees"
+    if distance < 1e-3 and not turned:
+        return "there is a posture for it"
+    return f"the nearest posture stays {distance:.3f} m away{turned}"
+
+
+def _obstacles(bodies: Plain, _: _Evidence) -> str:
+    if not isinstance(bodies, dict) or not bodies:
+        return ""
+    pairs = [fact["pair"] if isinstance(fact, dict) and "pair" in fact else None for fact in bodies.values()]
+    known = [pair_text(pair) for pair in pairs if isinstance(pair, dict)]
+    if len(known) == len(bodies):
+        return names(known)
+    return f"the arm would touch {names(list(bodies))}"  # older releases didn't record the links
+
+
+def _links(links: Plain, _: _Evidence) -> str:
+    if not isinstance(links, list) or not links:
+        return ""
+    pairs = (item if isinstance(item, list) else [item] for item in links)
+    return f"at {names([' and '.join(str(part) or 'base' for part in pair) for pair in pairs])}"
+
+
+def _measure(text: str, factor: float) -> Callable[[Plain, _Evidence], str]:
+    """Return the phrase of an amount: ``text`` has it, times the factor."""
+    return lambda amount, _: text.format(amount * factor) if isinstance(amount, int | float) else ""
+
+
+#: Phrases for parts of queries' evidence; single values that are not here are printed with their names.
+_EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
+    "share": _share,
+    "hidden_by": _hidden,
+    "distance": _distance,
+    "obstacles": _obstacles,
+    "moved": _measure("it moved {:.1f} mm", 1e3),
+    "turned": _measure("turned {:.1f} degrees", math.degrees(1)),
+    "links": _links,
+    "simulated_steps": lambda steps, _: (
+        f"in {steps / STEPS_PER_SECOND:.2f} s of simulation" if isinstance(steps, int) else ""
+    ),
+}
+#: Parts that the phrases of others include.
+_INCLUDED: Final = frozenset({"pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})

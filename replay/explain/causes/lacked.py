@@ -155,7 +155,7 @@ class RefusedRequest(Cause):
         lacked = f"{_lacked(_REFUSED.get(self.precondition, ''), self.subject)} at step {self.steps[-1]}"
         refused = f"{phrases.refused(asked)}{_where(self.line)} was refused at step {asked.seq}{inside}"
         yield f"{refused} and the plan went on{_where(self.went_on)}; {lacked}"
-        yield f"it was refused with: {phrases.one_line(format_failure(asked.failure))}"
+        yield f"it was refused with: {phrases.failure(asked.failure)}"
 
 
 def _where(line: Line | None) -> str:

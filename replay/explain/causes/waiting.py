@@ -9,7 +9,7 @@ from functools import lru_cache
 from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, format_failure, from_json
+from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, from_json
 from recorder.tasks import Node, State, Tree
 from replay.explain.causes.case import FailureCase, objects_in
 from replay.explain.causes.cause import Cause
@@ -62,7 +62,7 @@ class Fulfiller:
             name, error = phrases.node(self.failed), phrases.error(self.failed)
             text += f", after {name} failed at step {self.failed.last_step}: {error}"
         if self.refused is not None:
-            error = phrases.one_line(format_failure(self.refused.failure))
+            error = phrases.failure(self.refused.failure)
             text += f", after {phrases.refused(self.refused)} was refused at step {self.refused.seq}: {error}"
         return text + ("; it never did on record" if self.task is None and self.step is None else "")
 
