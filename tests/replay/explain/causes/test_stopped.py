@@ -12,7 +12,7 @@ from pycram.running import RunSpec, run
 from recorder.records import Run
 from replay.cli.main import main
 from replay.explain import causes as kinds
-from tests.replay.causes.explaining import line_of, words
+from tests.replay.explain.causes.explaining import line_of, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable

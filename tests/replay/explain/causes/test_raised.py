@@ -16,7 +16,7 @@ from pycram.projection import NotProjectable
 from pycram.sweeping import SweepRefused
 from replay.explain import causes as kinds
 from replay.explain.causes.raised import USAGE_ERRORS
-from tests.replay.causes.explaining import WITH_PR2, line_of, words
+from tests.replay.explain.causes.explaining import WITH_PR2, line_of, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -24,7 +24,7 @@ from replay.cli.main import main
 if TYPE_CHECKING:
     from replay.recording import Recording
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 
 
 def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Recording) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from replay.explain import causes as kinds
-from tests.replay.causes.explaining import WITH_PR2, line_of
+from tests.replay.explain.causes.explaining import WITH_PR2, line_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -18,7 +18,7 @@ from pycram.failures import PlanFailure
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.explain import causes as kinds
-from tests.replay.causes.explaining import START, executed, words
+from tests.replay.explain.causes.explaining import START, executed, words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-DOCS = Path(__file__).parents[3] / "docs" / "why.md"
+DOCS = Path(__file__).parents[4] / "docs" / "why.md"
 
 
 ROBOT = """

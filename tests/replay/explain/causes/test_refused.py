@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from replay.explain import causes as kinds
-from tests.replay.causes.explaining import line_of, words
+from tests.replay.explain.causes.explaining import line_of, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable

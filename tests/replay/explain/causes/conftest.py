@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.replay.causes.explaining import explain
+from tests.replay.explain.causes.explaining import explain
 
 if TYPE_CHECKING:
     from collections.abc import Callable
