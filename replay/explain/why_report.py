@@ -6,7 +6,7 @@ import builtins
 import shlex
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Failure, Query, format_failure
+from recorder.records import Query, format_failure
 from recorder.records.text import chosen_name, decision_text, fates_text, foreseen, rejection_lines
 from replay.compare import states
 from replay.explain.causes.cause import Cause

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
 from recorder.geometry.urdf import read_shapes
-from recorder.records import Mutation, Plain, Query, Refusal, Task, argument_values, format_failure
+from recorder.records import Mutation, Plain, Query, Refusal, Task, argument_values
 from recorder.tasks import Node, State
 from replay.errors import Damaged, NoSuchName
 from replay.explain.causes.case import HANDLER, FailureCase, about, joints_of, objects_in, values
