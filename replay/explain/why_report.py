@@ -170,8 +170,9 @@ def _headline(why: Why) -> Iterator[str]:
             message = failure.message  # which needs no type before it, unlike messages of Python's own errors
         yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
-        thread = f"its thread {why.thread} failed: " if why.thread and why.failure is not None else ""
-        failed = f"{thread}{phrases.failure(why.failure)}" if thread else "a task failed."
+        failed = "a task failed."
+        if why.thread and why.failure is not None:
+            failed = f"its thread {why.thread} failed: {phrases.failure(why.failure)}"
         yield f"{name} succeeded" + (f", although {failed}" if why.failure is not None else ".")
     elif run.outcome == "interrupted":
         yield f"{name} was interrupted after {run.seconds:.1f} s."
