@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from recorder.tasks import Tree
     from replay.explain.why import Why
     from replay.history.blame import Blame
-    from replay.report.question import Question
-    from replay.restore.ask import Answer, Move
+    from replay.report.question import QueryCall
+    from replay.restore.ask import Move, QueryAnswer
     from replay.state.state import RecordedBelief, State
 
 
@@ -93,24 +93,24 @@ class Recording(RecordReader):
         size: tuple[int, int] = (640, 480),
         world: str | None = None,
     ) -> Image.Image:
-        """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.Scene.picture`.
+        """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.DrawnWorld.picture`.
 
         Where no world is open any more, it is one of the last step at which there was one: ``picture.info["step"]``.
         """
-        from replay.restore.render import Scene  # noqa: PLC0415
+        from replay.restore.render import DrawnWorld  # noqa: PLC0415
 
         shown = last_open_step(self, self.step(step), world)
         moment = moment_of(step) if shown == self.step(step) else None
-        return Scene(self, shown, world, moment).picture(camera=camera, eye=eye, target=target, size=size)
+        return DrawnWorld(self, shown, world, moment).picture(camera=camera, eye=eye, target=target, size=size)
 
     def ask(
         self,
         step: int | str,
-        question: str | Question | None = None,
+        question: str | QueryCall | None = None,
         *,
         world: str | None = None,
         moves: Sequence[Move] = (),
-    ) -> Answer:
+    ) -> QueryAnswer:
         """Ask a reasoning query at a past step, which needs the executor; see :func:`replay.restore.ask.ask`."""
         from replay.restore.ask import ask  # noqa: PLC0415
 

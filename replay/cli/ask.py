@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from recorder.records import Plain
     from replay.recording import Recording
-    from replay.restore.ask import Answer, Move
+    from replay.restore.ask import Move, QueryAnswer
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +60,7 @@ def _move(text: str) -> Move:
     return Move(body, (x, y, z), (turn[0], turn[1], turn[2], turn[3]) if turn else None)
 
 
-def _data(answer: Answer) -> Plain:
+def _data(answer: QueryAnswer) -> Plain:
     moves: list[Plain] = [
         {
             "object": move.body,

@@ -106,12 +106,12 @@ def _camera(frame: str) -> Draw:
     """Return what draws what the robot's camera sees, or one at another frame of it."""
     import numpy as np  # noqa: PLC0415  slow to import
 
-    from replay.restore.render import Scene  # noqa: PLC0415  what it needs is an extra
+    from replay.restore.render import DrawnWorld  # noqa: PLC0415  what it needs is an extra
 
     def draw(
         log: RecordReader, step: int, world: str, moment: float | None, size: tuple[int, int]
     ) -> NDArray[np.uint8]:
-        scene = Scene(log, step, world, moment)
+        scene = DrawnWorld(log, step, world, moment)
         if not (camera := frame or scene.camera):
             raise ReplayError(f"{log.path}: the robot has no camera; name one of its frames")
         return np.asarray(scene.picture(camera=camera, size=size).convert("RGB"))

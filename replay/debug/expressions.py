@@ -37,7 +37,7 @@ class NoQuantity(ReplayError):
         self.expression = expression  # the expression
 
 
-class Change(NamedTuple):
+class ValueChange(NamedTuple):
     """A step at which an expression got another value."""
 
     step: int
@@ -45,7 +45,7 @@ class Change(NamedTuple):
     after: object
 
 
-def changes(log: RecordReader, expression: str) -> list[Change]:
+def value_changes(log: RecordReader, expression: str) -> list[ValueChange]:
     """Return the steps of a recording at which an expression's value changed.
 
     Values from before an object is loaded, and after it is removed, are None.
@@ -58,7 +58,7 @@ def changes(log: RecordReader, expression: str) -> list[Change]:
     except (SyntaxError, ValueError) as error:
         raise NoQuantity(expression, f"it can't be read: {error}") from None
     worlds: dict[str, WorldBuilder] = {}
-    found: list[Change] = []
+    found: list[ValueChange] = []
     latest: object = None
     known, cause = False, "the recording has no state"
     for record in log.records((Mutation, Keyframe)):
@@ -71,7 +71,7 @@ def changes(log: RecordReader, expression: str) -> list[Change]:
         else:
             known = True
         if _differ(latest, value):
-            found.append(Change(record.seq, latest, value))
+            found.append(ValueChange(record.seq, latest, value))
             latest = value
     if not known:
         raise NoQuantity(expression, cause)

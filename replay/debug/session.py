@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Envelope, Event, Keyframe, Output, Run, Task
 from recorder.suggestions import suggestion
-from replay.debug.expressions import NoQuantity, changes
+from replay.debug.expressions import NoQuantity, value_changes
 from replay.debug.stopped_plan import WatchedExpression
 from replay.errors import NoSuchName, NoSuchStep, ReplayError
 from replay.history.source import is_file, name_of
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from recorder.records import Record
-    from replay.debug.expressions import Change
+    from replay.debug.expressions import ValueChange
     from replay.debug.guided_plan import Arrival, GuidedPlan
     from replay.file.record_reader import RecordReader
     from replay.recording import Recording
@@ -362,7 +362,7 @@ class Breakpoint:
     temporary: bool = False  # whether it ends when it has stopped the plan
     enabled: bool = True  # whether it stops the plan
     line: tuple[str, int] | None = None  # of a breakpoint at a line of the plan: its file and number
-    changes: dict[int, Change] = field(default_factory=dict)  # of a watch: the changes, by their steps
+    changes: dict[int, ValueChange] = field(default_factory=dict)  # of a watch: the changes, by their steps
     watched: WatchedExpression | None = None  # of a watch on the plan's variables
 
     @property
@@ -444,7 +444,7 @@ def watch_of(log: Recording, number: int, expression: str, plan: Callable[[], Wa
         NoQuantity: it is neither.
     """
     try:
-        found = {change.step: change for change in changes(log, expression)}
+        found = {change.step: change for change in value_changes(log, expression)}
     except NoQuantity:
         watched = plan()
         if watched is None:

@@ -14,7 +14,7 @@ from replay.explain.causes.waiting import Interruption
 from replay.explain.scene import InvolvedBody, facing
 from replay.explain.tried import TriedAction
 from replay.report import phrases, report
-from replay.report.question import BadQuestion, Name, Question, Term, question_of
+from replay.report.question import BadQuestion, Name, QueryCall, Term, question_of
 from replay.report.report import section
 from replay.state.json_data import record_data
 
@@ -382,7 +382,7 @@ def _asked_again(query: Query) -> str:
         if name in ("threshold", "margin", "grasp", "orientation", "collision_free"):
             break
         arguments.append(Name(term) if isinstance(term, str) else term)  # queries take either
-    return str(Question(query.name, tuple(arguments)))
+    return str(QueryCall(query.name, tuple(arguments)))
 
 
 def _movable(why: Why) -> list[InvolvedBody]:

@@ -14,7 +14,7 @@ import os
 import stat
 import zlib
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -184,20 +184,15 @@ class SharedFile:
         path = self._folder / self._stated
         if path.is_symlink():  # where the system has no flag for it
             raise ValueError("is a link, which isn't followed")
-        file = open(path, "rb", opener=lambda name, _: os.open(name, _FLAGS))  # noqa: SIM115  the index closes it
-        try:
-            self._check(file)
-        except BaseException:
-            file.close()
-            raise
+        with ExitStack() as undoing:
+            file = undoing.enter_context(open(path, "rb", opener=lambda name, _: os.open(name, _FLAGS)))
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise ValueError("is no regular file")
+            if hashlib.file_digest(file, "sha256").hexdigest() != self._sha256:
+                raise ValueError("has another content than the one that the recording was made with")
+            file.seek(0)
+            undoing.pop_all()
         return file
-
-    def _check(self, file: BufferedReader) -> None:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise ValueError("is no regular file")
-        if hashlib.file_digest(file, "sha256").hexdigest() != self._sha256:
-            raise ValueError("has another content than the one that the recording was made with")
-        file.seek(0)
 
 
 def shared_by(recording: Path, index: Index) -> SharedFile | None:

@@ -22,8 +22,7 @@ from mcap.opcode import Opcode
 from recorder.records import TOPICS, Envelope, Keyframe, Mutation, Query, Record
 from recorder.records.beliefs import is_look, may_be_look
 from recorder.records.definition import PACKAGE, known
-from replay.errors import LogClosed
-from replay.file.mcap_format import CHANNEL_OFFSET, HEADER, LENGTH, ChunkExtent, Extent, decode, describe
+from replay.file.mcap_format import CHANNEL_OFFSET, CHUNK_DAMAGE, HEADER, LENGTH, ChunkExtent, Extent, decode, describe
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -229,9 +228,7 @@ class Chunks:
             found = self._divide(contents, entries)
             if stated is not None and stated != found:
                 self.damaged.setdefault(number, f"it has {found} messages, by the index {stated}")
-        except LogClosed:
-            raise
-        except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
+        except CHUNK_DAMAGE as error:
             self.damaged.setdefault(number, describe(error))
         self._cache[number] = entries
         self._cached += entries.size
@@ -422,9 +419,7 @@ def _messages(index: Index, damage: list[str]) -> Iterator[tuple[int, int, bytes
 def _contents(index: Index, number: int, damage: list[str]) -> bytes | None:
     try:
         return index.contents(number)[0]
-    except LogClosed:
-        raise
-    except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
+    except CHUNK_DAMAGE as error:
         damage.append(f"chunk {number} is damaged ({describe(error)})")
         return None
 

@@ -21,6 +21,7 @@ from recorder.mcap.writer import FREE, MAX_RATIO
 from replay.errors import LogClosed
 from replay.file.mcap_format import (
     CHANNEL_OFFSET,
+    CHUNK_DAMAGE,
     CHUNK_HEAD,
     CHUNK_INDEX,
     DAMAGE,
@@ -143,7 +144,7 @@ class Index:
         if that isn't known.
 
         Raises:
-            Exception: it is damaged; what the decompressors raise has no common base.
+            CHUNK_DAMAGE: it is damaged.
         """
         self.check_open()
         stated = self.chunks.stated(number)
@@ -457,7 +458,7 @@ class FileScan:
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._index.define(_parsed(opcode, content))
                 at += HEADER + length
-        except Exception:  # noqa: BLE001  decompressors' errors have no common base; reported when the chunk is read
+        except CHUNK_DAMAGE:  # reported when the chunk is read
             return None
         return counted
 

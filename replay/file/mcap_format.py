@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from zstandard import ZstdDecompressor, frame_content_size
+from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -43,6 +43,8 @@ CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of 
 MAX_INFLATED: Final = 64 << 20  # bytes of a chunk, decompressed; recorders close them at about 1 MiB
 #: What a damaged file can raise in the libraries that decode it.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
+#: What a damaged chunk can raise: also errors of Zstandard, and of LZ4, which are RuntimeErrors.
+CHUNK_DAMAGE: Final = (*DAMAGE, ZstdError, RuntimeError)
 
 
 class Extent(NamedTuple):
@@ -167,7 +169,7 @@ class Decompressor:
         """Return the messages of a chunk.
 
         Raises:
-            Exception: it is damaged; what the decompressors raise has no common base.
+            CHUNK_DAMAGE: it is damaged.
         """
         _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
         if size > MAX_INFLATED:

@@ -68,18 +68,17 @@ class RecordReader:
     """The records of a recording. Not for several threads at once."""
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)  # the file
+        self.path = Path(path)
         self._file = open_file(self.path)
-        try:
+        with contextlib.ExitStack() as undoing:
+            undoing.callback(self._file.close)
             # when the file was last written to before it was opened, ns since the Unix epoch
             self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns
             self._index = Index(self._file)
             check_ours(self.path, self._index)
             self._chunks = Chunks(self._index)
             self._steps = self._count()
-        except BaseException:
-            self._file.close()
-            raise
+            undoing.pop_all()
         self.assets = Assets(self.path, self._index)  # the attached files by ``<sha256>/<file name>``
         self.lost_before = lost_before(self._index)  # steps that were lost before the file was repaired
         self._gaps: list[range] = []  # what is lost, when so many chunks were known to be damaged, of so many steps
@@ -387,12 +386,10 @@ def open_file(path: Path) -> BinaryIO:
         Unreadable: it is empty, or cut off within these bytes.
     """
     try:
-        file = open(path, "rb", opener=_nonblocking)  # noqa: SIM115  the log closes it
-        try:
+        with contextlib.ExitStack() as undoing:
+            file = undoing.enter_context(open(path, "rb", opener=_nonblocking))
             _check_start(path, file)
-        except BaseException:
-            file.close()
-            raise
+            undoing.pop_all()
     except OSError as error:
         raise NotALog(path, error.strerror or str(error)) from error
     return file

@@ -16,9 +16,9 @@ from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
 from recorder.mcap.shared_models import METADATA as MODELS
-from replay.errors import Damaged, LogClosed
+from replay.errors import Damaged
 from replay.file.chunks import kinds_of
-from replay.file.mcap_format import HEADER, LENGTH, decode, describe
+from replay.file.mcap_format import CHUNK_DAMAGE, HEADER, LENGTH, decode, describe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -85,9 +85,7 @@ def write_sound(
     for number in range(len(chunks)):
         try:
             messages = _messages(chunks.contents(number)[0])
-        except LogClosed:
-            raise
-        except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
+        except CHUNK_DAMAGE as error:
             lost[number] = describe(error)
             continue
         try:

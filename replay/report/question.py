@@ -35,7 +35,7 @@ Term: TypeAlias = "Name | str | float | int | bool | list[Term] | None"
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class QueryCall:
     """One call of a query, with positional and keyword arguments."""
 
     query: str
@@ -57,7 +57,7 @@ class BadQuestion(ReplayError):
         self.cause = cause  # what is wrong with it
 
 
-def question_of(record: Query) -> Question:
+def question_of(record: Query) -> QueryCall:
     """Return a recorded query as a question with its recorded argument names.
 
     Raises:
@@ -67,7 +67,7 @@ def question_of(record: Query) -> Question:
         arguments = {argument.name: _recorded(json.loads(argument.json)) for argument in record.arguments}
     except ValueError as error:
         raise BadQuestion(f"step {record.seq}", f"its arguments make no sense: {error}") from error
-    return Question(record.name, (), {name: term for name, term in arguments.items() if term is not None})
+    return QueryCall(record.name, (), {name: term for name, term in arguments.items() if term is not None})
 
 
 def _recorded(value: Plain) -> Term:
@@ -78,7 +78,7 @@ def _recorded(value: Plain) -> Term:
     return value
 
 
-def parse(text: str) -> Question:
+def parse(text: str) -> QueryCall:
     """Parse a question such as ``visible(milk, [0.5, 0.6, 1.5], threshold=0.5)``.
 
     Raises:
@@ -103,7 +103,7 @@ def parse(text: str) -> Question:
         raise BadQuestion(text, "** can't be used here")
     if len(keywords) < len(call.keywords):
         raise BadQuestion(text, "an argument is given twice")
-    return Question(query, arguments, keywords)
+    return QueryCall(query, arguments, keywords)
 
 
 class _NotATerm(Exception):

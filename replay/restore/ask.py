@@ -17,7 +17,7 @@ from pycram.foundation.failures import PycramError
 from pycram.reasoning.queries.query import RECORDED_AS, Verdict
 from recorder.records import Query, format_error, to_json
 from replay.errors import NoSuchName
-from replay.report.question import BadQuestion, Name, Question, parse, question_of
+from replay.report.question import BadQuestion, Name, QueryCall, parse, question_of
 from replay.restore.world import temporary_world
 from replay.state.fold import state_at
 
@@ -53,12 +53,12 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class QueryAnswer:
     """The answer to a query."""
 
     step: int  # the step after which it was asked
     world: str  # name of the world
-    question: Question  # the query with its arguments
+    question: QueryCall  # the query with its arguments
     answer: bool | list[str | bool]  # true or false, names of objects, or true or false for each of several
     evidence: Mapping[str, Plain]  # what the answer is based on
     moves: tuple[Move, ...] = ()  # what was moved before
@@ -67,12 +67,12 @@ class Answer:
 def ask(
     log: RecordReader,
     step: int,
-    question: str | Question | None = None,
+    question: str | QueryCall | None = None,
     *,
     world: str | None = None,
     moves: Sequence[Move] = (),
     moment: float | None = None,
-) -> Answer:
+) -> QueryAnswer:
     """Ask a query at a past step, with objects moved before with all that they carry; no recording mentions it.
 
     A moment within the next record is as :func:`replay.restore.world.world_at` takes it.
@@ -108,10 +108,10 @@ def ask(
         answer = [_item(item) for item in result] if isinstance(result, list) else bool(result)
         evidence: dict[str, Plain] = json.loads(to_json(result.evidence))
         title = restored.name.rpartition("@")[0]
-    return Answer(step, title, call, answer, evidence, tuple(moves))
+    return QueryAnswer(step, title, call, answer, evidence, tuple(moves))
 
 
-def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[Question, str]:
+def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCall, str]:
     """Return the query that is recorded as a step, and its world.
 
     Raises:
@@ -128,7 +128,7 @@ def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[Question
     return question_of(record), record.world
 
 
-def _believed(state: State, step: int, world: str | None, question: Question, moves: Sequence[Move]) -> Answer:
+def _believed(state: State, step: int, world: str | None, question: QueryCall, moves: Sequence[Move]) -> QueryAnswer:
     """Return what a robot believed after a step, as the records tell it.
 
     Raises:
@@ -153,7 +153,7 @@ def _believed(state: State, step: int, world: str | None, question: Question, mo
     if belief is not None:
         evidence = {name: json.loads(json.dumps(getattr(belief, name))) for name in belief.__slots__}
         evidence["away"] = math.dist(belief.position, there.bodies[belief.object].position)
-    return Answer(step, there.name, question, belief is not None, evidence)
+    return QueryAnswer(step, there.name, question, belief is not None, evidence)
 
 
 def _apply(world: BulletWorld, move: Move) -> None:
@@ -164,7 +164,7 @@ def _apply(world: BulletWorld, move: Move) -> None:
         raise BadQuestion(f"moving {move.body}", str(error)) from error
 
 
-def _call(world: BulletWorld, question: Question) -> Verdict | Found[Object] | Found[Verdict]:
+def _call(world: BulletWorld, question: QueryCall) -> Verdict | Found[Object] | Found[Verdict]:
     query: Callable[..., Verdict | Found[Object] | Found[Verdict]] = getattr(btr, question.query)
     signature = inspect.signature(query)
     keywords = {_PARAMETERS.get(name, name): term for name, term in question.keywords.items()}

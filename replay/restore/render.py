@@ -50,7 +50,7 @@ _SURROUNDINGS: Final = 0.7  # m of what is around a small thing that its picture
 
 
 @dataclass(frozen=True, slots=True)
-class _Drawn:
+class _DrawnBody:
     """A body with where its links are, in the world."""
 
     body: Body  # its state
@@ -58,7 +58,7 @@ class _Drawn:
     parts: Mapping[str, int]  # numbers of its links that have shapes, in the scene, by name
 
 
-class Scene:
+class DrawnWorld:
     """The bodies of a world after a step, or at a moment as :func:`world_state` takes it, ready to be drawn.
 
     Raises:
@@ -69,8 +69,8 @@ class Scene:
     def __init__(self, log: RecordReader, step: int, world: str | None = None, moment: float | None = None) -> None:
         state = world_state(log, step, world, moment)
         self._step = step
-        self._bodies: dict[str, _Drawn] = {}
-        self._parts: list[Part] = []
+        self._bodies: dict[str, _DrawnBody] = {}
+        self._parts: list[DrawnLink] = []
         try:
             for body in state.bodies.values():
                 self._add(log, body)
@@ -85,11 +85,11 @@ class Scene:
         shapes = shapes_of(model.path)
         first = len(self._parts)
         self._parts += [
-            Part(drawable_link(shapes, at, frames[link], body.color or None, is_robot=body.type == "robot"), fixed)
+            DrawnLink(drawable_link(shapes, at, frames[link], body.color or None, is_robot=body.type == "robot"), fixed)
             for at, link in enumerate(shapes.links)
             for fixed in [body.type == "environment"]
         ]
-        self._bodies[body.name] = _Drawn(body, frames, {link: first + at for at, link in enumerate(shapes.links)})
+        self._bodies[body.name] = _DrawnBody(body, frames, {link: first + at for at, link in enumerate(shapes.links)})
 
     @property
     def camera(self) -> str:
@@ -125,7 +125,7 @@ class Scene:
         if not all(isinstance(side, int) and 0 < side <= _MAX_SIDE for side in size):
             raise ReplayError(f"a picture can't have {size[0]} x {size[1]} pixels; take 1 to {_MAX_SIDE} a side")
         if camera is not None:
-            return self._draw(View(self._robot_camera(camera, size)), size)
+            return self._draw(CutawayView(self._robot_camera(camera, size)), size)
         subject, point = self._subject(target)
         low, high = bounds(self._parts, subject)
         aim = _vector((low + high) / 2) if point is None else point
@@ -133,7 +133,9 @@ class Scene:
             viewpoint = _point("eye", eye)
             if math.dist(viewpoint, aim) < 1e-6:
                 raise ReplayError(f"a picture from {list(viewpoint)} to the same point has no direction")
-            return self._draw(View(_pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size)), size)
+            return self._draw(
+                CutawayView(_pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size)), size
+            )
         if eye is not None and eye not in SIDES:
             raise NoSuchName("side of the robot", eye, SIDES)
         heading = self._robot.body.orientation if self._robot else (0.0, 0.0, 0.0, 1.0)
@@ -162,7 +164,7 @@ class Scene:
                 targets += [f"{drawn.body.name}.{link}" for link in links]
         return targets or None
 
-    def _draw(self, view: View, size: tuple[int, int]) -> Image.Image:
+    def _draw(self, view: CutawayView, size: tuple[int, int]) -> Image.Image:
         up = geometry.rotate(geometry.conjugate(view.camera.pose[1]), (0.0, 0.0, 1.0))
         finer = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
         sight = view.draw(self._parts, view.camera.window, finer)
@@ -176,15 +178,15 @@ class Scene:
         picture.info |= {"step": self._step, "cut": tuple(names)}
         return picture
 
-    def _subject(self, target: Sequence[float] | str | Sequence[str] | None) -> tuple[Subject, Vector | None]:
+    def _subject(self, target: Sequence[float] | str | Sequence[str] | None) -> tuple[PictureSubject, Vector | None]:
         """Return what has to be seen, and the point to look at if one is given."""
         names = [target] if isinstance(target, str) else list(target or ())
         if names and all(isinstance(name, str) for name in names):
-            return Subject(tuple(self._parts_of(str(name)) for name in names), every=True), None
+            return PictureSubject(tuple(self._parts_of(str(name)) for name in names), every=True), None
         movable = [drawn for drawn in self._bodies.values() if drawn.body.type != "environment"]
         groups = (tuple(drawn.parts.values()) for drawn in movable or self._bodies.values())
         point = _point("target", target) if target is not None else None  # type: ignore[arg-type]
-        return Subject(tuple(group for group in groups if group), every=False), point
+        return PictureSubject(tuple(group for group in groups if group), every=False), point
 
     def _parts_of(self, name: str) -> tuple[int, ...]:
         """Return the numbers of what is drawn of a body, or of a link ``BODY.LINK``; of a bare link, of its body."""
@@ -223,7 +225,7 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         if not why.bodies:
             return []
-        scene = Scene(log, why.step, why.world.name if why.world is not None else None)
+        scene = DrawnWorld(log, why.step, why.world.name if why.world is not None else None)
         if scene.camera:
             files.append(folder / f"step_{why.step}_robot.png")
             scene.picture(camera=scene.camera).save(files[-1])
@@ -288,7 +290,7 @@ _CUT_GAP: Final = 0.02  # m before what is seen that a cut ends
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class DrawnLink:
     """A link of a body, ready to be drawn."""
 
     drawable: Drawable  # the link alone
@@ -307,7 +309,7 @@ _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for numb
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
+class PictureSubject:
     """What a picture is of."""
 
     groups: tuple[tuple[int, ...], ...]  # numbers of the parts of each thing
@@ -315,14 +317,14 @@ class Subject:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class CutawayView:
     """A camera, and what is cut away before it."""
 
     camera: Camera  # the camera
     cut: frozenset[int] = frozenset()  # numbers of the parts that are cut
     depth: float = 0.0  # m along the camera's axis up to which they are
 
-    def draw(self, parts: Sequence[Part], window: Window, size: tuple[int, int]) -> Rendering:
+    def draw(self, parts: Sequence[DrawnLink], window: Window, size: tuple[int, int]) -> Rendering:
         """Draw parts; the bodies of the rendering are their numbers."""
         whole = [number for number in range(len(parts)) if number not in self.cut]
         shown = _draw(self.camera, parts, whole, window, size)
@@ -333,13 +335,13 @@ class View:
 
 
 def _draw(
-    camera: Camera, parts: Sequence[Part], numbers: Sequence[int], window: Window, size: tuple[int, int]
+    camera: Camera, parts: Sequence[DrawnLink], numbers: Sequence[int], window: Window, size: tuple[int, int]
 ) -> Rendering:
     drawn = camera.draw([parts[number].drawable for number in numbers], window, size)
     return replace(drawn, bodies=np.append(np.array(numbers, dtype=np.int64), -1)[drawn.bodies])
 
 
-def bounds(parts: Sequence[Part], subject: Subject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def bounds(parts: Sequence[DrawnLink], subject: PictureSubject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return lowest and highest corner of what has to be seen, in m."""
     corners = [parts[number].corners for group in subject.groups for number in group]
     if not corners:  # of what has no shape
@@ -369,20 +371,20 @@ def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | No
             yield x, y, z
 
 
-def free_view(cameras: Sequence[Camera], parts: Sequence[Part], subject: Subject) -> View:
+def free_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
     """Return the first camera from which enough of a subject is seen, else the best; if that is little, with a cut."""
     cameras = [camera for camera in cameras if not _in_furniture(camera, parts)] or cameras
     best, most = cameras[0], -1.0
     for camera in cameras:
-        share = _seen(View(camera), parts, subject, most)
+        share = _seen(CutawayView(camera), parts, subject, most)
         if share >= _ENOUGH:
-            return View(camera)
+            return CutawayView(camera)
         if share > most:
             best, most = camera, share
-    return View(best) if most >= _TOO_LITTLE else _cut_view(cameras, parts, subject)
+    return CutawayView(best) if most >= _TOO_LITTLE else _cut_view(cameras, parts, subject)
 
 
-def _in_furniture(camera: Camera, parts: Sequence[Part]) -> bool:
+def _in_furniture(camera: Camera, parts: Sequence[DrawnLink]) -> bool:
     """Return whether a camera is within the box of a fixed part that is no room."""
     for part in parts:
         low, high = part.drawable.shapes.low[0], part.drawable.shapes.high[0]
@@ -394,7 +396,7 @@ def _in_furniture(camera: Camera, parts: Sequence[Part]) -> bool:
     return False
 
 
-def _seen(view: View, parts: Sequence[Part], subject: Subject, most: float = -1.0) -> float:
+def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject, most: float = -1.0) -> float:
     """Return which share of a subject is seen, of what would be if nothing else were there.
 
     Where that isn't above ``most``, it may be any other share that isn't.
@@ -411,7 +413,7 @@ def _seen(view: View, parts: Sequence[Part], subject: Subject, most: float = -1.
 class _Glance:
     """One thing alone and among all others, through the window just around it."""
 
-    def __init__(self, view: View, parts: Sequence[Part], group: tuple[int, ...]) -> None:
+    def __init__(self, view: CutawayView, parts: Sequence[DrawnLink], group: tuple[int, ...]) -> None:
         window = _window(view.camera, np.concatenate([parts[number].corners for number in group]))
         alone = _draw(view.camera, parts, group, window, _GLANCE)
         among = view.draw(parts, window, _GLANCE).bodies
@@ -438,18 +440,18 @@ def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
     )
 
 
-def _cut_view(cameras: Sequence[Camera], parts: Sequence[Part], subject: Subject) -> View:
+def _cut_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
     """Return a view in which what is fixed and hides the subject is cut away: the first that shows enough then."""
-    best, most = View(cameras[0]), -1.0
+    best, most = CutawayView(cameras[0]), -1.0
     for camera in cameras:
-        view = View(camera)
+        view = CutawayView(camera)
         for _ in range(_MAX_CUTS):
             glances = [_Glance(view, parts, group) for group in subject.groups]
             hiding = frozenset().union(*(glance.hiding for glance in glances))
             if hiding <= view.cut:
                 break
             depth = min((glance.depth for glance in glances), default=np.inf) - _CUT_GAP
-            view = View(camera, view.cut | hiding, min(depth, view.depth or depth))
+            view = CutawayView(camera, view.cut | hiding, min(depth, view.depth or depth))
         share = _seen(view, parts, subject, most)
         if share >= _ENOUGH:
             return view

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import DisplayError, PycramError
@@ -73,12 +73,11 @@ def world_at(
                 restored.simulate_steps(math.floor(within.asked * records.STEPS_PER_SECOND) - restored.sim_step)
         else:
             restored = rebuild(log, state, _suffix(step, within), mode)
-    try:
+    with ExitStack() as undoing:
+        undoing.callback(restored.exit)
         journal.announce(restored)
         BulletWorld.current_bullet_world = restored
-    except BaseException:
-        restored.exit()
-        raise
+        undoing.pop_all()
     return restored
 
 
@@ -116,7 +115,8 @@ def _reporting_damage(log: RecordReader, step: int) -> Iterator[None]:
 def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") -> BulletWorld:
     """Return a new world ``NAME@SUFFIX`` with a recorded state; to be called unrecorded."""
     world = open_world(f"{state.name}@{suffix}", mode)
-    try:
+    with ExitStack() as undoing:
+        undoing.callback(world.exit)
         update(world, sim_step=state.sim_step)
         world.set_gravity(state.gravity)
         for body in state.bodies.values():
@@ -130,9 +130,7 @@ def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") 
         if state.robot:
             world.set_robot(world.get_object(state.robot))
         world.beliefs.rebuild(map(_recorded, state.beliefs.values()))
-    except BaseException:
-        world.exit()
-        raise
+        undoing.pop_all()
     return world
 
 

@@ -36,7 +36,7 @@ from recorder.records import Change, Mutation, Query, from_json
 from recorder.tracing import interrupts, journal
 from recorder.tracing.forking import process
 from replay.errors import NoSuchName, ReplayError
-from replay.report.question import BadQuestion, Name, Question, parse
+from replay.report.question import BadQuestion, Name, QueryCall, parse
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -288,7 +288,7 @@ def parse_answer(text: str) -> GivenAnswer:
     return GivenAnswer(text, asked.query, _bound(asked, text), given[0])
 
 
-def _bound(asked: Question, text: str) -> dict[str, Term]:
+def _bound(asked: QueryCall, text: str) -> dict[str, Term]:
     """Return the arguments of a question by what records call them."""
     parameters = {recorded: parameter for parameter, recorded in RECORDED_AS.items()}
     keywords = {parameters.get(name, name): term for name, term in asked.keywords.items()}
@@ -348,7 +348,7 @@ class PendingChanges:
     def __init__(
         self,
         changes: Sequence[Change],
-        answers: QueryAnswers,
+        answers: AnswerOracle,
         make: Callable[[Change], None],
         refuse: Callable[[Exception], NoReturn],
     ) -> None:
@@ -411,7 +411,7 @@ class PendingChanges:
             interrupts.call_soon(self._try)
 
 
-class QueryAnswers:
+class AnswerOracle:
     """Answers queries in place of their own.
 
     Args:

@@ -8,6 +8,7 @@ the seed.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -104,15 +105,13 @@ def fork(
     unchanged = _unchanged(log, arguments, recorded_source=recorded_source) if control else None
     notes = tuple(process.notes())
     begun()
-    with ThreadPoolExecutor() as beside:
-        try:
-            controlling = None if unchanged is None else beside.submit(compared, unchanged, log)
-            _go_on(process, step, file, changes)
-            controlled = None if controlling is None else controlling.result()
-        except BaseException:  # an interrupt, too: the block waits for its thread, and that for the control's plan
-            if unchanged is not None:
-                unchanged.stop()
-            raise
+    with ThreadPoolExecutor() as beside, ExitStack() as undoing:
+        if unchanged is not None:  # else an interrupted block waits for its thread, and that for the control's plan
+            undoing.callback(unchanged.stop)
+        controlling = None if unchanged is None else beside.submit(compared, unchanged, log)
+        _go_on(process, step, file, changes)
+        controlled = None if controlling is None else controlling.result()
+        undoing.pop_all()
     with RecordReader(file) as forked:
         end = forked[-1]
         notes += tuple(_unasked(forked))

@@ -32,7 +32,7 @@ from recorder.records import Change, Run, escaped, format_error
 from recorder.tracing.forking import process
 from recorder.tracing.journal import NullSink
 from replay.file.record_reader import RecordReader
-from replay.retrace.changes import BadChange, PendingChanges, QueryAnswers, parse_setting, text_of
+from replay.retrace.changes import AnswerOracle, BadChange, PendingChanges, parse_setting, text_of
 from replay.retrace.guide import Guidance, Guide, GuidedSink
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class GuidedRun:
             raise TypeError("the recording doesn't begin with a run")  # the other process has checked it
         self.began = began
         self.guide = Guide(self.recorded, report, guidance.until, folder / self.recorded.path.name)
-        self.answers = QueryAnswers(self.guide, taken=guidance.take_answers, refuse=refuse)
+        self.answers = AnswerOracle(self.guide, taken=guidance.take_answers, refuse=refuse)
         self.changes = PendingChanges(guidance.changes, self.answers, make_change, refuse)
 
     def sink(self, *sinks: Sink, file: McapSink | None = None, passed: Callable[[], None] = lambda: None) -> GuidedSink:

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -159,15 +160,13 @@ class PlanProcess:
                 os.close(writing)
                 os.close(output)
             self._running = process
-            with process:
-                try:
-                    if self._stopped:  # before there was anything to end
-                        process.kill()
-                    line = results.readline()  # the plan's own processes may keep the pipe open
-                    code = process.wait()
-                except BaseException:
+            with process, ExitStack() as undoing:
+                undoing.callback(process.kill)
+                if self._stopped:  # before there was anything to end
                     process.kill()
-                    raise
+                line = results.readline()  # the plan's own processes may keep the pipe open
+                code = process.wait()
+                undoing.pop_all()
             os.set_blocking(reading, False)
             line = results.readline() or line  # a later one tells what came up on the way
             if not line:

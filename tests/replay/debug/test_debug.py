@@ -14,7 +14,7 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Mutation, Run, Task
 from replay.cli.main import main
-from replay.debug.expressions import NoQuantity, changes
+from replay.debug.expressions import NoQuantity, value_changes
 from replay.debug.guided_plan import GuidedPlan
 from replay.debug.session import Session
 from tests.replay.debug.plans import TEXT, line
@@ -216,9 +216,11 @@ def test_a_watch_is_about_the_world_opened_last_that_has_the_object(tmp_path: Pa
         for body in (cup, *milks):
             body.set_position([0, 0, 2])
     with replay.open(file) as log:
-        steps = {text: [each.step for each in changes(log, text)] for text in ("cup.z", "milk.z", "big_lab.milk.z")}
+        steps = {
+            text: [each.step for each in value_changes(log, text)] for text in ("cup.z", "milk.z", "big_lab.milk.z")
+        }
         with pytest.raises(NoQuantity, match="kitchen"):
-            changes(log, "kitchen")
+            value_changes(log, "kitchen")
     assert [each[:2] for each in (steps["cup.z"], steps["big_lab.milk.z"])] == [[3, 6], [4, 7]]
     assert steps["milk.z"][:2] == [4, 8], "from step 5 on the kitchen's, which is where the lab's is"
 

@@ -18,7 +18,7 @@ from pycram.world import current
 from recorder.records import Query
 from replay.cli.main import main
 from replay.report import phrases
-from replay.report.question import BadQuestion, Name, Question, parse
+from replay.report.question import BadQuestion, Name, QueryCall, parse
 from replay.restore.ask import QUERIES, Move
 from tests.replay.approximately import assert_approximately
 
@@ -79,7 +79,7 @@ def test_json_literals_of_records_are_parsed() -> None:
         "threshold": 1e-3,
     }
     assert (
-        str(Question("stable", (Name("red cup"), Name("true"), Name("milk"), True)))
+        str(QueryCall("stable", (Name("red cup"), Name("true"), Name("milk"), True)))
         == "stable('red cup', 'true', milk, True)"
     )
 

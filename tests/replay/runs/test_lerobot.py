@@ -15,7 +15,7 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from replay.cli.main import main
-from replay.restore.render import Scene
+from replay.restore.render import DrawnWorld
 from tests.replay.documented import REPO
 from tests.replay.runs.seeded import CABINET
 from tests.smooth_motions import move
@@ -127,7 +127,7 @@ def test_videos_show_what_a_camera_sees(opened: Path, tmp_path: Path, capsys: py
         first = round(row["videos/observation.images.camera/from_timestamp"] * info["fps"])
         assert first == row["dataset_from_index"]
         with replay.open(opened / row["run"]) as log:
-            scene = Scene(log, log.final_step())
+            scene = DrawnWorld(log, log.final_step())
             seen = np.asarray(scene.picture(camera="drawer", size=frames[0].shape[1::-1]).convert("RGB"), float)
         last = frames[first + row["length"] - 1]
         assert np.abs(last - seen).mean() < 3, "the last frame, but for what the codec loses"
@@ -154,7 +154,7 @@ def test_lerobots_own_reader_gives_what_the_runs_had(opened: Path, tmp_path: Pat
         with replay.open(opened / name) as log:
             final = log.state_at(log.final_step()).world("lab").body("cabinet")
             assert state[drawer] == pytest.approx(final.joint(DRAWER), abs=2e-5)
-            scene = Scene(log, log.final_step())
+            scene = DrawnWorld(log, log.final_step())
             seen = np.asarray(scene.picture(camera="drawer", size=picture.shape[:0:-1]).convert("RGB"), float)
         assert np.abs(picture.transpose(1, 2, 0) * 255 - seen).mean() < 3, "but for what the codec loses"
     first, second = given["begun"] * 255
