@@ -1,8 +1,6 @@
-"""A prompt as pdb's: lines from a terminal, with history and completion, or from a script on stdin.
+"""The debugger's prompt: pdb's commands on the steps of a recording, and verbs of ``pycram-replay`` at the step.
 
-The debugger's prompt where the plan has stopped: its frames, their source, and what is in them, as pdb has them.
-
-The debugger's commands: pdb's, on the steps of a recording, and those of ``pycram-replay`` at the step.
+Lines come from a terminal, with history and completion, or from a script on stdin.
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ from replay.cli import main
 from replay.cli.console import print_message, visible
 from replay.debug.expressions import quantity_names
 from replay.debug.guided_plan import PlanInterrupted
-from replay.debug.session import breakpoint_of
 from replay.errors import ReplayError
 from replay.report import phrases
 from replay.state.json_data import kind_of
@@ -37,6 +34,34 @@ if TYPE_CHECKING:
 
 
 _HISTORY: Final = 1000  # lines
+_MAIN_THREAD: Final = "MainThread"
+_AROUND: Final = 5  # lines before and after the current one, as pdb lists them
+#: Verbs of ``pycram-replay`` as commands: what stands before and after what is typed; "STEP" is where the plan is.
+_VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
+    "ask": (("STEP",), ()),
+    "blame": ((), ("--at", "STEP")),
+    "diff": (("STEP",), ()),
+    "fork": (("--at", "STEP"), ()),
+    "info": ((), ()),
+    "log": ((), ()),
+    "render": (("STEP",), ()),
+    "show": (("STEP",), ()),
+    "state": (("STEP",), ()),
+    "tree": (("--at", "STEP"), ()),
+    "why": ((), ()),
+}
+_HELP: Final = """\
+where (w, bt)  up (u)  down (d)  list (l)  ll     the plan's frames, and their source
+locals  args (a)  p EXPR  pp EXPR  whatis EXPR   what is in a frame; an expression alone is evaluated, too
+step (s)  next (n)  return (r)  until [STEP]     to the next step; on this task level; to the end of the task
+rstep (rs)  rnext (rn)                           the same, backwards
+continue (c)  rcontinue (rc)  goto STEP (g)      to the next breakpoint; to the one before; to any step
+break (b) [STEP | TASK | KIND | FILE:LINE | failure | event NAME]  tbreak  clear [N]  enable N  disable N
+watch EXPR  rwatch EXPR                          milk.z, holding(left), a variable: where it changes; where it last did
+state  tree  show  log  ask  blame  why  diff  render  info    as pycram-replay has them, at this step
+view                                             the Rerun viewer, which follows from now on
+fork [NAME] [--plan FILE]                        on from here, live, into a recording of its own
+help (h) [COMMAND]  quit (q)"""
 
 
 class LinePrompt(cmd.Cmd):
@@ -128,11 +153,7 @@ class LinePrompt(cmd.Cmd):
         return f"\x1b[{colour}m{shown}\x1b[0m" if self._coloured else shown
 
 
-_MAIN_THREAD: Final = "MainThread"
-_AROUND: Final = 5  # lines before and after the current one, as pdb lists them
-
-
-class FramesPrompt(LinePrompt):
+class Prompt(LinePrompt):
     """A prompt in the plan's frames.
 
     Args:
@@ -333,74 +354,6 @@ class FramesPrompt(LinePrompt):
     do_w = do_bt = do_where
     do_u, do_d, do_l, do_a = do_up, do_down, do_list, do_args
 
-
-def _ending(last: Record) -> str:
-    if not isinstance(last, Run) or last.phase != Run.FINISHED:
-        return "was cut here"
-    return "ends here" if last.succeeded else f"ends here; the plan failed: {format_failure(last.failure)}"
-
-
-def _number(text: str) -> int:
-    if text and not text.isdecimal():
-        raise ReplayError(f"{text}: expected a number of frames")
-    return int(text or 1)
-
-
-def _is_statement(text: str) -> bool:
-    if not text:
-        return False
-    try:
-        compile(text, "<prompt>", "eval")
-    except SyntaxError:
-        try:
-            compile(text, "<prompt>", "exec")
-        except SyntaxError:
-            return False  # evaluating it tells what is wrong
-        return True
-    except ValueError:
-        return False
-    return False
-
-
-def _short(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(map(_short, value))}]"
-    return phrases.short(str(value))
-
-
-#: Verbs of ``pycram-replay`` as commands: what stands before and after what is typed; "STEP" is where the plan is.
-_VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
-    "ask": (("STEP",), ()),
-    "blame": ((), ("--at", "STEP")),
-    "diff": (("STEP",), ()),
-    "fork": (("--at", "STEP"), ()),
-    "info": ((), ()),
-    "log": ((), ()),
-    "render": (("STEP",), ()),
-    "show": (("STEP",), ()),
-    "state": (("STEP",), ()),
-    "tree": (("--at", "STEP"), ()),
-    "why": ((), ()),
-}
-_HELP: Final = """\
-where (w, bt)  up (u)  down (d)  list (l)  ll     the plan's frames, and their source
-locals  args (a)  p EXPR  pp EXPR  whatis EXPR   what is in a frame; an expression alone is evaluated, too
-step (s)  next (n)  return (r)  until [STEP]     to the next step; on this task level; to the end of the task
-rstep (rs)  rnext (rn)                           the same, backwards
-continue (c)  rcontinue (rc)  goto STEP (g)      to the next breakpoint; to the one before; to any step
-break (b) [STEP | TASK | KIND | FILE:LINE | failure | event NAME]  tbreak  clear [N]  enable N  disable N
-watch EXPR  rwatch EXPR                          milk.z, holding(left), a variable: where it changes; where it last did
-state  tree  show  log  ask  blame  why  diff  render  info    as pycram-replay has them, at this step
-view                                             the Rerun viewer, which follows from now on
-fork [NAME] [--plan FILE]                        on from here, live, into a recording of its own
-help (h) [COMMAND]  quit (q)"""
-
-
-class Prompt(FramesPrompt):
-    """The prompt of a session; see :class:`FramesPrompt`."""
-
     # --- from step to step ------------------------------------------------------------------------------------------
 
     def _forward(self, target: int | None) -> None:
@@ -501,7 +454,7 @@ class Prompt(FramesPrompt):
             each.enabled = False
 
     def _numbered(self, numbers: str) -> list[Any]:
-        return [breakpoint_of(self.session.breakpoints, each) for each in numbers.split()]
+        return [self.session.numbered(each) for each in numbers.split()]
 
     # --- the recording at this step -----------------------------------------------------------------------------------
 
@@ -610,3 +563,39 @@ def _words(text: str) -> list[str]:
 
 def _beginning(text: str, names: Iterable[str]) -> list[str]:
     return sorted({name for name in names if name.startswith(text)})
+
+
+def _ending(last: Record) -> str:
+    if not isinstance(last, Run) or last.phase != Run.FINISHED:
+        return "was cut here"
+    return "ends here" if last.succeeded else f"ends here; the plan failed: {format_failure(last.failure)}"
+
+
+def _number(text: str) -> int:
+    if text and not text.isdecimal():
+        raise ReplayError(f"{text}: expected a number of frames")
+    return int(text or 1)
+
+
+def _is_statement(text: str) -> bool:
+    if not text:
+        return False
+    try:
+        compile(text, "<prompt>", "eval")
+    except SyntaxError:
+        try:
+            compile(text, "<prompt>", "exec")
+        except SyntaxError:
+            return False  # evaluating it tells what is wrong
+        return True
+    except ValueError:
+        return False
+    return False
+
+
+def _short(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_short, value))}]"
+    return phrases.short(str(value))

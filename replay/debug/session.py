@@ -1,13 +1,10 @@
-"""A session of the debugger: a guided plan, its breakpoints, and what leads from step to step.
+"""A session of the debugger: a guided plan, its breakpoints, and the steps that commands lead to.
 
-What the steps of a recording are part of, read once: to which step a command of the debugger leads.
+Breakpoints and watches are steps of the recording at which the plan stops, known when they are set. Only a watch on the
+plan's own variables has none: no recording holds these, so the plan runs to find out.
 
-A step's level is the innermost task that encloses it; the start and the end of a task are on the level around it. So
-``next`` goes from the start of a task to its end, as a debugger of programs goes over a call.
-
-Breakpoints and watches: each is the steps of the recording at which it stops the plan, known when it is set.
-
-Only a watch on the plan's own variables has none: these are in no recording, so the plan runs to find out.
+The level of a step is the innermost task that encloses it; the start and the end of a task are on the level around it.
+So ``next`` goes from the start of a task to its end, as a debugger of programs steps over a call.
 """
 
 from __future__ import annotations
@@ -27,13 +24,16 @@ from replay.errors import NoSuchName, NoSuchStep, ReplayError
 from replay.history.source import is_file, name_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from recorder.records import Record
     from replay.debug.expressions import ValueChange
     from replay.debug.guided_plan import Arrival, GuidedPlan
     from replay.file.record_reader import RecordReader
     from replay.recording import Recording
+
+Site: TypeAlias = "tuple[str, int]"  # a file and a line
+_LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
 class NoFurther(ReplayError):
@@ -55,12 +55,7 @@ class Halt:
 
 
 class Session:
-    """A guided plan that is debugged.
-
-    Args:
-        log: the recording.
-        plan: the plan.
-    """
+    """A guided plan that is debugged."""
 
     def __init__(self, log: Recording, plan: GuidedPlan) -> None:
         self.log = log
@@ -79,7 +74,7 @@ class Session:
         return self.plan.step
 
     def set_break(self, place: str, *, temporary: bool = False) -> Breakpoint:
-        """Set a breakpoint; see :func:`replay.debug.breakpoints.breakpoint_at`."""
+        """Set a breakpoint; see :func:`breakpoint_at`."""
         made = breakpoint_at(self.log, self.timeline, self._numbers + 1, place)
         made.temporary = temporary
         return self._kept(made)
@@ -94,16 +89,34 @@ class Session:
         return made
 
     def _watch(self, expression: str, frame: int) -> Breakpoint:
-        return watch_of(self.log, self._numbers + 1, expression, lambda: self._watched(expression, frame))
+        """Return a watch on an expression about recorded states, or else about the variables of a frame's function.
 
-    def _watched(self, expression: str, frame: int) -> WatchedExpression | None:
-        """Return what is watched in a frame's function; None if the expression has no value there."""
-        stack = self.plan.ask("where")
-        if not frame < len(stack) or "error" in self.plan.ask(
-            "evaluate", frame=frame, expression=expression, pretty=False
-        ):
-            return None
-        return WatchedExpression(expression, stack[frame]["file"], stack[frame]["first"])
+        Raises:
+            NoQuantity: it is neither.
+        """
+        number, text = self._numbers + 1, f"watch {expression}"
+        try:
+            found = {change.step: change for change in value_changes(self.log, expression)}
+        except NoQuantity:
+            stack = self.plan.ask("where")
+            if not frame < len(stack):
+                raise
+            if "error" in self.plan.ask("evaluate", frame=frame, expression=expression, pretty=False):
+                raise
+            watched = WatchedExpression(expression, stack[frame]["file"], stack[frame]["first"])
+            return Breakpoint(number, text, watched=watched)
+        return Breakpoint(number, text, sorted(found), changes=found)
+
+    def numbered(self, number: str) -> Breakpoint:
+        """Return a breakpoint by its number.
+
+        Raises:
+            NoSuchName: there is none.
+        """
+        for each in self.breakpoints:
+            if str(each.number) == number:
+                return each
+        raise NoSuchName("breakpoint", number, [str(each.number) for each in self.breakpoints])
 
     # --- from step to step ------------------------------------------------------------------------------------------
 
@@ -118,7 +131,8 @@ class Session:
         goal = self.plan.last if target is None else min(target, self.plan.last)
         enabled = [each for each in self.breakpoints if each.enabled]
         hits = [step for each in enabled if (step := first_after(each.steps, self.step)) is not None]
-        return self._halted(self.plan.go(min([goal, *hits]), self._on_plan(enabled)), enabled)
+        watched = [each.watched for each in enabled if each.watched is not None]
+        return self._halted(self.plan.go(min([goal, *hits]), watched), enabled)
 
     def back(self, target: int = 0) -> Halt:
         """Go back to a step, by default the first, or to the last breakpoint before this one.
@@ -132,7 +146,7 @@ class Session:
         hits = [step for each in enabled if (step := last_before(each.steps, self.step)) is not None]
         goal = max([target, *hits])
         changes: dict[int, tuple[str, str]] = {}
-        watched = self._on_plan(enabled)
+        watched = [each.watched for each in enabled if each.watched is not None]
         if watched:
             changed, changes = self._last_change(watched, goal - 1, self.step)
             goal = max(goal, changed)
@@ -170,10 +184,6 @@ class Session:
         last, parted = self.plan.last, self.plan.parted
         return NoFurther(self.step, f"the plan comes to step {last}: {parted}" if parted else "the recording ends here")
 
-    @staticmethod
-    def _on_plan(enabled: Iterable[Breakpoint]) -> list[WatchedExpression]:
-        return [each.watched for each in enabled if each.watched is not None]
-
     def _last_change(
         self, watched: list[WatchedExpression], after: int, before: int
     ) -> tuple[int, dict[int, tuple[str, str]]]:
@@ -207,15 +217,8 @@ class Session:
         return Halt(arrival, met, {on_plan[place].number: change for place, change in found.items()})
 
 
-Site: TypeAlias = "tuple[str, int]"  # a file and a line
-
-
 class Timeline:
-    """The steps of a recording.
-
-    Args:
-        log: the recording.
-    """
+    """The steps of a recording, read once."""
 
     def __init__(self, log: RecordReader) -> None:
         self.steps = len(log)  # how many there are
@@ -341,9 +344,6 @@ def _own_stack(record: Record) -> tuple[Site, ...]:
     return (*((caller.file or file, caller.line) for caller in callers), (file, record.source_line))
 
 
-_LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
-
-
 class NoSuchPlace(ReplayError, LookupError):
     """A breakpoint was asked for where nothing happens in the recording."""
 
@@ -429,37 +429,3 @@ def _at_line(timeline: Timeline, number: int, name: str, line: int) -> Breakpoin
         raise NoSuchPlace(f"{name}:{line}", "neither it nor a later line of that file led to a record")
     moved = "" if at == line else f" (line {line} leads to no record)"
     return Breakpoint(number, f"{name_of(files[0])}:{at}{moved}", steps, line=(files[0], at))
-
-
-def watch_of(log: Recording, number: int, expression: str, plan: Callable[[], WatchedExpression | None]) -> Breakpoint:
-    """Return a watch on an expression about states of the recording, or else about the plan's variables.
-
-    Args:
-        log: the recording.
-        number: by which it is called.
-        expression: the expression.
-        plan: gives the same in a function of the plan; None where it has no value there.
-
-    Raises:
-        NoQuantity: it is neither.
-    """
-    try:
-        found = {change.step: change for change in value_changes(log, expression)}
-    except NoQuantity:
-        watched = plan()
-        if watched is None:
-            raise
-        return Breakpoint(number, f"watch {expression}", watched=watched)
-    return Breakpoint(number, f"watch {expression}", sorted(found), changes=found)
-
-
-def breakpoint_of(known: list[Breakpoint], number: str) -> Breakpoint:
-    """Return a breakpoint by its number.
-
-    Raises:
-        NoSuchName: there is none.
-    """
-    for each in known:
-        if str(each.number) == number:
-            return each
-    raise NoSuchName("breakpoint", number, [str(each.number) for each in known])

@@ -22,7 +22,16 @@ from mcap.opcode import Opcode
 from recorder.records import TOPICS, Envelope, Keyframe, Mutation, Query, Record
 from recorder.records.beliefs import is_look, may_be_look
 from recorder.records.definition import PACKAGE, known
-from replay.file.mcap_format import CHANNEL_OFFSET, CHUNK_DAMAGE, HEADER, LENGTH, ChunkExtent, Extent, decode, describe
+from replay.file.mcap_format import (
+    CHANNEL_OFFSET,
+    CHUNK_DAMAGE,
+    HEADER,
+    ChunkExtent,
+    Extent,
+    decode,
+    describe,
+    framed,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -405,10 +414,11 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
 def _messages(index: Index, damage: list[str]) -> Iterator[tuple[int, int, bytes]]:
     """Yield all messages, with the numbers of their chunks and where they begin in these, or in the file."""
     for number in range(len(index.chunks)):
-        contents = _contents(index, number, damage)
+        contents = _contents(index, number, damage) or b""
         try:
-            for offset, message in _divided(contents or b""):
-                yield number, offset, message
+            for opcode, start, stop in framed(contents):
+                if opcode == Opcode.MESSAGE:
+                    yield number, start - HEADER, contents[start - HEADER : stop]
         except struct.error as error:
             damage.append(f"chunk {number} is damaged ({describe(error)})")
     for extent in index.loose:
@@ -422,14 +432,3 @@ def _contents(index: Index, number: int, damage: list[str]) -> bytes | None:
     except CHUNK_DAMAGE as error:
         damage.append(f"chunk {number} is damaged ({describe(error)})")
         return None
-
-
-def _divided(contents: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the messages of a chunk, with where they begin."""
-    at = 0
-    while at < len(contents):
-        opcode, length = LENGTH.unpack_from(contents, at)
-        behind = at + HEADER + length
-        if opcode == Opcode.MESSAGE:
-            yield at, contents[at:behind]
-        at = behind

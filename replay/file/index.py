@@ -36,6 +36,7 @@ from replay.file.mcap_format import (
     Decompressor,
     Extent,
     StatedChunk,
+    framed,
 )
 
 if TYPE_CHECKING:
@@ -221,18 +222,15 @@ class Index:
 
     def _read_summary_records(self, summary: bytes, *, checked: bool) -> None:
         starts = []
-        at = 0
-        while at < len(summary):
-            opcode, length = LENGTH.unpack_from(summary, at)
-            at += HEADER
-            if opcode == Opcode.CHUNK_INDEX:  # by far the most
-                if length < CHUNK_INDEX.size:
-                    raise EOFError
-                starts.append(at)
+        stop = 0
+        for opcode, start, stop in framed(summary):
+            if opcode != Opcode.CHUNK_INDEX:  # by far the most
+                self._read_summary_record(opcode, ReadDataStream(io.BytesIO(summary[start:stop])))
+            elif stop - start < CHUNK_INDEX.size:
+                raise EOFError
             else:
-                self._read_summary_record(opcode, ReadDataStream(io.BytesIO(summary[at : at + length])))
-            at += length
-        if at != len(summary):
+                starts.append(start)
+        if stop != len(summary):
             raise EOFError
         self.chunks.take_summary(summary, starts)
         if not checked:
@@ -449,15 +447,11 @@ class FileScan:
         counted: defaultdict[int, int] = defaultdict(int)
         try:
             contents = self._index.contents(number)[0]
-            at = 0
-            while at < len(contents):
-                opcode, length = LENGTH.unpack_from(contents, at)
-                content = contents[at + HEADER : at + HEADER + length]
+            for opcode, start, stop in framed(contents):
                 if opcode == Opcode.MESSAGE:
-                    counted[int.from_bytes(content[:2], "little")] += 1
+                    counted[int.from_bytes(contents[start : min(start + 2, stop)], "little")] += 1
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._index.define(_parsed(opcode, content))
-                at += HEADER + length
+                    self._index.define(_parsed(opcode, contents[start:stop]))
         except CHUNK_DAMAGE:  # reported when the chunk is read
             return None
         return counted

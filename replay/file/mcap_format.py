@@ -151,6 +151,20 @@ class ChunkTable:
         return ChunkExtent(offset + HEADER, size - HEADER, self._summary[first : first + length] or None)
 
 
+def framed(contents: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield the opcode of each MCAP record, and where its content begins and ends.
+
+    Raises:
+        struct.error: the last one is cut off within its opcode and length.
+    """
+    at = 0
+    while at < len(contents):
+        opcode, length = LENGTH.unpack_from(contents, at)
+        at += HEADER
+        yield opcode, at, at + length
+        at += length
+
+
 def describe(error: Exception) -> str:
     """Return an error's message, or its type's name if it has none."""
     return str(error) or type(error).__name__

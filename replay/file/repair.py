@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from recorder.mcap.shared_models import METADATA as MODELS
 from replay.errors import Damaged
 from replay.file.chunks import kinds_of
-from replay.file.mcap_format import CHUNK_DAMAGE, HEADER, LENGTH, decode, describe
+from replay.file.mcap_format import CHUNK_DAMAGE, decode, describe, framed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -119,13 +119,10 @@ def _define(writer: McapWriter, index: Index) -> dict[int, int]:
 
 def _messages(contents: bytes) -> Iterator[tuple[int, int, int, bytes]]:
     """Yield channel, sequence, log time and payload of each message in a chunk."""
-    at = 0
-    while at < len(contents):
-        opcode, length = LENGTH.unpack_from(contents, at)
-        start, at = at + HEADER, at + HEADER + length
+    for opcode, start, stop in framed(contents):
         if opcode == Opcode.MESSAGE:
             channel, sequence, time_ns, _ = _MESSAGE.unpack_from(contents, start)
-            yield channel, sequence, time_ns, contents[start + _MESSAGE.size : at]
+            yield channel, sequence, time_ns, contents[start + _MESSAGE.size : stop]
 
 
 def _is_sound(message: tuple[int, int, int, bytes], kinds: Mapping[int, type[Record]]) -> bool:
