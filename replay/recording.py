@@ -50,16 +50,9 @@ class Recording(RecordReader):
     def believed(
         self, step: int | str, what: str, *, robot: str | None = None, world: str | None = None
     ) -> RecordedBelief | None:
-        """Return what a robot believed of an object after a step, or of those of a type what it had learned last.
+        """Return what a robot believed of an object after a step, or the last that it learned of objects of a type.
 
-        Args:
-            step: the step.
-            what: name or type of objects.
-            robot: name of the robot; any by default.
-            world: name of the world; by default the open one that was opened last.
-
-        Returns:
-            None if it had neither seen nor held any.
+        By default of any robot, in the open world that was opened last; None if it had neither seen nor held any.
         """
         return next(iter(self.state_at(step).world(world).believed(what, robot)), None)
 

@@ -74,14 +74,9 @@ class Arrival:
 
 
 class GuidedPlan:
-    """A recorded plan, at a step.
+    """A recorded plan, at a step; the arguments are those of :class:`replay.retrace.plan_process.PlanProcess`.
 
-    Args:
-        log: the recording.
-        plan: another file than the recorded one.
-        arguments: other arguments than the recorded ones.
-        checkpoints: whether copies of it wait at some steps; else going back is to run it again from its start.
-        recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
+    With ``checkpoints``, copies of it wait at some steps; without, going back is to run it again from its start.
 
     Raises:
         CantRetrace: the plan isn't there, or the recording doesn't tell how it was run.
@@ -112,7 +107,8 @@ class GuidedPlan:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
         if self.last < 0:
             raise Damaged(log.path, "its beginning", "nothing of it is left to guide the plan")
-        self._copies = PlanCopies(process, _spacing(log) if checkpoints and hasattr(os, "fork") else None)
+        spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)  # by the recording's clock: this machine may be busy
+        self._copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
 
     def __enter__(self) -> Self:
         return self
@@ -137,10 +133,8 @@ class GuidedPlan:
     def go(self, step: int, watched: Sequence[WatchedExpression] = (), *, through: bool = False) -> Arrival:
         """Bring the plan to a step, forwards or back.
 
-        Args:
-            step: the step.
-            watched: expressions; the plan goes on from where it is, and stops where one of their values changes.
-            through: whether it doesn't: the changes are only noted, up to the step.
+        With watched expressions, the plan continues from where it is, and stops where one of their values changes;
+        with ``through``, changes are only noted, up to the step.
 
         Raises:
             PlanEnded: its process has ended before; it is at no step then.
@@ -200,7 +194,7 @@ class GuidedPlan:
         return Arrival(self.step, message["reason"], self.parted if found else "", message["changes"])
 
     def ask(self, what: str, **arguments: object) -> Any:
-        """Ask the stopped plan something; see :meth:`replay.debug.stops.StoppingSink._answer`.
+        """Ask the stopped plan something; see :class:`replay.debug.stopped_plan.StoppingSink`.
 
         Raises:
             PlanEnded: its process has ended.
@@ -211,11 +205,6 @@ class GuidedPlan:
         if "error" in answer:
             raise ReplayError(answer["error"])
         return answer["answer"]
-
-
-def _spacing(log: RecordReader) -> int:
-    """Return the nanoseconds of the recording between copies: by its own clock, as this machine may be busy or idle."""
-    return max(log[-1].monotonic_ns // _PARTS, _SHORTEST)
 
 
 def _halving(start: int, step: int) -> Iterator[int]:
@@ -242,12 +231,7 @@ class PlanCopy:
 
 
 class PlanCopies:
-    """The processes of a plan.
-
-    Args:
-        process: starts the first one.
-        spacing: nanoseconds of the recording between copies; None for no copies.
-    """
+    """The processes of a plan, with copies every ``spacing`` ns of the recording; None for no copies."""
 
     def __init__(self, process: PlanProcess, spacing: int | None) -> None:
         self.waiting: list[PlanCopy] = []  # copies that wait, each after its parent

@@ -128,10 +128,7 @@ class PlanFrame(NamedTuple):
 def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool) -> list[PlanFrame]:
     """Return the plan's frames, innermost first; those of a branch are followed by those of the code that waits for it.
 
-    Args:
-        frame: the innermost one.
-        parents: what each task is part of, by their ids.
-        failing: whether an error is on its way out: then frames that it has left come first.
+    ``parents`` has the id of each task's parent. With ``failing``, frames that an error has left come first.
     """
     own = [PlanFrame(each, each.f_lineno) for each in plan_frames(frame)]
     error = sys.exception() if failing else None
@@ -292,8 +289,7 @@ class StoppingSink(NullSink):
     """Stops a guided run; :attr:`guided` compares its records before.
 
     Args:
-        guidance: how the recording guides the run.
-        folder: for the recordings of its projections.
+        guidance, folder: see :class:`replay.retrace.guided_run.GuidedRun`.
         address: the prompt's socket.
         clock: pauses while the plan is stopped.
         until: the first step at which the plan stops.

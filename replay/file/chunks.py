@@ -311,22 +311,14 @@ _NUMBER: Final = 40  # bits of a message's number, below its step
 
 
 class _MessagePlaces:
-    """Where the messages of a file are, as compactly as millions of them need it.
-
-    Attributes:
-        keys: the step of each, and its number in the file.
-        channels: of each.
-        chunks: the number of its chunk, or -1.
-        offsets: where it begins in that, or in the file.
-        lengths: its bytes.
-        sorted: whether records are in the order of their steps.
-    """
+    """Where the messages of a file are, as compactly as millions of them need it."""
 
     def __init__(self) -> None:
-        self.keys: list[int] = []
-        self.channels, self.chunks = array("H"), array("l")
-        self.offsets, self.lengths = array("Q"), array("Q")
-        self.sorted = True
+        self.keys: list[int] = []  # the step of each, and its number in the file
+        self.channels = array("H")
+        self.chunks = array("l")  # number of its chunk, or -1
+        self.offsets, self.lengths = array("Q"), array("Q")  # in the chunk, or in the file; bytes
+        self.sorted = True  # whether records are in the order of their steps
         self._last = -1
 
     def add(self, step: int, channel: int, chunk: int, extent: Extent, *, is_record: bool) -> None:
@@ -386,14 +378,15 @@ class SortedMessages:
 
     def contents(self, number: int) -> bytes:
         """Return the messages of a chunk."""
-        return b"".join(map(self._message, self._groups[number]))
-
-    def _message(self, at: int) -> bytes:
-        chunk, extent = self._places.chunks[at], Extent(self._places.offsets[at], self._places.lengths[at])
-        if chunk == _LOOSE:
-            return self._index.read(extent)
-        self._inflated.seek(self._starts[chunk] + extent.offset)
-        return self._inflated.read(extent.length)
+        messages = []
+        for at in self._groups[number]:
+            chunk, extent = self._places.chunks[at], Extent(self._places.offsets[at], self._places.lengths[at])
+            if chunk == _LOOSE:
+                messages.append(self._index.read(extent))
+            else:
+                self._inflated.seek(self._starts[chunk] + extent.offset)
+                messages.append(self._inflated.read(extent.length))
+        return b"".join(messages)
 
 
 def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) -> _MessagePlaces:

@@ -99,16 +99,20 @@ class Index:
         try:
             self._read_summary()
         except DAMAGE:
-            self._clear()
+            self.chunks.clear()
+            for table in (
+                self.channels,
+                self.schemas,
+                self.definitions,
+                self.attachments,
+                self.metadata,
+                self.counts,
+            ):
+                table.clear()
+            self._stored, self._inflated = _Budget(), _Budget()
             del self.damage[damaged:]
             self.refresh()
             self.whole = self.whole and self._claimed <= self.size
-
-    def _clear(self) -> None:
-        self.chunks.clear()
-        for table in (self.channels, self.schemas, self.definitions, self.attachments, self.metadata, self.counts):
-            table.clear()
-        self._stored, self._inflated = _Budget(), _Budget()
 
     def close(self) -> None:
         """Close the file."""
@@ -139,10 +143,9 @@ class Index:
         return self._file.read(min(length, self.size - offset))
 
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
-        """Return a chunk's messages, decompressed and checked; how the chunk isn't what the index says of it, or "".
+        """Return a chunk's messages, decompressed and checked; how it differs from the index; its messages there.
 
-        What only its head has wrong is put right by the index. The third is how many messages it has by the index, None
-        if that isn't known.
+        An error in its head is corrected by the index. The number of messages is None if the index doesn't have it.
 
         Raises:
             CHUNK_DAMAGE: it is damaged.
@@ -262,17 +265,14 @@ class Index:
         record = self.read(Extent(stated.offset, stated.length))
         whole = record.startswith(LENGTH.pack(Opcode.METADATA, stated.length - HEADER))
         try:
-            name = self._take_metadata(record[HEADER:]) if whole else ""
+            name = self.take_metadata(record[HEADER:]) if whole else ""
         except DAMAGE:
             name = ""
         if name != stated.name:
             self.damage.append(f"the metadata {stated.name} is damaged")
 
-    def read_metadata(self, extent: Extent) -> None:
-        """Read a record of metadata."""
-        self._take_metadata(self.read(extent))
-
-    def _take_metadata(self, content: bytes) -> str:
+    def take_metadata(self, content: bytes) -> str:
+        """Take a record of metadata, and return its name."""
         metadata = Metadata.read(ReadDataStream(io.BytesIO(content)))
         self.metadata[metadata.name] = metadata.metadata
         name: str = metadata.name
@@ -312,7 +312,8 @@ class FileScan:
             opcode, extent = self._head(at)
             if opcode == Opcode.DATA_END and extent.length == 4:
                 self._define_from_summary(extent.stop, size)
-                index.closed = self._has_end(size)
+                self._file.seek(max(size - len(MAGIC), 0))
+                index.closed = self._file.read() == MAGIC
                 if index.closed:
                     index.data_end = at
                     index.whole = self._is_summary_intact(at, size)
@@ -334,10 +335,6 @@ class FileScan:
         self._next = at
         index.incomplete_bytes = size - at
         return at > before
-
-    def _has_end(self, size: int) -> bool:
-        self._file.seek(max(size - len(MAGIC), 0))
-        return self._file.read() == MAGIC
 
     def _is_summary_intact(self, data_end: int, size: int) -> bool:
         """Return whether the summary is intact, or absent because the recorder wrote none."""
@@ -361,15 +358,12 @@ class FileScan:
             if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or at > size:
                 return
             try:
-                definition = self._definition(opcode, extent)
+                definition = _parsed(opcode, self._index.read(extent))
             except DAMAGE:
                 return
             defined: Container[int] = self._index.schemas if isinstance(definition, Schema) else self._index.channels
             if definition.id not in defined:
                 self._index.define(definition)
-
-    def _definition(self, opcode: int, extent: Extent) -> Schema | Channel:
-        return _parsed(opcode, self._index.read(extent))
 
     def _is_damaged(self, opcode: int, extent: Extent, size: int) -> bool:
         """Return whether a record that reaches beyond the end is damaged, rather than cut off."""
@@ -408,9 +402,9 @@ class FileScan:
             elif opcode == Opcode.ATTACHMENT:
                 return self._read_attachment(extent)
             elif opcode == Opcode.METADATA:
-                self._index.read_metadata(extent)
+                self._index.take_metadata(self._index.read(extent))
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._index.define(self._definition(opcode, extent))
+                self._index.define(_parsed(opcode, self._index.read(extent)))
         except DAMAGE:
             return False
         return Opcode.HEADER <= opcode <= Opcode.DATA_END
@@ -477,14 +471,13 @@ class FileScan:
             block = self._file.read(_BLOCK + 64)
             for mark in _MARK.finditer(block):
                 offset = at + mark.start() - CHUNK_HEAD.size + 4 - HEADER
-                if offset >= start and self._chunk_at(offset, size):
+                if offset < start:
+                    continue
+                opcode, extent = self._head(offset)
+                if opcode == Opcode.CHUNK and extent.stop <= size and self._is_chunk(extent):
                     return offset
             at += _BLOCK
         return None
-
-    def _chunk_at(self, offset: int, size: int) -> bool:
-        opcode, extent = self._head(offset)
-        return opcode == Opcode.CHUNK and extent.stop <= size and self._is_chunk(extent)
 
     def _head(self, offset: int) -> tuple[int, Extent]:
         """Return the opcode of the record at an offset, and the extent of its content."""

@@ -58,6 +58,7 @@ __all__ = ["KINDS", "RecordReader"]
 R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output)
 
 _MIN_MAGIC: Final = len(MAGIC) - 2  # bytes that must be right: a damaged file may have wrong ones
+_NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # a pipe would wait for a writer
 _MAX_NAMES: Final = 4  # in a message
 _FIRST: Final = [0, 1, 0]  # release: no recording of it is newer
 _MAX_DIGITS: Final = 9  # of a number that is one
@@ -387,17 +388,12 @@ def open_file(path: Path) -> BinaryIO:
     """
     try:
         with contextlib.ExitStack() as undoing:
-            file = undoing.enter_context(open(path, "rb", opener=_nonblocking))
+            file = undoing.enter_context(open(path, "rb", opener=lambda name, flags: os.open(name, flags | _NONBLOCK)))
             _check_start(path, file)
             undoing.pop_all()
     except OSError as error:
         raise NotALog(path, error.strerror or str(error)) from error
     return file
-
-
-def _nonblocking(path: str, flags: int) -> int:
-    """Open a file without blocking: a pipe would wait for a writer."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _check_start(path: Path, file: BinaryIO) -> None:
@@ -486,16 +482,13 @@ def newer_of(index: Index) -> Newer | None:
     release = index.metadata.get("pycram", {}).get("pycram", "")
     if number <= format_number() and not _is_later(release):
         return None
-    messages = {name.removeprefix(f"{PACKAGE}."): data for name, data in index.definitions.items() if _is_ours(name)}
+    ours = f"{PACKAGE}."
+    messages = {name.removeprefix(ours): data for name, data in index.definitions.items() if name.startswith(ours)}
     names = unknown(messages.values())
     kinds = tuple(name for name in names if name in messages)
     unknown_messages = {name for name in names if "." not in name}
     fields = tuple(name for name in names if "." in name and name.partition(".")[0] not in unknown_messages)
     return Newer(release, number, fields, kinds)
-
-
-def _is_ours(name: str) -> bool:
-    return name.startswith(f"{PACKAGE}.")
 
 
 def _is_later(release: str) -> bool:

@@ -51,15 +51,10 @@ class Losses:
 def write_sound(
     file: BinaryIO, index: Index, chunks: Chunks, assets: Assets, problems: str | None, missing: list[range]
 ) -> Losses:
-    """Write a sound copy of what can be read, which holds the models that the original shares with others.
+    """Write a sound copy of what can be read into an empty file, with the models that the original shares with others.
 
-    Args:
-        file: where to; empty.
-        index: of the original.
-        chunks: of the original.
-        assets: of the original.
-        problems: of the original, in words; None if it is only packed, which nobody needs to know.
-        missing: the steps that are missing in it.
+    The copy says which problems the original had, and which steps are missing; without problems (None) it is only
+    packed, and says nothing.
     """
     from recorder.mcap.writer import McapWriter  # noqa: PLC0415  readers don't need it
     from recorder.packages import versions  # noqa: PLC0415

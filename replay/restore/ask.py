@@ -97,7 +97,10 @@ def ask(
     with temporary_world(log, step, name, moment) as restored:
         try:
             for move in moves:
-                _apply(restored, move)
+                try:
+                    _object(restored, move.body).set_position(move.position, move.orientation)
+                except PycramError as error:
+                    raise BadQuestion(f"moving {move.body}", str(error)) from error
             result = _call(restored, call)
         except NoSuchName as error:  # of an object, which another world may have
             raise state.no_body(error.name, [state.world(world)]) from None
@@ -105,7 +108,11 @@ def ask(
             raise BadQuestion(str(call), str(error)) from error
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # no check foresaw it
             raise BadQuestion(str(call), f"it can't be answered: {format_error(error)}") from error
-        answer = [_item(item) for item in result] if isinstance(result, list) else bool(result)
+        answer: bool | list[str | bool]
+        if isinstance(result, list):
+            answer = [bool(item) if isinstance(item, Verdict) else item.name for item in result]
+        else:
+            answer = bool(result)
         evidence: dict[str, Plain] = json.loads(to_json(result.evidence))
         title = restored.name.rpartition("@")[0]
     return QueryAnswer(step, title, call, answer, evidence, tuple(moves))
@@ -156,14 +163,6 @@ def _believed(state: State, step: int, world: str | None, question: QueryCall, m
     return QueryAnswer(step, there.name, question, belief is not None, evidence)
 
 
-def _apply(world: BulletWorld, move: Move) -> None:
-    body = _object(world, move.body)
-    try:
-        body.set_position(move.position, move.orientation)
-    except PycramError as error:
-        raise BadQuestion(f"moving {move.body}", str(error)) from error
-
-
 def _call(world: BulletWorld, question: QueryCall) -> Verdict | Found[Object] | Found[Verdict]:
     query: Callable[..., Verdict | Found[Object] | Found[Verdict]] = getattr(btr, question.query)
     signature = inspect.signature(query)
@@ -174,10 +173,6 @@ def _call(world: BulletWorld, question: QueryCall) -> Verdict | Found[Object] | 
         takes = ", ".join(str(parameter).partition(":")[0] for parameter in signature.parameters.values())
         raise BadQuestion(str(question), f"{error}; it is {question.query}({takes})") from None
     return query(**{name: _value(world, name, term) for name, term in bound.arguments.items()})
-
-
-def _item(item: Object | Verdict) -> str | bool:
-    return bool(item) if isinstance(item, Verdict) else item.name
 
 
 def _value(world: BulletWorld, parameter: str, term: object) -> object:

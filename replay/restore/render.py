@@ -234,16 +234,12 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
         scene.picture(target=about).save(files[-1])
         if about and len(about) > 1:  # the robot is there too, and large: each thing comes nearer
             for name in about[1:]:
-                files.append(folder / f"step_{why.step}_{_file_name(name)}.png")
+                part = re.sub(r"[^\w.-]", "_", name)  # of a file's name on any system
+                files.append(folder / f"step_{why.step}_{part}.png")
                 scene.picture(target=name).save(files[-1])
     except OSError as error:
         raise ReplayError(f"{folder}: {error.strerror or error}") from error
     return files
-
-
-def _file_name(name: str) -> str:
-    """Return a name as a part of a file's name on any system."""
-    return re.sub(r"[^\w.-]", "_", name)
 
 
 def _pinhole(pose: Pose, angle: float, size: tuple[int, int], near: float = _NEAR, far: float = _FAR) -> Camera:
@@ -350,13 +346,9 @@ def bounds(parts: Sequence[DrawnLink], subject: PictureSubject) -> tuple[NDArray
 
 
 def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | None = None) -> Iterator[Vector]:
-    """Yield points in the world to look at another one from, the usual ones first.
+    """Yield points in the world, m, to look at another point from at a distance, the usual ones first.
 
-    Args:
-        aim: the point to look at, m.
-        distance: of the points from it, m.
-        heading: orientation of the robot, xyzw, whose sides are meant.
-        side: only those of a side: one of :data:`SIDES`.
+    Sides are those of a robot with the orientation ``heading``, xyzw; with a ``side`` only its points are yielded.
     """
     if side is not None:
         directions: Sequence[Sequence[float]] = SIDES[side]

@@ -100,7 +100,10 @@ class Setting:
         if not self.quantity:
             self._fluent().set_value(self.value)
             return
-        body = object_of(_world(world, self.text), self.name)
+        opened = next((each for each in open_worlds() if each.name == world), None)
+        if opened is None:
+            raise BadChange(self.text, f"the world {world} isn't open at that moment")
+        body = object_of(opened, self.name)
         if self.quantity == "position":
             body.set_position(self.value[:3], self.value[3:] or None)
         elif self.quantity == "orientation":
@@ -112,10 +115,12 @@ class Setting:
 
     def _fluent(self) -> Fluent:
         """Return the fluent of that name; nobody but the plan itself keeps them."""
-        fluents: list[Fluent] = [
-            each for each in gc.get_objects() if issubclass(type(each), Fluent)
-        ]  # proxies may do anything
-        named = {each.expression: each for each in fluents if _is_settable(each)}
+        named: dict[Variable, Fluent] = {}
+        for each in gc.get_objects():
+            if issubclass(type(each), Fluent):  # isinstance would ask proxies, which may do anything
+                expression = getattr(each, "expression", None)  # not yet, in the middle of its making
+                if isinstance(expression, Variable) and not expression.source:
+                    named[expression] = each
         found = [each for expression, each in named.items() if expression.text() == self.name]
         if not found:
             names = sorted({expression.text() for expression in named})
@@ -126,19 +131,8 @@ class Setting:
         return found[0]
 
 
-def _is_settable(fluent: Fluent) -> bool:
-    expression = getattr(fluent, "expression", None)  # not yet, in the middle of its making
-    return isinstance(expression, Variable) and not expression.source
-
-
 def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | None = None) -> list[Change]:
-    """Return settings as changes after a step of a recording.
-
-    Args:
-        log: the recording.
-        step: the step.
-        texts: as ``milk.position=1,2,0.9``.
-        world: name of the objects' world; by default the open one that was opened last.
+    """Return settings, as ``milk.position=1,2,0.9``, as changes after a step; by default of the world opened last.
 
     Raises:
         BadChange: one can't be read.
@@ -164,7 +158,7 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
 
 
 def _is_of_fluent(log: RecordReader, text: str) -> bool:
-    """Return whether a setting is for a fluent, whose name may look like that of something of an object."""
+    """Return whether a setting is for a fluent, whose name may look like OBJECT.QUANTITY."""
     name = text.partition("=")[0].strip()
     return (
         "." not in name
@@ -213,13 +207,6 @@ def seed_change(step: int, seed: int) -> Change:
 def text_of(change: Change) -> str:
     """Return a change in words."""
     return change.set or change.answer or f"seed {change.seed}"
-
-
-def _world(name: str, text: str) -> BulletWorld:
-    world = next((each for each in open_worlds() if each.name == name), None)
-    if world is None:
-        raise BadChange(text, f"the world {name} isn't open at that moment")
-    return world
 
 
 def object_of(world: BulletWorld, name: str) -> Object:
@@ -340,9 +327,9 @@ class PendingChanges:
 
     Args:
         changes: all, in order.
-        answers: is told those that are answers.
-        make: makes another one.
-        refuse: called with the error of one that can't be made; it doesn't return.
+        answers: receives the changes of answers.
+        make: makes another change.
+        refuse: called with the error of a change that can't be made; it doesn't return.
     """
 
     def __init__(
@@ -412,12 +399,9 @@ class PendingChanges:
 
 
 class AnswerOracle:
-    """Answers queries in place of their own.
+    """Answers queries: with an answer that a fork is given, or where ``taken`` with the recorded one.
 
-    Args:
-        guide: what the recording has next.
-        taken: whether answers are taken from the recording.
-        refuse: called with what is wrong with a given answer, where only the query itself tells; it doesn't return.
+    ``refuse`` is called with the error of a given answer that the query can't have; it doesn't return.
     """
 
     def __init__(self, guide: Guide, *, taken: bool, refuse: Callable[[Exception], NoReturn]) -> None:

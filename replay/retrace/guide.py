@@ -100,7 +100,12 @@ class Guide(NullSink):
             return
         recorded = self._next()
         if recorded is None or recorded.seq != self.equal:  # it ends here, or what comes next is lost
-            self._end(None if recorded is not None or not self._log.closed else self._goes_on(record))
+            if recorded is not None or not self._log.closed:
+                self._end(None)
+                return
+            stack = _stack(record, self._stacks[1])
+            text = f"the plan goes on with {_words(record)}{_at(stack)} where the recording ends"
+            self._end(FirstDifference(self.equal, text, *_lines(stack)))
             return
         before, now = _stack(recorded, self._stacks[0]), _stack(record, self._stacks[1])
         fields = differing(recorded, record)
@@ -151,11 +156,6 @@ class Guide(NullSink):
             stack = _stack(recorded, self._stacks[0])
             text = f"the plan ended where step {recorded.seq} has {_words(recorded)}{_at(stack)}"
             self._end(FirstDifference(recorded.seq, text, *_lines(stack)))
-
-    def _goes_on(self, record: Record) -> FirstDifference:
-        stack = _stack(record, self._stacks[1])
-        text = f"the plan goes on with {_words(record)}{_at(stack)} where the recording ends"
-        return FirstDifference(self.equal, text, *_lines(stack))
 
     def _end(self, difference: FirstDifference | None) -> None:
         self._ended = True
@@ -213,15 +213,9 @@ def _at(stack: _Stack) -> str:
 
 
 class GuidedSink(NullSink):
-    """Passes the records of a guided run on to several sinks.
+    """Completes each record of a guided run, writes it to several sinks, and says then that its step has passed.
 
-    Args:
-        path: the file that is recorded to, or would be.
-        sinks: where records go, in order; they are closed in reverse order.
-        complete: called with each record before that.
-        passed: called with each step after that.
-        moved: see :class:`Guidance`; records name the plan's own folder.
-        lock: of the file that is recorded to.
+    Sinks are closed in reverse order. If the plan was ``moved`` (see :class:`Guidance`), records name its own folder.
     """
 
     def __init__(

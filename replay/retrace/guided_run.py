@@ -100,11 +100,8 @@ class GuidedRun:
     ) -> None:
         """Run a plan as a program, whatever it ends with.
 
-        Args:
-            plan: its file.
-            arguments: of the plan.
-            sink_of: gives the sink when the plan begins the recording again; see :meth:`sink`.
-            file: where it would be recorded.
+        ``sink_of`` returns the sink (see :meth:`sink`) when the plan begins the recording again, which would go to a
+        file.
         """
         owner, began, by_program, guided = process(), self.began, self.guidance.by_program, False
 
@@ -152,14 +149,9 @@ def main(text: str) -> None:
 
 
 class _ReportedRun:
-    """A guided run whose result another process reads.
+    """A guided run whose result another process reads, from the file descriptor ``result``.
 
-    Args:
-        guidance: how the recording guides it.
-        result: file descriptor for the result.
-        output: file descriptor for what a fork prints.
-        file: the fork's recording; None to end with the comparison.
-        folder: for the recordings of its projections.
+    A fork records to a file, and prints to the file descriptor ``output``; without a file, the comparison is the end.
     """
 
     def __init__(self, guidance: Guidance, *, result: int, output: int, file: str | None, folder: str) -> None:

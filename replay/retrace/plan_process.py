@@ -93,7 +93,12 @@ class PlanProcess:
             self.program = _recorded_program(log, began)  # the file that will run, or whose recorded source will
             self._source = _RecordedSource(log, self.program)
         else:
-            self.program = _program(log, began, plan)
+            program = _recorded_program(log, began) if plan is None else Path(plan)
+            if not program.is_file():
+                raise CantRetrace(
+                    f"{program}: the plan isn't there; give its file with --plan, or run --recorded-source"
+                )
+            self.program = program.absolute()
         self._arguments = list(began.arguments) if arguments is None else list(arguments)
         if any(LEFT_OUT in each.value_json for each in began.parameters):
             raise CantRetrace(f"{log.path}: secret parameters were left out of it, so the plan can't have them again")
@@ -130,13 +135,9 @@ class PlanProcess:
     ) -> GuidedResult:
         """Run it to the first difference; or as a fork, to its end.
 
-        What was changed of the recorded run, where that is a fork itself, is changed again, each after its step.
-
-        Args:
-            file: where it goes on after the last step that is compared, into this recording; what it prints then goes
-                to stderr.
-            changes: what is changed after steps; with any, changes of the recorded run after the last step are dropped.
-            take_answers: whether queries have the recorded answers, and aren't asked.
+        With a file, it continues into this recording after the last step that is compared, and prints to stderr. If the
+        recorded run is a fork itself, its changes are made again, each after its step; with ``changes`` only those up
+        to the last step.
 
         Raises:
             CantRetrace: the process has ended before it came to a result.
@@ -210,13 +211,8 @@ class PlanProcess:
     ) -> subprocess.Popen[bytes]:
         """Start a module as a process in which the plan can do the same again; it has no input, and shows nothing.
 
-        Args:
-            module: its name.
-            guidance: how the recording guides the run.
-            folder: for the recordings of its projections, and the recorded source if that is to run.
-            errors: for what is written to stderr.
-            descriptors: open files that it gets.
-            facts: more that its main function needs.
+        The folder is for the recordings of its projections, and for the recorded source if that is to run; ``errors``
+        gets its stderr. It inherits open files by their descriptors. Its main function gets the facts as well.
         """
         began = self._began
         program = self.program
@@ -284,13 +280,6 @@ def _recorded_program(log: RecordReader, began: Run) -> Path:
     if not began.program:
         raise CantRetrace(f"{log.path}: no file of a plan is recorded, as from a prompt; give one with --plan")
     return Path(began.program)
-
-
-def _program(log: RecordReader, began: Run, plan: str | Path | None) -> Path:
-    program = _recorded_program(log, began) if plan is None else Path(plan)
-    if not program.is_file():
-        raise CantRetrace(f"{program}: the plan isn't there; give its file with --plan, or run --recorded-source")
-    return program.absolute()
 
 
 class _RecordedSource:
