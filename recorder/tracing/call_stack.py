@@ -42,7 +42,7 @@ MAX_LINES: Final = 32
 #: Frames of these packages are left out: the plan's lines are outside of them.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "contextlib", "threading", "concurrent", "contextvars"})
 #: Modules that run a plan as a program: their callers are left out, too.
-_RUNNERS: Final = frozenset({"pycram.cli", "pycram.running", "replay.restore.shell", "replay.retrace.guided_run"})
+_RUNNERS: Final = frozenset({"pycram.cli", "pycram.running", "replay.cli.restore", "replay.retrace.guided_run"})
 #: Python's own files, installed packages and their commands: they may call plans, but are none.
 _FOREIGN: Final = re.compile(
     r"^<frozen|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]|[/\\](?:bin|Scripts)[/\\][^/\\.]+$"

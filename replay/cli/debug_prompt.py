@@ -474,7 +474,7 @@ class Prompt(LinePrompt):
 
     def do_view(self, text: str) -> None:
         """``view`` [--connect URL]: show the recording in the Rerun viewer, at this step; it follows from now on."""
-        from replay.view.rrd import follow  # noqa: PLC0415  needs the viewer's library
+        from replay.view import follow  # noqa: PLC0415  needs the viewer's library
 
         url = _words(text)[-1] if text else None
         viewer, self.follow = follow(self.log, self.session.step, url)

@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+import code
+import contextlib
+import keyword
+import re
+import runpy
+import sys
+import traceback
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,14 +16,16 @@ from typing import TYPE_CHECKING
 from recorder.records import STEPS_PER_SECOND
 from replay.cli.arguments import add_step, print_moment
 from replay.cli.console import native_output_to_stderr, print_json, print_message, visible
-from replay.cli.main import FINE
+from replay.cli.main import FAILED, FINE
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Mapping
 
     from pycram.world.world import BulletWorld
     from recorder.records import Plain
+    from replay.file.record_reader import RecordReader
     from replay.recording import Recording
 
 
@@ -68,7 +77,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, options: argparse.Namespace) -> int:
-    from replay.restore.shell import run_script, shell, variables_of  # noqa: PLC0415  see run
 
     variables = variables_of(world, log, step)
     if script is not None:
@@ -99,3 +107,62 @@ def _plain(step: int, world: BulletWorld, *, exact: bool) -> Plain:
             "joints": dict(body.get_joint_positions()),
         }
     return {"step": step, "world": world.name, "exact": exact, "objects": objects}
+
+
+def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, object]:
+    """Return the variables of a session: objects by their names, with underscores for what can't be in an identifier.
+
+    Beside them ``world``, ``robot``, ``objects`` (by name), ``log``, ``step`` and ``btr`` (the reasoning queries).
+    """
+    from pycram import bullet_world_reasoning as btr  # noqa: PLC0415  --help needn't wait for the engine
+
+    objects = {body.name: body for body in world.objects}
+    variables: dict[str, object] = {}
+    for name, body in objects.items():
+        identifier = re.sub(r"\W", "_", name)
+        if identifier.isidentifier() and not keyword.iskeyword(identifier):
+            variables.setdefault(identifier, body)
+    return variables | {"world": world, "robot": world.robot, "objects": objects, "log": log, "step": step, "btr": btr}
+
+
+def run_script(script: Path, variables: Mapping[str, object]) -> int:
+    """Run a Python file as a program, with variables given; return its exit code, or 1 if it raised."""
+    before = sys.argv, list(sys.path)
+    sys.argv = [str(script)]
+    sys.path.insert(0, str(script.parent.resolve()))
+    try:
+        runpy.run_path(str(script), init_globals=dict(variables), run_name="__main__")
+    except SystemExit as end:
+        if isinstance(end.code, str):
+            print(end.code, file=sys.stderr)
+        return end.code if isinstance(end.code, int) else FAILED if end.code else FINE
+    except Exception:  # noqa: BLE001  whatever the script raises is the user's to see
+        traceback.print_exc()
+        return FAILED
+    finally:
+        sys.argv, sys.path[:] = before
+    return FINE
+
+
+def shell(variables: Mapping[str, object], banner: str) -> None:
+    """Run an interactive Python shell until the end of the input; the banner is printed on stderr."""
+    local = dict(variables)
+    if sys.stdin.isatty():
+        with contextlib.suppress(ImportError):  # where it isn't, lines can't be edited
+            import readline  # noqa: PLC0415
+            import rlcompleter  # noqa: PLC0415
+
+            readline.set_completer(rlcompleter.Completer(local).complete)
+            readline.parse_and_bind("tab: complete")
+        code.interact(banner, local=local, exitmsg="")
+        return
+    prompts = getattr(sys, "ps1", None), getattr(sys, "ps2", None)
+    sys.ps1 = sys.ps2 = ""  # invisible to the user, and they would be mixed into the results
+    try:
+        code.interact(banner, local=local, exitmsg="")
+    finally:
+        for name, prompt in zip(("ps1", "ps2"), prompts, strict=True):
+            if prompt is None:
+                delattr(sys, name)
+            else:
+                setattr(sys, name, prompt)

@@ -90,7 +90,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespace) -> dict[str, object]:
-    from replay.view.rrd import cached, check, convert, show, temporary_file  # noqa: PLC0415  --help needn't wait for the viewer's library
+    from replay.view import cached, check, convert, show, temporary_file  # noqa: PLC0415  --help needn't wait for the viewer's library
 
     check(options.connect)
     if options.save is not None:
@@ -113,7 +113,7 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
 def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
     from recorder.viewer.rerun_stream import stream_to_viewer  # noqa: PLC0415
     from recorder.viewer.web_page import WebPage, private_link  # noqa: PLC0415
-    from replay.view.rrd import translate  # noqa: PLC0415
+    from replay.view import translate  # noqa: PLC0415
 
     with stream_to_viewer() as stream:
         page = WebPage(stream)

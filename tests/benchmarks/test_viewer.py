@@ -153,7 +153,7 @@ def test_a_viewer_that_fails_costs_two_seconds_at_most(tmp_path: Path, fault: st
 CONVERTER = """
 import os, pathlib, sys, time
 import replay
-from replay.view.rrd import convert
+from replay.view import convert
 
 start = time.perf_counter()
 with replay.open(sys.argv[1]) as log:

@@ -18,7 +18,7 @@ from PIL import Image
 import replay
 from recorder.viewer.connection import free_port
 from replay.cli.main import main
-from replay.view.rrd import convert
+from replay.view import convert
 from tests.viewer.conftest import Headless, wait_until
 
 WORLD = "world_1"

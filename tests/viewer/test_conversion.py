@@ -14,7 +14,7 @@ import replay
 from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Argument, Failure, Picture, Query, Task
 from replay.cli.main import main
-from replay.view.rrd import convert
+from replay.view import convert
 from tests.viewer.shown import Shown
 
 if TYPE_CHECKING:

@@ -62,7 +62,7 @@ def test_the_first_tab_is_the_world_that_is_looked_at(tmp_path: Path, two_worlds
 
 @pytest.mark.slow
 def test_a_cached_file_opens_with_the_recording_s_first_world(two_worlds: Path) -> None:
-    from replay.view.rrd import cached  # noqa: PLC0415
+    from replay.view import cached  # noqa: PLC0415
 
     with replay.open(two_worlds) as log:
         for step, world in [(moved(log, "milk"), "try"), (None, "kitchen"), (moved(log, "cup"), "kitchen")]:

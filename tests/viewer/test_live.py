@@ -23,7 +23,7 @@ import replay
 from recorder.viewer import live
 from recorder.viewer.connection import Kind, Target, free_port
 from replay.restore.verify import verify
-from replay.view.rrd import convert
+from replay.view import convert
 from tests.viewer.conftest import processes, rows_of, wait_until
 
 if TYPE_CHECKING:

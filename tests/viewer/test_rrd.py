@@ -34,7 +34,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.usefixtures("cache")
 def test_a_file_for_the_viewer_is_kept_for_its_recording_alone(tmp_path: Path) -> None:
-    from replay.view.rrd import cached  # noqa: PLC0415
+    from replay.view import cached  # noqa: PLC0415
 
     log = small(tmp_path / "log.mcap")
     with replay.open(log) as recording:
@@ -56,7 +56,7 @@ def test_a_file_for_the_viewer_is_kept_for_its_recording_alone(tmp_path: Path) -
 @pytest.mark.usefixtures("cache")
 @pytest.mark.parametrize("planted", ["another's", "changed"])
 def test_a_file_that_this_user_has_not_made_is_not_shown(tmp_path: Path, planted: str) -> None:
-    from replay.view.rrd import cached  # noqa: PLC0415
+    from replay.view import cached  # noqa: PLC0415
 
     log, other = small(tmp_path / "log.mcap"), tmp_path / "other.mcap"
     with recorder.record(other), BulletWorld(name="w"):
@@ -73,7 +73,7 @@ def test_a_file_that_this_user_has_not_made_is_not_shown(tmp_path: Path, planted
 def test_a_file_of_an_earlier_release_of_the_software_is_not_kept(
     tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from replay.view import rrd  # noqa: PLC0415
+    from replay import view as rrd  # noqa: PLC0415
 
     with replay.open(small(tmp_path / "log.mcap")) as recording:
         made = rrd.cached(recording).stat().st_mtime_ns
@@ -86,7 +86,7 @@ def test_a_file_of_an_earlier_release_of_the_software_is_not_kept(
 def test_a_temporary_folder_that_others_can_write_into_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whose: str
 ) -> None:
-    from replay.view.rrd import temporary_file  # noqa: PLC0415
+    from replay.view import temporary_file  # noqa: PLC0415
 
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     user = 12345
@@ -135,7 +135,7 @@ def test_view_works_where_the_environment_switches_viewers_off(tmp_path: Path, m
 def test_users_of_one_recording_have_temporary_files_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from replay.view import rrd  # noqa: PLC0415
+    from replay import view as rrd  # noqa: PLC0415
 
     monkeypatch.setattr(rrd, "is_own", lambda _: True)  # users are names only here
     log, temporary = small(tmp_path / "log.mcap"), tmp_path / "temporary"
@@ -155,7 +155,7 @@ def test_users_of_one_recording_have_temporary_files_of_their_own(
 
 
 def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp_path: Path) -> None:
-    from replay.view.rrd import cached  # noqa: PLC0415
+    from replay.view import cached  # noqa: PLC0415
 
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
@@ -181,7 +181,7 @@ def test_an_invalid_model_is_reported(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_missing_models_are_reported_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from replay.view.rrd import cached  # noqa: PLC0415
+    from replay.view import cached  # noqa: PLC0415
 
     complete, log = small(tmp_path / "complete.mcap"), tmp_path / "log.mcap"
     sink = McapSink(log, {})
