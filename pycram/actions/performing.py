@@ -12,7 +12,7 @@ from pycram.actions.projecting import AT_ONCE, Thinking, imagine, not_projecting
 from pycram.foundation.failures import PlanFailure
 from pycram.foundation.names import export, qualified_name
 from pycram.foundation.refusals import refusing
-from pycram.language.body import current_block
+from pycram.language.block import current_block
 from pycram.language.retries import FailureHandling
 from pycram.motions.designator import Designator, MotionDesignator
 from pycram.motions.environments import current_environment

@@ -36,7 +36,7 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.foundation.names import export, qualified_name
 from pycram.foundation.refusals import refusing
-from pycram.language.body import await_turn
+from pycram.language.nesting import await_turn
 from pycram.scheduling.future import unwrap
 from pycram.scheduling.schedule import scheduler
 from recorder.tracing.span import span

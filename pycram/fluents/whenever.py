@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, overload
 from pycram.fluents.pulses import PulseCounter
 from pycram.fluents.waiting import first_value
 from pycram.foundation.failures import BadArgument
-from pycram.language.actions import lazy, run
-from pycram.language.body import await_turn
+from pycram.language.branch import lazy, run
+from pycram.language.nesting import await_turn
 from pycram.scheduling.cancellation import checkpoint
 from pycram.scheduling.future import unwrap
 from recorder.tracing.span import span

@@ -38,13 +38,9 @@ Retries, timeouts and cleanups: :func:`failure_handling`, :func:`timeout`, :func
 
 from __future__ import annotations
 
-from pycram.language.attempts import retry
-from pycram.language.cleanup import finally_
-from pycram.language.retries import failure_handling
-from pycram.language.timeouts import timeout
-from pycram.language.words import (
+from pycram.language.block import (
     Action,
-    Kind,
+    BlockKind,
     NeverOpened,
     Nothing,
     Opening,
@@ -54,12 +50,15 @@ from pycram.language.words import (
     try_all,
     try_in_order,
 )
+from pycram.language.cleanup import finally_
+from pycram.language.retries import failure_handling, retry
+from pycram.language.timeouts import timeout
 from pycram.scheduling.worker import in_thread
 from recorder.tasks import State
 
 __all__ = [
     "Action",
-    "Kind",
+    "BlockKind",
     "NeverOpened",
     "Nothing",
     "Opening",

@@ -1,72 +1,79 @@
-"""Blocks: their branches, their bodies and their ends.
+"""Blocks of the plan language: the five words that open them, their branches, their bodies and their ends.
 
-The five kinds of blocks differ in their :class:`Policy` only: whether branches run concurrently, and which outcome of a
+The kinds of blocks differ in their :class:`Policy` only: whether branches run concurrently, and which outcome of a
 branch decides the block. A decided block cancels its other branches, ends when all have ended, and has the outcome of
-the deciding one. A block that nothing decided failed if any branch failed.
+the deciding branch. A block that nothing decided failed if any branch failed.
 
-A plan failure of the body ends the body and counts as one of the block's failures: it decides the block where a
+A plan failure of the body ends the body and counts as one of the block's failures. It decides the block where a
 branch's failure would, and never overturns a decision. A branch that is added to a decided block is cancelled.
 
-Two things fail any block, decided or not: a usage error, in a branch or in the body, which is raised as it is, and
-never collected, retried or outvoted; and the failed cleanup of a cancelled branch, as the state of the world is then
-unknown.
+Two things fail any block, decided or not:
 
-A block in the body of another one, its *host*, is one of the host's branches. In ``try_in_order`` it runs where it
-stands; the host keeps its failure and goes on with what follows. In a concurrent block a branch runs it
-(:mod:`pycram.language.read_block`).
+- A usage error, in a branch or in the body. It is raised unchanged, and never collected, retried or outvoted.
+- The failed cleanup of a cancelled branch, because the state of the world is unknown then.
 
-Code in a body adds branches to the block around it, which its context carries. A branch's context carries none, and
-actions run in order. A decided ``try_in_order`` ends its body at the next block in it; variables that this block would
-have set are not set then.
+A block in the body of another block, its *host*, is one of the host's branches. In ``try_in_order`` it runs in place;
+the host keeps its failure and continues with the next statement. In a concurrent host a branch runs it
+(:class:`ReadBlock`).
+
+The context of a body carries its block; actions in the body become branches of that block. The context of a branch
+carries no block, and actions run in order. A decided ``try_in_order`` ends its body at the next block in it; variables
+that this block would have set are not set then.
 """
 
 from __future__ import annotations
 
 import threading
+import warnings
+from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, TypeAlias, cast, overload
 
 from pycram.foundation.error_chain import chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure
-from pycram.language.actions import Result, name_of, run
-from pycram.language.attempts import Retry
-from pycram.language.body import current_block, in_block, leave_body
-from pycram.language.branch import Branch
-from pycram.language.failures import BlockClosed, BranchesFailed, OutlivesTimeout, leaves_uncleaned
-from pycram.scheduling.cancellation import CancelScope, current_scope, enter, entered, join, raise_if_cancelled
-from pycram.scheduling.future import Future
+from pycram.language.branch import Branch, Result, name_of, run
+from pycram.language.failures import BlockClosed, BranchesFailed, OutlivesTimeout, Retry, RunsEarly, leaves_uncleaned
+from pycram.language.nesting import Scope, in_block, leave_body
+from pycram.scheduling.cancellation import (
+    CancelScope,
+    body as body_context,
+    current_scope,
+    enter,
+    entered,
+    join,
+    raise_if_cancelled,
+    wait,
+)
+from pycram.scheduling.future import Future, branch_of
 from pycram.scheduling.locks import LockHeld, refuse_held
 from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tasks import State
 from recorder.tracing import interrupts
+from recorder.tracing.call_stack import call_site
 from recorder.tracing.context import current_branch, enter_branch
 from recorder.tracing.span import Cancelled, Span, current_call_stack
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from types import TracebackType
     from typing import Self
+
+Action: TypeAlias = Callable[..., Result]
 
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """What one kind of block differs in from the others.
+    """The differences between the kinds of blocks."""
 
-    Attributes:
-        name: "par", ...
-        concurrent: Whether its branches run concurrently.
-        decided_by: The states of an ended branch that decide the block.
-    """
-
-    name: str
-    concurrent: bool
-    decided_by: frozenset[State]
+    name: str  # "par", ...
+    concurrent: bool  # whether branches run concurrently
+    decided_by: frozenset[State]  # the states of an ended branch that decide the block
 
     @property
     def propagates(self) -> bool:
-        """Whether a failure rises through the body as in plain Python; unless handled there, it ends the block."""
+        """Whether a failure propagates through the body as in plain Python; unless handled there, it ends the block."""
         return not self.concurrent and State.FAILED in self.decided_by
 
     @property
@@ -75,32 +82,28 @@ class Policy:
         return State.SUCCEEDED in self.decided_by
 
 
+def current_block() -> Block | None:
+    """Return the block that actions become branches of here; None where they run in order and raise."""
+    return cast("Block | None", body_context.get())
+
+
 class Block:
     """A block: ``s`` in ``with par as s``.
 
     Args:
         policy: Its kind.
         failures: Collects its failures; without a list, they are raised.
-
-    Attributes:
-        name: Its kind: "par", ...
-        immediate: Whether an action starts regardless of those added before it.
-        reads_blocks: Whether branches of it run the blocks in its body.
-        adds_actions: Whether actions in its body become branches; else they run in order, and their failures rise.
-        branches: Its branches, in the order in which they were added.
-        scope: Cancel scope of its body and its branches; cancelled when the block is decided.
-        decider: The branch that decided it; None as long as none has.
-        state: How far it is, or how it ended.
     """
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         self.policy = policy
         self.name = policy.name
-        self.immediate = self.reads_blocks = policy.concurrent
-        self.adds_actions = not policy.propagates
-        self.branches: list[Branch] = []
-        self.scope = CancelScope(current_scope())
-        self.decider: Branch | None = None
+        self.immediate = policy.concurrent  # whether an action starts regardless of earlier ones
+        self.reads_blocks = policy.concurrent  # whether branches of it run the blocks in its body
+        self.adds_actions = not policy.propagates  # actions in its body become branches; else they run in order
+        self.branches: list[Branch] = []  # in the order in which they were added
+        self.scope = CancelScope(current_scope())  # of its body and branches; cancelled when the block is decided
+        self.decider: Branch | None = None  # the branch that decided it
         self.state = State.CREATED
         self._around = current_scope()
         self._opened_in = current_branch()
@@ -109,12 +112,12 @@ class Block:
         self._changed = Condition()  # notified when a branch ends, and of the progress of a body that is read
         self._closing = threading.Lock()  # a plan's own threads may add branches while it ends
         self._scheduler = scheduler()
-        self._own: Branch | None = None  # of its host, if a branch of that runs it
+        self._own: Branch | None = None  # the host's branch that runs this block, if one does
         self._taken = 0  # number of branches so far, for their names
         self._joined = 0  # number of leading branches known to have ended
         self._decided = False  # by its decider, or by a failure of the body
         self._body_failures: list[PlanFailure] = []
-        self._entered = ExitStack()  # what its body runs in
+        self._entered = ExitStack()  # the contexts of its body
         self._span = Span("block", policy.name)
 
     @property
@@ -126,13 +129,13 @@ class Block:
         return (*failures, *[failure for failure in self._body_failures if id(failure) not in known])
 
     def await_turn(self) -> None:
-        """Wait until its body itself may act; where it runs as it stands, that is always so."""
+        """Wait until the body itself may act; a body that runs in place always may."""
 
     def before_change(self, change: str) -> None:
-        """Refuse a change of a world by its body that would come too early; where it runs as it stands, none does."""
+        """Reject a change of a world by the body that would come too early; never too early in a body in place."""
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
-        """Refuse what its body would do in a block around it while actions that stand above that are pending."""
+        """Reject the body's action in an outer block while earlier actions of the body are pending."""
 
     # --- branches ---------------------------------------------------------------------------------------------------
 
@@ -143,7 +146,7 @@ class Block:
             BadArgument: The action isn't callable.
             BlockClosed: The block has ended.
             OutlivesTimeout: The body adds it in a timeout that it would outlive.
-            RunsEarly: Actions that stand above this one, in a sequence that is read, have not ended.
+            RunsEarly: Earlier actions, in a sequence that is read, have not ended.
             PlanFailure: The function failed, in a ``seq`` block.
         """
         if not callable(action):
@@ -175,7 +178,7 @@ class Block:
         return Future(branch)
 
     def _refuse_in_timeout(self, name: str) -> None:
-        """Refuse a branch that the body adds in a timeout within it; branches may add others as they like."""
+        """Reject a branch that the body adds in a timeout within it; branches may add others freely."""
         scope = current_scope()
         if scope is None or scope is self.scope or current_branch() is not self._opened_in:
             return
@@ -190,13 +193,7 @@ class Block:
         self._take(branch)
 
     def _take(self, branch: Branch) -> None:
-        """Schedule a branch or, in a sequential block, run it here; a decided block cancels it instead.
-
-        Raises:
-            BlockClosed: The block has ended.
-            PlanFailure: The branch failed, where that ends the body.
-            Cancelled: The block around this one is cancelled.
-        """
+        """Schedule a branch or, in a sequential block, run it here; a decided block cancels it instead."""
         branch.span.parent = self._span.id
         self._taken += 1
         if self.state is not State.RUNNING:
@@ -247,14 +244,13 @@ class Block:
             self.scope.cancel()
 
     def _body_failed(self, failure: PlanFailure) -> None:
-        """Note the failure that ended the body."""
         self._body_failures.append(failure)
         if not self._decided and State.FAILED in self.policy.decided_by:
             self._decided = True
             self.scope.cancel()
 
     def _add_ended(self, nested: str, raised: BaseException | None) -> None:
-        """Add a block of its body that has ended, as a branch."""
+        """Add an ended block of its body as a branch."""
         state = State.SUCCEEDED if raised is None else State.FAILED
         if isinstance(raised, Cancelled):
             state, raised = State.CANCELLED, None
@@ -294,7 +290,7 @@ class Block:
         return raised is None
 
     def _close(self, error: BaseException | None) -> BaseException | None:
-        """Wait for the branches, set the outcome, and return what is to be raised."""
+        """Wait for the branches, set the outcome, and return the error to raise."""
         if isinstance(error, PlanFailure):
             self._body_failed(error)
         elif error is not None:
@@ -345,12 +341,8 @@ class Block:
     def _join(self, interrupt: BaseException | None) -> BaseException | None:
         """Wait for all branches; those of a sequential block have ended already.
 
-        Args:
-            interrupt: The KeyboardInterrupt that ended the body.
-
-        Returns:
-            The last interrupt: that one; or a KeyboardInterrupt, or another signal handler's error, that was raised
-            meanwhile and has cancelled the branches.
+        Returns the last interrupt: the one that ended the body, or an error that a signal handler raised meanwhile and
+        that has cancelled the branches.
         """
         own = self._scheduler
         while True:
@@ -376,3 +368,213 @@ class Block:
         while self._joined < len(self.branches) and self.branches[self._joined].done:
             self._joined += 1
         return self._joined == len(self.branches)
+
+
+class ReadBlock(Block):
+    """A block in the body of a concurrent block: its body is read in place, and a branch of its host runs its actions.
+
+    The block runs concurrently with its siblings, but Python runs a ``with`` statement in place. So the body is only
+    *read* there, and the branch runs the actions while the statements after the block are read. Using a future in that
+    body waits for its result. An attempt, a timeout, a cleanup or the wait for a fluent in that body runs in place,
+    after the earlier actions of a sequence. A change of a world there, or a branch that is added to an outer block, is
+    rejected (RunsEarly) if earlier actions have not ended.
+
+    Args:
+        policy: Its kind.
+        host: The block around it.
+        failures: Collects its failures; without a list, they are raised.
+    """
+
+    def __init__(self, policy: Policy, host: Block, failures: list[BaseException] | None = None) -> None:
+        super().__init__(policy, failures)
+        self.immediate, self.reads_blocks, self.adds_actions = False, True, True
+        self._host = None  # not to be added as a branch at its end: it is one from its beginning
+        self._run_by = host
+        self._pending: deque[Branch] = deque()
+        self._dropping = False
+        self._body_ended = False
+        self._body_error: Exception | None = None
+
+    def await_turn(self) -> None:
+        """Wait until the body itself may act: in a sequence, after the earlier actions."""
+        wait(self._changed, lambda: self.state is not State.CREATED)
+        if not self.policy.concurrent:
+            for branch in self.branches:
+                branch.wait()
+
+    def before_change(self, change: str) -> None:
+        """Reject a change of a world by the body itself while earlier actions are pending."""
+        self._refuse_early(f"{change} in the world", None)
+
+    def _refuse_early(self, what: str, outer: Block | None) -> None:
+        block: Block = self
+        above: Branch | None = None  # only branches before it count; None for all
+        while isinstance(block, ReadBlock) and block is not outer:
+            if not block.policy.concurrent:
+                earlier = block.branches if above is None else block.branches[: block.branches.index(above)]
+                pending = [branch.name for branch in earlier if not branch.done]
+                if pending:
+                    raise RunsEarly(what, block.name, pending)
+            block, above = block._run_by, block._own  # noqa: SLF001  same class
+
+    # --- reading ------------------------------------------------------------------------------------------------------
+
+    def _begin(self, entering: ExitStack) -> None:
+        entering.callback(self._stop_reading)
+        started = self._run_by.start(self.name, self._work, dropped=self._drop, span=self._span)
+        self._own = cast("Branch", branch_of(started))
+        entering.enter_context(self._span.entered())
+
+    def _add(self, branch: Branch) -> None:
+        self.branches.append(branch)
+        self._pending.append(branch)
+        self._changed.notify_all()
+        if self._dropping:  # nothing runs it now
+            self._drop()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
+            self.scope.cancel()  # the program is wrong, or the user interrupts it
+        self._body_error = error if isinstance(error, Exception) else None
+        self._entered.close()
+        if isinstance(error, Cancelled):  # by its own block, which is decided: the body around it goes on
+            return self._around is None or not self._around.is_cancelled
+        return error is None or isinstance(error, PlanFailure)
+
+    def _stop_reading(self) -> None:
+        self._body_ended = True
+        self._changed.notify_all()
+
+    # --- running ------------------------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        """Run the branches, in a branch of the host."""
+        stopped: BaseException | None = None
+        enter(self.scope)
+        self.state = State.RUNNING
+        self._changed.notify_all()
+        try:
+            while not self._body_ended or self._pending:
+                if self._pending:
+                    self._take(self._pending.popleft())
+                wait(self._changed, lambda: bool(self._pending) or self._body_ended)
+        except BaseException as stop:  # noqa: BLE001  raised below
+            self.scope.cancel()  # reading on is pointless
+            stopped = stop
+        self._drop()
+        join(self._changed, lambda: self._body_ended)  # actions of the body itself are part of this block too
+        error = self._body_error
+        if isinstance(error, PlanFailure):
+            self._body_failed(error)
+            error = None
+        raised = self._close(error or stopped)
+        if raised is not None:
+            raise_unchanged(raised)
+
+    def _drop(self) -> None:
+        """Cancel the branches that haven't started; no more will run."""
+        self._dropping = True
+        if self.state is State.CREATED:
+            self.state = State.CANCELLED
+        while self._pending:
+            self._pending.popleft().settle(State.CANCELLED)
+
+
+class NeverOpened(RuntimeWarning):
+    """A block got a list for failures, and no body."""
+
+
+class Opening(Scope[Block]):
+    """Opens a block at the start of a ``with`` statement; reusable, in other threads and within itself.
+
+    Warns with NeverOpened if it has a list for failures and no ``with`` statement ever used it.
+    """
+
+    def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
+        super().__init__(policy.name)
+        self._policy = policy
+        self._failures = failures
+        self._unused_at = None if failures is None else call_site()
+
+    def _opened(self) -> Block:
+        self._unused_at = None
+        host = current_block()
+        if host is not None and host.reads_blocks:
+            return ReadBlock(self._policy, host, self._failures)
+        return Block(self._policy, self._failures)
+
+    def __del__(self) -> None:
+        if self._unused_at is not None:
+            text = f"{self._policy.name}(failures) opens no block; write `with {self._policy.name}(failures) as s:`"
+            warnings.warn_explicit(text, NeverOpened, *self._unused_at)
+
+
+class Nothing(Opening, list[Result]):
+    """Value of ``par()``: opens a block, and is the empty list of results of ``par(*[])``."""
+
+    def __init__(self, policy: Policy) -> None:
+        list.__init__(self)
+        super().__init__(policy)
+
+
+class BlockKind(Opening):
+    """One of the five words: opens a block with or without parentheses, or runs functions."""
+
+    @overload
+    def __call__(self) -> Opening: ...
+    @overload
+    def __call__(self, failures: list[BaseException], /) -> Opening: ...
+    @overload
+    def __call__(self, *branches: Action) -> Result: ...
+    def __call__(self, *branches: Action | list[BaseException]) -> Result:
+        """Open a block, or run functions as its branches.
+
+        Args:
+            branches: Nothing; one list, which collects the failures of the block's branches; or functions.
+
+        Returns:
+            Without functions, a context manager. With functions, the list of their results; for ``pursue``, ``try_all``
+            and ``try_in_order`` the result of the deciding one; in the body of a block, a future for that.
+
+        Raises:
+            BadArgument: A branch isn't one of these.
+            BranchesFailed: The block failed.
+        """
+        if not branches:
+            return Nothing(self._policy)
+        if len(branches) == 1 and isinstance(branches[0], list):
+            return Opening(self._policy, branches[0])
+        actions = [branch for branch in branches if callable(branch)]
+        if len(actions) != len(branches):
+            wrong = next(branch for branch in branches if not callable(branch))
+            raise BadArgument("branch", wrong, "a function, or one list for failures")
+        host = current_block()
+        return self._run(actions) if host is None else host.start(self._policy.name, lambda: self._run(actions))
+
+    def _run(self, actions: list[Action]) -> Result:
+        with self as block:
+            futures = [block(action) for action in actions]
+        if self._policy.first_success:
+            return block.decider.result() if block.decider is not None else None
+        return [future.result() for future in futures]
+
+    def __repr__(self) -> str:
+        return self._policy.name
+
+
+par: Final = BlockKind(Policy("par", concurrent=True, decided_by=frozenset()))
+"""Run branches concurrently to their ends; fail if any fails."""
+
+pursue: Final = BlockKind(Policy("pursue", concurrent=True, decided_by=frozenset({State.SUCCEEDED, State.FAILED})))
+"""Run branches concurrently; the first that ends decides, the others are cancelled."""
+
+try_all: Final = BlockKind(Policy("try_all", concurrent=True, decided_by=frozenset({State.SUCCEEDED})))
+"""Run branches concurrently; the first that succeeds decides, the others are cancelled."""
+
+seq: Final = BlockKind(Policy("seq", concurrent=False, decided_by=frozenset({State.FAILED})))
+"""Run branches in order up to the first that fails."""
+
+try_in_order: Final = BlockKind(Policy("try_in_order", concurrent=False, decided_by=frozenset({State.SUCCEEDED})))
+"""Run branches in order up to the first that succeeds."""

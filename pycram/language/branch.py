@@ -1,11 +1,19 @@
-"""Branches: the actions of a block, and their outcomes."""
+"""Branches: the actions of a block, and their outcomes.
+
+An action is a function of the plan that acts when it is called. Calling a function with ``async`` or ``yield`` in it
+only makes a coroutine or a generator: it would count as a success without having run, so it is rejected. A plain
+function may return a generator: it has run.
+"""
 
 from __future__ import annotations
 
 from contextvars import Context, copy_context
-from typing import TYPE_CHECKING, Final
+from functools import partial
+from inspect import GEN_CREATED, getgeneratorstate
+from types import AsyncGeneratorType, CoroutineType, FunctionType, GeneratorType, MethodType
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
-from pycram.foundation.failures import UsageError
+from pycram.foundation.failures import BadArgument, UsageError
 from pycram.scheduling.cancellation import raise_if_cancelled, wait
 from pycram.scheduling.future import unwrap
 from recorder.tasks import State
@@ -14,8 +22,15 @@ from recorder.tracing.span import Span
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pycram.language.actions import Result
     from pycram.scheduling.schedule import Condition
+
+#: The result of an action's process module or function.
+Result: TypeAlias = Any
+Function = TypeVar("Function", bound="Callable[..., Result]")
+
+_LAZY: Final = "__pycram_lazy__"
+_NOT_BEGUN: Final = "a plain function; one with `yield` does nothing before its values are taken: `lambda: [*f()]` does"
+_EMPTY_CONTEXT: Final = Context()
 
 
 class NoResult(UsageError):
@@ -31,28 +46,22 @@ class NoResult(UsageError):
 
 
 def _nothing() -> None:
-    """Take the place of what an ended branch needs no more."""
-
-
-_EMPTY_CONTEXT: Final = Context()
+    """Replace the functions that an ended branch releases."""
 
 
 class Branch:
     """One action of a block, and its outcome.
 
-    It runs in a copy of the context in which it was added. Action and context are released when it ends, as they may
-    refer to the block.
+    It runs in a copy of the context in which it was added. It releases action and context when it ends, because they
+    may refer to the block.
 
     Args:
         name: Its name in records and messages.
         action: Returns the result.
         changed: The block's condition, notified when the branch ends.
-        ordered: Whether it waits only for what was added before it.
+        ordered: Whether it waits only for earlier branches.
         dropped: Called once if it never starts; must not raise.
         span: Its node of the task tree; by default of the kind "branch".
-
-    Attributes:
-        error: What it raised; None while it runs, after success, and after cancellation.
     """
 
     def __init__(
@@ -71,7 +80,7 @@ class Branch:
         self.context = copy_context()
         self.span = span if span is not None else Span("branch", name)
         self.state = State.CREATED
-        self.error: BaseException | None = None
+        self.error: BaseException | None = None  # that it raised; None also after success and cancellation
         self._dropped = dropped
         self._begun = False
         self._changed = changed
@@ -98,7 +107,7 @@ class Branch:
         self._changed.notify_all()
 
     def abandon(self, error: BaseException) -> None:
-        """Fail it, unless it has ended: an error came between it and its end, such as that of a signal handler."""
+        """Fail it, unless it has ended: an error prevented its end, such as that of a signal handler."""
         if not self.done:
             self.settle(State.FAILED, error=error)
 
@@ -111,7 +120,7 @@ class Branch:
         return wait(self._changed, lambda: self.done, timeout)
 
     def result(self, timeout: float | None = None) -> Result:
-        """Wait for its end, at most for a timeout in s; return its result, or raise what its action raised.
+        """Wait for its end, at most for a timeout in s; return its result, or raise its action's error.
 
         Raises:
             TimeoutError: It still runs.
@@ -129,3 +138,59 @@ class Branch:
 
     def __repr__(self) -> str:
         return f"Branch({self.name!r}, {self.state.word})"
+
+
+def name_of(action: Callable[..., Result]) -> str:
+    """Return a function's name, without its module and without the function that it is defined in."""
+    name = getattr(action, "__qualname__", None) or type(action).__qualname__
+    return str(name).rpartition("<locals>.")[2]
+
+
+def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Result:
+    """Call an action, and return its result.
+
+    Raises:
+        BadArgument: It is a coroutine or generator function, whose call does nothing.
+    """
+    result = action(*args, **kwargs)
+    kind = type(result)  # isinstance() would wait for a future
+    if kind is CoroutineType or kind is AsyncGeneratorType:
+        if kind is CoroutineType:
+            result.close()  # else Python warns that nobody awaits it
+        expected = "a plain function; `lambda: asyncio.run(...)` runs an async one to its end"
+        raise BadArgument("action", name_of(action), expected)
+    if kind is GeneratorType and getgeneratorstate(result) == GEN_CREATED:
+        function = _unwrapped(action)
+        if hasattr(function, _LAZY) or getattr(function, "__code__", None) is result.gi_code:
+            raise BadArgument("action", name_of(action), getattr(function, _LAZY, _NOT_BEGUN))
+    return result
+
+
+def lazy(instead: str) -> Callable[[Function], Function]:
+    """Mark a plain function whose generator does its work.
+
+    Args:
+        instead: The action to use instead, for the message.
+    """
+
+    def mark(function: Function) -> Function:
+        setattr(function, _LAZY, instead)
+        return function
+
+    return mark
+
+
+def _unwrapped(action: Callable[..., Result]) -> object:
+    """Return the defined function behind partials, methods, decorators and callable objects."""
+    function: Any = action
+    while True:
+        if isinstance(function, partial):
+            function = function.func
+        elif isinstance(function, MethodType):
+            function = function.__func__
+        elif hasattr(function, "__wrapped__"):  # by a decorator
+            function = function.__wrapped__
+        elif isinstance(function, FunctionType) or not isinstance(type(function).__call__, FunctionType):
+            return function
+        else:
+            function = type(function).__call__

@@ -1,7 +1,7 @@
 """Cleanup: actions at the end of a scope, also when it failed or was cancelled.
 
-Python's own ``finally`` runs too when a branch is cancelled, but motions in it are cancelled like all others. Actions
-of ``finally_`` are shielded from that.
+Python's own ``finally`` also runs when a branch is cancelled, but motions in it are cancelled like all others. Actions
+of ``finally_`` are shielded from cancellation.
 """
 
 from __future__ import annotations
@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from pycram.foundation.error_chain import chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure
-from pycram.language.actions import name_of, run
-from pycram.language.attempts import Retry
-from pycram.language.body import sequential
-from pycram.language.failures import NotCleanedUp
-from pycram.language.nesting import scope
+from pycram.language.branch import name_of, run
+from pycram.language.failures import NotCleanedUp, Retry
+from pycram.language.nesting import scope, sequential
 from pycram.scheduling.cancellation import shielded
 from recorder.tracing.span import Cancelled, span
 
@@ -24,11 +22,10 @@ if TYPE_CHECKING:
 
 @scope
 def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Iterator[None]:
-    """Run an action when the ``with`` block has ended, however it did; in the block actions run in order.
+    """Run an action when the ``with`` block has ended, however it ended; in the block actions run in order.
 
     If both fail, the block's failure is raised with the cleanup's in its context; but a usage error takes precedence
-    over a failure. If the cleanup of a cancelled block fails, NotCleanedUp fails the block of the plan that cancelled
-    it.
+    over a failure. If the cleanup of a cancelled block fails, NotCleanedUp fails the block that cancelled it.
 
     Raises:
         BadArgument: The action isn't callable.
@@ -49,16 +46,12 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
         except BaseException as second:
             if first is None:
                 raise
-            first = _combined(first, second, name_of(action))
+            bug = isinstance(first, PlanFailure) and not isinstance(second, PlanFailure)
+            if isinstance(first, Cancelled) and isinstance(second, PlanFailure):
+                first = chained(NotCleanedUp(name_of(action), second), [first])
+            elif bug or isinstance(first, (Cancelled, Retry)):
+                first = chained(second, [first])
+            else:
+                first = chained(first, [second])
     if first is not None:
         raise_unchanged(first)
-
-
-def _combined(error: BaseException, cleanup: BaseException, action: str) -> BaseException:
-    """Return what to raise when both the block and its cleanup raised."""
-    bug = isinstance(error, PlanFailure) and not isinstance(cleanup, PlanFailure)
-    if isinstance(error, Cancelled) and isinstance(cleanup, PlanFailure):
-        return chained(NotCleanedUp(action, cleanup), [error])
-    if bug or isinstance(error, (Cancelled, Retry)):
-        return chained(cleanup, [error])
-    return chained(error, [cleanup])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.error_families import PlanFailure, PycramError, UsageError, slots_of
 from pycram.foundation.names import export
@@ -167,6 +167,16 @@ class NotCleanedUp(PlanFailure):
         self.action = action
         self.failure = failure
         self.__cause__ = failure
+
+
+class Retry(BaseException):
+    """Raised by ``retry``, to end its attempt; nothing else catches it."""
+
+    def __init__(self, attempt: object, number: int, changed: Mapping[str, Any], error: BaseException | None) -> None:
+        super().__init__(f"attempt {number} is to be followed by another one")
+        self.attempt = attempt
+        self.changed = changed  # parameters of the next attempt
+        self.error = error  # that was being handled
 
 
 def leaves_uncleaned(failure: BaseException) -> bool:

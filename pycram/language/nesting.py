@@ -1,8 +1,11 @@
 """Nesting: scopes of the plan (blocks, attempts, timeouts, cleanups) end in the reverse order of their beginnings.
 
-``with`` statements ensure this, except where a generator leaves a scope open while other code goes on. What ends out of
-order is ended, with all that was opened after it, and refused: else the plan would go on in a scope that is over. As
-long as a scope is open, Ctrl-C is deferred in the language's own code (:mod:`recorder.tracing.interrupts`).
+``with`` statements ensure this, except where a generator leaves a scope open while other code continues. A scope that
+ends out of order raises Misnested, after all scopes that were opened after it have ended: else the plan would continue
+in a scope that is over. While a scope is open, Ctrl-C is deferred in the language's own code
+(:mod:`recorder.tracing.interrupts`).
+
+The context of a block's body carries the block; :func:`sequential` runs code of the body in order, outside of branches.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from functools import wraps
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, ParamSpec, TypeVar
 
 from pycram.foundation.failures import UsageError
+from pycram.scheduling.cancellation import Binding, body as body_context, raise_if_cancelled
 from pycram.scheduling.schedule import scheduler
 from recorder.tracing import interrupts
 from recorder.tracing.call_stack import is_resumable
@@ -23,6 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
     from types import TracebackType
+
+    from pycram.scheduling.cancellation import Body
 
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
@@ -44,19 +50,12 @@ class Misnested(UsageError):
 
 
 class _Open(NamedTuple):
-    """A scope that is open.
+    """A scope that is open."""
 
-    Attributes:
-        scope: What stands in the ``with`` statement.
-        generator: Identifies the generator whose code opened it; 0 for code that isn't resumable.
-        body: The context manager that does the work.
-        defers: Whether it defers Ctrl-C.
-    """
-
-    scope: object
-    generator: int
-    body: AbstractContextManager[object]
-    defers: bool
+    scope: object  # of the ``with`` statement
+    generator: int  # id of the generator whose code opened it; 0 for code that isn't resumable
+    body: AbstractContextManager[object]  # does the work
+    defers: bool  # whether it defers Ctrl-C
 
     def end(self, error: BaseException | None, trace: TracebackType | None = None) -> bool | None:
         try:
@@ -70,14 +69,10 @@ _open: Final[ContextVar[tuple[_Open, ...]]] = ContextVar("pycram_open", default=
 
 
 class Scope(ABC, Generic[Value]):
-    """A context manager that refuses to end out of order; reusable, also within itself.
-
-    Args:
-        name: Its kind, in messages.
-    """
+    """A context manager that refuses to end out of order; reusable, also within itself."""
 
     def __init__(self, name: str) -> None:
-        self._name = name
+        self._name = name  # its kind, in messages
 
     @abstractmethod
     def _opened(self) -> AbstractContextManager[Value]:
@@ -108,20 +103,15 @@ class Scope(ABC, Generic[Value]):
             *outer, last = _open.get()
             _open.set(tuple(outer))
             last.end(raised)
-        if raised is error or (error is not None and not indices):  # this one was ended in that way before
+        if raised is error or (error is not None and not indices):  # it was ended so before
             return False
         raise raised
-
-
-def nothing_open() -> None:
-    """Forget the open scopes of this context: it is that of a branch, which ends only what it opens itself."""
-    _open.set(())
 
 
 def _generator() -> int:
     """Return the id of the generator whose code opens or ends a scope; 0 for code that isn't resumable.
 
-    Needed as ``par`` is the same object in all ``with`` statements.
+    It is needed because ``par`` is the same object in all ``with`` statements.
     """
     frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() gives no other
     while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # ExitStack
@@ -150,3 +140,50 @@ def scope(function: Callable[Arguments, Iterator[Value]]) -> Callable[Arguments,
         return GeneratorScope(name, lambda: make(*args, **kwargs))
 
     return made
+
+
+# --- bodies of blocks -------------------------------------------------------------------------------------------------
+
+
+def in_block(host: Body | None) -> Binding[Body | None]:
+    """Make actions in the ``with`` block branches of a block; with None, run them in order."""
+    return Binding(body_context, host)
+
+
+def leave_body() -> None:
+    """Make this context that of a branch, for good: actions run in order, and it ends only scopes that it opens."""
+    body_context.set(None)
+    nothing_open()
+
+
+def nothing_open() -> None:
+    """Forget the open scopes of this context."""
+    _open.set(())
+
+
+def await_turn() -> None:
+    """Wait until code of the body may run itself: in a body that is read, until its turn comes.
+
+    Raises:
+        Cancelled: The block around it is cancelled.
+    """
+    host = body_context.get()
+    if host is not None:
+        host.await_turn()
+
+
+@contextmanager
+def sequential() -> Iterator[Callable[[], None]]:
+    """Run the ``with`` block in the branch of the body, in order; failures propagate as in plain Python.
+
+    Yields:
+        A function to call at the end; it waits for the branches that the body added to a sequence around it.
+
+    Raises:
+        Cancelled: The block around it is cancelled.
+    """
+    await_turn()
+    raise_if_cancelled()
+    host = body_context.get()
+    with in_block(None):
+        yield host.await_turn if host is not None else lambda: None

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation.checks import number
 from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
-from pycram.language.body import sequential
-from pycram.language.nesting import scope
+from pycram.language.nesting import scope, sequential
 from pycram.scheduling.cancellation import CancelScope, current_scope, entered, raise_if_cancelled
 from pycram.scheduling.schedule import scheduler
 from pycram.scheduling.strikes import Deadline, Limit

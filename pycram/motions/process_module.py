@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
 from pycram.foundation.names import qualified_name
 from pycram.foundation.refusals import refusing
-from pycram.language.actions import run
-from pycram.language.body import current_block
+from pycram.language.block import current_block
+from pycram.language.branch import run
 from pycram.motions.designator import Designator, DesignatorError, unfinished
 from pycram.motions.environments import Chosen, current_environment, module_for
 from pycram.motions.motion import Motion, decision_of, forget_motions

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.foundation.names import export
-from pycram.language.actions import name_of, run
+from pycram.language.branch import name_of, run
 from pycram.projection.child import Child, limit_memory, usable_cores, wait
 from pycram.scheduling.cancellation import checkpoint
 from pycram.scheduling.locks import refuse_held

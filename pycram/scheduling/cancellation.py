@@ -154,6 +154,9 @@ class Body(Protocol):
     def before_change(self, change: str) -> None:
         """Refuse a change of a world that plain Python in the body makes, if it would come too early."""
 
+    def await_turn(self) -> None:
+        """Wait until plain Python in the body may act."""
+
 
 #: The block whose body this code is in; None outside of all, in branches, and where actions run in order.
 body: Final[ContextVar[Body | None]] = ContextVar("pycram_block", default=None)

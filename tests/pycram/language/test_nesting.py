@@ -12,7 +12,7 @@ import pytest
 from pycram import tasks
 from pycram.failures import UsageError
 from pycram.language import State, failure_handling, finally_, par, seq, timeout
-from pycram.language.body import current_block
+from pycram.language.block import current_block
 from pycram.language.nesting import Misnested
 from pycram.scheduling.cancellation import current_scope
 from tests.pycram.language.gates import C, F, Gate, S, succeeds
@@ -20,12 +20,12 @@ from tests.pycram.language.gates import C, F, Gate, S, succeeds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pycram.language import Kind
+    from pycram.language import BlockKind
     from pycram.language.block import Block
 
 
 def test_blocks_in_generators_that_end_out_of_order_are_refused() -> None:
-    def plan(kind: Kind) -> Iterator[Block]:
+    def plan(kind: BlockKind) -> Iterator[Block]:
         with kind as s:
             yield s
 

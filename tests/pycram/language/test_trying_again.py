@@ -11,7 +11,7 @@ import pytest
 from pycram import tasks
 from pycram.failures import BadArgument, InCollision, LookingFailed, PlanFailure, Unreachable, UsageError
 from pycram.language import failure_handling, par, pursue, retry
-from pycram.language.attempts import FailureLeft
+from pycram.language.retries import FailureLeft
 from tests.pycram.language.gates import C, F, Gate, S, fails, fails_to_look, is_wrong, succeeds
 
 if TYPE_CHECKING:
