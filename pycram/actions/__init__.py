@@ -1,31 +1,24 @@
-"""Actions: what a robot is to do, not how (CRAM): designators of actions, objects and places, and what does them.
+"""Actions of a robot, by goal (CRAM): designators of actions, objects and places, and functions that perform them.
 
-``perform(ActionDesignator(type="transporting", object=..., target=...))`` chooses an arm, a grasp and where to stand,
-carries on with the next choice when one fails, and says what was tried when its budget is spent. Each action is a
-function in a module of its own, written in the plan language; ``@action("transporting")`` puts another in its place.
+``perform(ActionDesignator(type="transporting", object=..., target=...))`` chooses an arm, a grasp and a place to stand.
+When a choice fails, it tries the next choice, until its budget is spent; then its failure lists the tries. Each action
+is a function, written in the plan language; ``@action("transporting")`` replaces it.
 """
 
-from pycram.actions import (  # noqa: F401  that there are these
-    closing,
-    delivering,
-    fetching,
-    handing_over,
-    looking,
+from pycram.actions import (  # noqa: F401  they register the actions
+    carrying,
+    containers,
+    hands,
     navigating,
-    opening,
-    parking_arms,
     perceiving,
-    picking_up,
-    placing,
-    searching,
-    transporting,
+    pick_and_place,
 )
 from pycram.actions.action import ActionDesignator, ActionType, action, replaced
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import ObjectDesignator
+from pycram.actions.perceiving import ObjectNotFound
 from pycram.actions.performing import ActionFailed, Try, perform
 from pycram.actions.projecting import projecting
-from pycram.actions.searching import ObjectNotFound
 
 __all__ = [
     "ActionDesignator",

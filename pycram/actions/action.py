@@ -1,8 +1,8 @@
-"""Actions: what a robot can be asked to do without saying how, as plain functions of the plan language (CRAM).
+"""Actions: goals of a robot, as plain functions of the plan language (CRAM).
 
-``@action("fetching")`` makes a function the action of that type; one that was registered before is replaced. Slots,
-defaults and units are those of its signature and docstring. What it leaves open, its *choices* say: they yield values
-for slots, the best first, each found when it is needed.
+``@action("fetching")`` makes a function the action of that type, in place of an earlier function. Slots, defaults and
+units are those of its signature and docstring. Its *choices* yield values for the open slots, the best first, each
+found when it is needed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pycram.motions.solutions import Solution
 
 Function = TypeVar("Function", bound="Callable[..., Any]")
-#: Called with an action's slots; yields values for those that are open, or others instead.
+#: Called with an action's slots; yields values for the open slots, or other values.
 Choices: TypeAlias = "Callable[..., Iterable[Mapping[str, Any]]]"
 
 _COMMON: Final = (
@@ -48,23 +48,14 @@ _ARGUMENT: Final = re.compile(r"^\s*(\w+): (.*)$")
 
 @dataclass(frozen=True, slots=True)
 class ActionType:
-    """A type of actions.
+    """A type of actions."""
 
-    Attributes:
-        type: Its name.
-        function: What does it, with everything chosen.
-        slots: Its slots beside ``type``.
-        choices: What finds the open ones; None if there is nothing to choose.
-        prepare: What is done before they are found; None for nothing.
-        text: What it does, the first lines of the function's docstring.
-    """
-
-    type: str
-    function: Callable[..., Any]
-    slots: tuple[Slot, ...]
-    choices: Choices | None = None
-    prepare: Callable[..., Any] | None = None
-    text: str = ""
+    type: str  # its name
+    function: Callable[..., Any]  # performs it when everything is chosen
+    slots: tuple[Slot, ...]  # without ``type``
+    choices: Choices | None = None  # finds values of open slots; None if there is nothing to choose
+    prepare: Callable[..., Any] | None = None  # called before choices are found
+    text: str = ""  # the first lines of the function's docstring
     one_of: ClassVar[tuple[str, ...]] = ()
     only_one: ClassVar[bool] = False
 
@@ -72,13 +63,20 @@ class ActionType:
         """Describe its slots, for messages."""
         return described(self)
 
+    @property
+    def recorded_as(self) -> str:
+        """The function's name in records: of our own actions, by the action, whichever file they are in."""
+        if self.function.__module__.startswith(f"{__package__}."):
+            return f"{__package__}.{self.function.__name__}.{self.function.__name__}"
+        return qualified_name(self.function)
+
     def call(self, slots: Mapping[str, Any]) -> Any:
-        """Do it, with everything chosen, and return the function's result."""
+        """Perform it with all slots chosen, and return the function's result."""
         return self.function(**arguments(self.function, slots))
 
 
 def arguments(function: Callable[..., Any], slots: Mapping[str, Any]) -> dict[str, Any]:
-    """Return slots as the keyword arguments of a function that has them as its parameters; others are left out."""
+    """Return those slots as keyword arguments that are parameters of a function."""
     names = {slot_name(name): name for name in inspect.signature(function).parameters}
     return {names[slot]: value for slot, value in slots.items() if slot in names}
 
@@ -93,18 +91,18 @@ def action(
     prepare: Callable[..., Any] | None = None,
     checked: Mapping[str, Check] | None = None,
 ) -> Callable[[Function], Function]:
-    """Decorate a function that does the actions of a type, instead of what did them before.
+    """Decorate a function that performs the actions of a type, in place of an earlier function.
 
     Args:
         name: The type, as "fetching".
-        choices: A generator function that is called with the slots, as the function is, of which it takes those that it
-            has as parameters. It yields values of slots by name, the best first; those that a try gets.
-        prepare: What the robot does before choices are found, as looking for the object; called as these are. What a
-            generator function does after its only ``yield`` comes when the action has been done, or has failed there.
+        choices: A generator function that yields values of slots by name, the best first; each tried in turn. It is
+            called with those slots that are its parameters.
+        prepare: Called in the same way before choices are found, for example to search an object. If it is a generator
+            function, the code after its only ``yield`` runs when the action has succeeded or failed.
         checked: Checks of slots that PyCRAM's own actions don't have, by name.
 
     Raises:
-        BadArgument: The name is none, or the function has parameters that slots can't be.
+        BadArgument: The name is invalid, or the function has positional-only or variable parameters.
     """
     text("name", name)
 
@@ -119,10 +117,10 @@ def action(
 def replaced(
     name: str, function: Callable[..., Any], *, choices: Choices | None = None
 ) -> Iterator[Callable[..., Any]]:
-    """Have a function do the actions of a type in the ``with`` block.
+    """Let a function perform the actions of a type in the ``with`` block.
 
     Raises:
-        BadArgument: The function doesn't take all slots of the action that it replaces, which others may give it.
+        BadArgument: The function lacks slots of the action that it replaces.
     """
     before = TYPES.get(name)
     taken = {slot_name(parameter) for parameter in inspect.signature(function).parameters}
@@ -161,7 +159,7 @@ def _type(
 
 
 def _texts(function: Callable[..., Any]) -> dict[str, str]:
-    """Return what a function's docstring says of its parameters."""
+    """Return the texts of a function's parameters in its docstring."""
     _, _, section = (inspect.getdoc(function) or "").partition("Args:\n")
     found: dict[str, str] = {}
     name = ""
@@ -177,11 +175,11 @@ def _texts(function: Callable[..., Any]) -> dict[str, str]:
 
 
 class ActionDesignator(ResolvedDesignator):
-    """Something to be done, as ``ActionDesignator(type="transporting", object=..., target=...)`` (thesis 3.5.1).
+    """An action, as ``ActionDesignator(type="transporting", object=..., target=...)`` (thesis 3.5.1).
 
-    Its solutions are its slots with all that is open chosen, the best choice first. The designators among its slots are
-    not resolved by it but by the action, which may have to look for an object first. A resolver's solutions have the
-    type of what is done in ``action``.
+    Its solutions are its slots with all open slots chosen, the best choice first. The action itself resolves the
+    designators among its slots, because it may have to search an object first. A resolver's solutions have the type of
+    the action in ``action``.
     """
 
     performed_by = "pycram.actions.perform"
@@ -191,7 +189,7 @@ class ActionDesignator(ResolvedDesignator):
         return resolve
 
     def check(self) -> None:
-        """Check its slots as far as that needs no search."""
+        """Check its slots as far as possible without a search."""
         checked_type(self)
 
 
@@ -206,10 +204,10 @@ def checked_type(designator: ActionDesignator) -> tuple[ActionType, dict[str, An
 
 
 def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
-    """Do what is done before the choices of an action are found; after the ``with`` block, what is done in the end."""
+    """Prepare an action before its choices are found; after the ``with`` block, finish that."""
     try:
         kind, slots = checked_type(designator)
-    except DesignatorError:  # only a resolver of the plan's own may know it
+    except DesignatorError:  # only a resolver of the plan may know it
         return nullcontext()
     if kind.prepare is None:
         return nullcontext()
@@ -220,7 +218,7 @@ def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
 
 
 def resolve(designator: ActionDesignator) -> Iterator[Solution]:
-    """Yield the solutions of an action designator: one for each choice."""
+    """Yield the solutions of an action designator, one for each choice."""
     kind, slots = checked_type(designator)
     whole = {slot: value for slot, value in slots.items() if slot not in ("budget", "projected")}
     if kind.choices is None:
@@ -231,15 +229,15 @@ def resolve(designator: ActionDesignator) -> Iterator[Solution]:
 
 
 def type_of(solution: Solution) -> ActionType:
-    """Return the type that a solution is to be done by.
+    """Return the type of a solution's action.
 
     Raises:
-        DesignatorError: There is none, or it has no such slots.
+        DesignatorError: There is no such type, or it has no such slots.
     """
     name = solution.get("action")
     if not isinstance(name, str) or name not in TYPES:
         problem = f"the solution has the unknown action {name!r}{did_you_mean(name, TYPES)}"
-        raise DesignatorError(problem, slot="action", value=name, takes=f"actions: {', '.join(TYPES)}")
+        raise DesignatorError(problem, slot="action", value=name, takes=f"actions: {', '.join(sorted(TYPES))}")
     kind = TYPES[name]
     names = [slot.name for slot in kind.slots]
     for slot, value in solution.items():

@@ -1,4 +1,4 @@
-"""Checks of the values of actions' slots; the values that they return are what an action's function gets."""
+"""Checks of the values of actions' slots; an action's function gets the values that they return."""
 
 from __future__ import annotations
 
@@ -93,4 +93,4 @@ BY_SLOT: Final[Mapping[str, Check]] = {
     "arm": slot_checks.arm,
     "grasp": slot_checks.grasp,
 }
-"""The checks of slots that PyCRAM's own actions have, by name."""
+"""The checks of the slots of PyCRAM's own actions, by name."""

@@ -1,4 +1,4 @@
-"""Drawers and doors by their names, and from where their handles are moved, for opening and closing."""
+"""Drawers and doors: finding them by name, opening and closing them by their handles."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from pycram.actions.action import action
 from pycram.actions.performing import perform
 from pycram.foundation.failures import AccessFailed, BadArgument, NoPlace, PlanFailure, UnknownName
 from pycram.motions import slot_checks
@@ -28,30 +29,22 @@ if TYPE_CHECKING:
 
     from pycram.motions.slot_checks import Check
 
+
 _PLACES: Final = 3  # to stand at, that are tried for each width
 _SAME: Final = (0.005, math.radians(0.5))  # m and rad within which the robot stands where it is to stand
-_CLOSED: Final = 0.1  # m or rad up to which a hand doesn't get in, nor a look
+_CLOSED: Final = 0.1  # m or rad
 
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """A drawer or door, and how it is moved.
-
-    Attributes:
-        name: what people call it.
-        body: the furniture.
-        joint: its joint.
-        handle: link of its handle.
-        closed: position of the joint when it is closed, rad or m.
-        open: position of the joint when it is open as wide as it gets.
-    """
+    """A drawer or door, with its joint and handle."""
 
     name: str
-    body: Object
+    body: Object  # the furniture
     joint: str
-    handle: str
-    closed: float
-    open: float
+    handle: str  # link
+    closed: float  # position of the joint, rad or m
+    open: float  # position of the joint at its widest, rad or m
 
     def __record__(self) -> object:
         """Return its name."""
@@ -64,7 +57,7 @@ class Access:
 
     @property
     def is_closed(self) -> bool:
-        """Whether nothing gets in or out."""
+        """Whether the opening is too narrow for a hand or a look."""
         return abs(self.position - self.closed) < _CLOSED
 
 
@@ -81,8 +74,7 @@ def known_container(name: str, value: Any) -> Any:
     raise BadArgument(name, value, "a container, its name, or an Object")
 
 
-#: Checks of the slots that opening and closing have.
-CHECKS: Final[Mapping[str, Check]] = {
+_CHECKS: Final[Mapping[str, Check]] = {
     "container": known_container,
     "joint": slot_checks.name,
     "handle": slot_checks.name,
@@ -92,7 +84,7 @@ CHECKS: Final[Mapping[str, Check]] = {
 
 
 def containers() -> list[tuple[Access, Any]]:
-    """Return what furniture in the robot's world has, each with its container."""
+    """Return the drawers and doors of the robot's world, each with its container."""
     return [
         (Access(each.name, body, each.joint, each.handle, each.closed, each.open), each)
         for body in BulletWorld.current_robot().world.objects
@@ -101,12 +93,12 @@ def containers() -> list[tuple[Access, Any]]:
 
 
 def enclosing(body: Object) -> Any:
-    """Return the closed container that an object stands or lies in; None if there is none."""
+    """Return the closed container of an object; None if there is none."""
     return enclosing_at(center(body))
 
 
 def enclosing_at(position: Sequence[float]) -> Any:
-    """Return the closed container that a position in the world, m, is in; None if there is none."""
+    """Return the closed container at a position in the world frame, m; None if there is none."""
     x, y, z = position
     for access, container in containers():
         if not access.is_closed:
@@ -120,11 +112,11 @@ def enclosing_at(position: Sequence[float]) -> Any:
     return None
 
 
-def access_of(container: Access | Object, joint: str | None, handle: str | None) -> Access:
-    """Return the drawer or door that is meant.
+def _access_of(container: Access | Object, joint: str | None, handle: str | None) -> Access:
+    """Return the drawer or door of the slots.
 
     Raises:
-        BadArgument: Nothing says which one.
+        BadArgument: The slots are ambiguous.
         UnknownName: There is no such joint or link.
     """
     if isinstance(container, Access):
@@ -148,25 +140,25 @@ def access_of(container: Access | Object, joint: str | None, handle: str | None)
     return Access(handle, body, joint, handle, Handle(body, joint, handle).closed, body.joint_limits(joint)[1])
 
 
-def choices(
+def _handle_choices(
     access: Access,
     arm: str | None,
     values: Sequence[float],
     place: Sequence[float] | None = None,
     orientation: Sequence[float] | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield arms and places from which a handle can be held all the way, for the first of some values that it can be.
+    """Yield arms and places from which a handle can be held all the way.
 
     Args:
-        access: What is to be moved.
+        access: The drawer or door.
         arm: The arm; None for any.
-        values: Of its joint, rad or m, the best first.
-        place: Where the robot is to stand, m; None for where it reaches.
+        values: Positions of its joint, rad or m, the best first.
+        place: Where the robot is to stand, m; None for places from which it reaches.
         orientation: Of its base there; the present one by default.
 
     Raises:
         AccessFailed: No arm is free.
-        NoPlace: There is none for any.
+        NoPlace: There is no place for any of the values.
     """
     robot = BulletWorld.current_robot()
     arms = _free_arms(robot, access, arm)
@@ -197,11 +189,7 @@ def _choice(
 
 
 def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:
-    """Return the arms, or the one that is wanted, that have a gripper and hold nothing.
-
-    Raises:
-        AccessFailed: There are none.
-    """
+    """Return the arms, or the wanted arm, that have a gripper and hold nothing."""
     arms = robot.description.arms.values() if robot.description else ()
     chosen = [arm for arm in arms if wanted in (None, arm.name) and arm.hand is not None]
     held = {each.carrier_link: each.body.name for each in robot.carried}
@@ -212,8 +200,8 @@ def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:
     return free
 
 
-def move(access: Access, arm: str, distance: float, place: Sequence[float], orientation: Sequence[float]) -> None:
-    """Go somewhere, move a handle from there, and draw the arm back."""
+def _move(access: Access, arm: str, distance: float, place: Sequence[float], orientation: Sequence[float]) -> None:
+    """Drive to a place, move the handle from there, and park the arm."""
     robot = BulletWorld.current_robot()
     position, turn = robot.get_position_and_orientation()
     if math.dist(position, place) > _SAME[0] or geometry.angle(turn, orientation) > _SAME[1]:
@@ -228,5 +216,86 @@ def move(access: Access, arm: str, distance: float, place: Sequence[float], orie
             distance=distance,
         )
     )
-    with suppress(PlanFailure):  # where the door itself is in the way of it, the arm stays
+    with suppress(PlanFailure):  # the arm stays where the door itself is in its way
         perform(MotionDesignator([("type", "move-arm-joints"), (f"{arm}-arm", "park")]))
+
+
+_WIDE: Final = {True: 0.4, False: 1.2}  # m of what slides, as what is at its back is to be reached; rad of what turns
+_SHARES: Final = (1.0, 0.75, 0.5)  # of that, that are tried
+
+
+def _opening_choices(
+    container: Any,
+    joint: str | None = None,
+    handle: str | None = None,
+    arm: str | None = None,
+    distance: float | None = None,
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+) -> Iterator[Mapping[str, Any]]:
+    access = _access_of(container, joint, handle)
+    wide = min(access.open - access.closed, _WIDE[access.body.urdf.joint(access.joint).type == "prismatic"])
+    widths = [share * wide for share in _SHARES] if distance is None else [distance]
+    yield from _handle_choices(access, arm, [access.closed + width for width in widths], place, orientation)
+
+
+@action("opening", choices=_opening_choices, checked=_CHECKS)
+def opening(
+    container: Any,
+    joint: str | None = None,
+    handle: str | None = None,
+    arm: str | None = None,
+    distance: float | None = None,
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+) -> str:
+    """Opens a drawer or door by its handle, from a place from which an arm holds it all the way; returns the arm.
+
+    Args:
+        container: A container of furniture, its name, or the furniture itself with joint and handle.
+        joint: Name of its joint, where the furniture itself is given.
+        handle: Link of its handle, where the furniture itself is given.
+        arm: Name of the arm; by default any that reaches.
+        distance: How wide, in m, or rad of what turns; by default up to 0.4 m or 1.2 rad, or down to half as wide.
+        place: Where the robot stands, [x, y, z] of its base in m; by default where the handle can be held all the way.
+        orientation: A quaternion [x, y, z, w] of the robot's base there.
+    """
+    assert arm is not None and distance is not None and place is not None and orientation is not None  # noqa: S101, PT018  chosen
+    _move(_access_of(container, joint, handle), arm, distance, place, orientation)
+    return arm
+
+
+def _closing_choices(
+    container: Any,
+    joint: str | None = None,
+    handle: str | None = None,
+    arm: str | None = None,
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+) -> Iterator[Mapping[str, Any]]:
+    access = _access_of(container, joint, handle)
+    for choice in _handle_choices(access, arm, [access.closed], place, orientation):
+        yield {slot: value for slot, value in choice.items() if slot != "distance"}
+
+
+@action("closing", choices=_closing_choices, checked=_CHECKS)
+def closing(
+    container: Any,
+    joint: str | None = None,
+    handle: str | None = None,
+    arm: str | None = None,
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+) -> None:
+    """Closes a drawer or door by its handle, from a place from which an arm holds it all the way.
+
+    Args:
+        container: A container of furniture, its name, or the furniture itself with joint and handle.
+        joint: Name of its joint, where the furniture itself is given.
+        handle: Link of its handle, where the furniture itself is given.
+        arm: Name of the arm; by default any that reaches.
+        place: Where the robot stands, [x, y, z] of its base in m; by default where the handle can be held all the way.
+        orientation: A quaternion [x, y, z, w] of the robot's base there.
+    """
+    assert arm is not None and place is not None and orientation is not None  # noqa: S101, PT018  chosen
+    _move(_access_of(container, joint, handle), arm, 0.0, place, orientation)

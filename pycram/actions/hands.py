@@ -1,22 +1,37 @@
-"""What the current robot's hands hold, and whether its arms are parked."""
+"""The current robot's hands: their objects, and handing an object over to the other hand."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+import itertools
+import math
+from typing import TYPE_CHECKING, Any, Final
 
-from pycram.foundation.failures import MissingPart, PlaceFailed, ReasoningError
+from pycram.actions.action import action
+from pycram.actions.locations import LocationDesignator
+from pycram.actions.navigating import go
+from pycram.actions.objects import object_of
+from pycram.actions.performing import perform
+from pycram.foundation.failures import Blocked, MissingPart, PlaceFailed, ReasoningError
+from pycram.motions import slot_checks
+from pycram.motions.designator import MotionDesignator
+from pycram.reasoning.collision import checker
+from pycram.reasoning.driving import drives
+from pycram.reasoning.kinematics.solver import postures
 from pycram.world import carried
 from pycram.world.world import BulletWorld
+from recorder import geometry
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pycram.foundation.collision_pair import CollisionPair
     from pycram.models.robots.description import Arm
     from pycram.world.object import Object
-
-_PARKED: Final = 0.01  # rad or m that a joint of a parked arm may be off
+    from recorder.geometry import Pose, PoseLike, Vector
 
 
 def arms() -> list[Arm]:
-    """Return the arms of the current robot that can take something.
+    """Return the arms of the current robot that have a gripper.
 
     Raises:
         MissingPart: It has none.
@@ -29,7 +44,7 @@ def arms() -> list[Arm]:
 
 
 def held_by(arm: Arm) -> Object | None:
-    """Return what an arm of the current robot holds; None for nothing."""
+    """Return the object that an arm of the current robot holds; None for none."""
     return carried.attached_to(BulletWorld.current_robot(), arm.tool_frame)
 
 
@@ -39,7 +54,7 @@ def holder(body: Object) -> Arm | None:
 
 
 def holding_arm(body: Object) -> Arm:
-    """Return the arm of the current robot that holds an object, to be put down.
+    """Return the arm of the current robot that holds an object, to put it down.
 
     Raises:
         PlaceFailed: None does.
@@ -51,7 +66,7 @@ def holding_arm(body: Object) -> Arm:
 
 
 def free_arms(name: str | None = None) -> list[str]:
-    """Return the names of arms that hold nothing: of all, or of one that is wanted.
+    """Return the names of all arms that hold nothing, or of the wanted arm.
 
     Raises:
         MissingPart: The robot has no arm.
@@ -65,7 +80,127 @@ def free_arms(name: str | None = None) -> list[str]:
     return found
 
 
-def is_parked(arm: Arm) -> bool:
-    """Whether an arm of the current robot is in its posture "park"."""
+_AHEAD: Final = (0.55, 0.45, 0.65)  # m before the shoulders
+_DOWN: Final = (0.2, 0.35, 0.05)  # m below them
+_TURNS: Final = (30, 60, 0, 90)  # degrees by which the giving hand points inward
+_EACH: Final = 4  # ways to hold it that are tried before the robot turns
+_AWAY: Final = (180, 90, -90)  # degrees by which the robot turns where something is before it
+
+
+def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
+    """Yield poses of the giving hand and the arm that takes; in the end with the robot turned away."""
+    body = object_of(object)
     robot = BulletWorld.current_robot()
-    return all(abs(robot.get_joint_position(joint) - value) < _PARKED for joint, value in arm.posture("park").items())
+    giver = _giver(robot, body)
+    assert robot.description is not None  # noqa: S101  as it has arms
+    others = [each for each in robot.description.arms.values() if each is not giver and each.hand is not None]
+    takers = [each for each in others if arm in (None, each.name)]
+    if arm == giver.name:
+        raise ReasoningError(f"{body.name} can't be handed over to the {arm} arm, which holds it")
+    if not takers:
+        raise MissingPart(robot.name, "other arm with a gripper" if arm is None else f"gripper of the {arm} arm")
+    if all(held_by(each) is not None for each in takers):
+        holding = ", ".join(f"the {each.name} arm holds {held.name}" for each in takers if (held := held_by(each)))
+        raise ReasoningError(f"{body.name} can't be handed over: no other arm is free: {holding}")
+    takers = [each for each in takers if held_by(each) is None]
+    here = robot.get_position_and_orientation()
+    turned = list(_turned(robot, here))
+    blocked: list[Blocked] = []
+    found = False
+    for place in (None, *turned):
+        goes_to = None if place is None else LocationDesignator(position=place[0], orientation=place[1])
+        for taker in takers:
+            poses = _free_poses(robot, giver, taker, place, blocked)
+            for pose in itertools.islice(poses, _EACH if turned else None):
+                position, turn = geometry.multiply(place or here, pose)
+                found = True
+                yield {"arm": taker.name, "target": list(position), "orientation": list(turn), "place": goes_to}
+    if blocked and not found:
+        raise blocked[0]
+
+
+@action("handing-over", choices=_choices, checked={"target": slot_checks.position})
+def handing_over(
+    object: Any,  # noqa: A002  the slot's name
+    arm: str | None = None,
+    target: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+    place: Any = None,
+) -> Object:
+    """Passes what one hand holds to another one, in front of the robot, and returns it.
+
+    The other hand takes it beside the first one, which lets go then. It fails where the robot doesn't hold the object,
+    or has no other gripper, before anything moves.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects: what a hand holds.
+        arm: Name of the arm that takes it; by default any other.
+        target: Where the giving hand holds it then, [x, y, z] of its tool in m; by default where both arms get.
+        orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
+        place: Where the robot stands then, a LocationDesignator; by default where it is, or turned there
+            if something is in the way.
+    """
+    body = object_of(object)
+    giver = _giver(BulletWorld.current_robot(), body)
+    go(place)
+    perform(MotionDesignator(type="move-tcp", arm=giver.name, target=target, orientation=orientation))
+    perform(MotionDesignator([("type", "pick-up"), ("object", body), ("arm", arm), ("from", giver.name)]))
+    return body
+
+
+def _giver(robot: Object, body: Object) -> Arm:
+    for arm in robot.description.arms.values() if robot.description else ():
+        if any(held.body is body and held.carrier_link == arm.tool_frame for held in robot.carried):
+            return arm
+    raise ReasoningError(f"{body.name} can't be handed over: none of the hands of {robot.name} holds it")
+
+
+def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:
+    """Yield free poses of the robot, turned in place."""
+    for degrees in _AWAY if drives(robot) else ():
+        place = geometry.multiply(here, ((0.0, 0.0, 0.0), geometry.from_rpy(0.0, 0.0, math.radians(degrees))))
+        with robot.world.lock:
+            free = not checker.touched(robot, {}, place, all_links=True)
+        if free:
+            yield place
+
+
+def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, blocked: list[Blocked]) -> Iterator[Pose]:
+    """Yield poses of the giving hand without collision, in the frame of the robot at a place; None for here.
+
+    The obstacles of other poses are appended to ``blocked``.
+    """
+    for pose in _between(robot, giver, taker):
+        target = geometry.multiply(robot.get_position_and_orientation(), pose)
+        pairs: Sequence[CollisionPair] = ()
+        for posture in postures(robot, giver.tool_frame, *target, quick=True):
+            if posture.reaches():
+                with robot.world.lock:
+                    pairs = checker.newly_touched(robot, posture.positions, place)
+                if not pairs:
+                    yield pose
+                    break
+        if pairs:
+            blocked.append(Blocked(giver.name, target[0], pairs))
+
+
+def _between(robot: Object, giver: Arm, taker: Arm) -> Iterator[Pose]:
+    """Yield poses of the giving hand, ahead of the middle between the shoulders, in the robot's frame."""
+    middle, inward = _middle(robot, giver, taker)
+    for down, ahead, degrees in itertools.product(_DOWN, _AHEAD, _TURNS):
+        turn = geometry.from_rpy(0.0, 0.0, math.radians(inward * degrees))
+        yield (middle[0] + ahead, middle[1], middle[2] - down), turn
+
+
+def _middle(robot: Object, giver: Arm, taker: Arm) -> tuple[Vector, int]:
+    """Return the middle between the shoulders in the robot's frame, and the sign of an inward turn of the giving arm.
+
+    The sign is 1 for the right arm: its hand points inward when it turns to the left.
+    """
+    base = geometry.invert(robot.get_position_and_orientation())
+    shoulders = []
+    for arm in (giver, taker):
+        link = robot.urdf.joint(arm.joints[0]).child
+        shoulders.append(geometry.transform(base, robot.get_link_position(link)))
+    (x, y, z), (u, v, w) = shoulders
+    return ((x + u) / 2, (y + v) / 2, (z + w) / 2), 1 if y < v else -1

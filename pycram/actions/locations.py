@@ -1,4 +1,4 @@
-"""Location designators: places as plans describe them, for the robot to stand at, or for an object to be put down."""
+"""Location designators: descriptions of places for the robot to stand, or for an object to be put down."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pycram.motions.solutions import Solution
     from pycram.reasoning.places import Place
 
-#: Surfaces with the furniture that they belong to.
+#: Surfaces with their furniture.
 Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
 
 
@@ -125,7 +125,7 @@ class _Slots:
 
 
 _AWAY: Final = 0.4  # m
-_VAIN: Final = 20  # places in a row that are too near to what they are to be away from, after which that is all
+_MAX_NEAR: Final = 20  # places in a row that may be too near; then the search ends
 _EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on", "visible-for"), ("in", "visible-for"))
 
 
@@ -145,7 +145,7 @@ class LocationDesignator(ResolvedDesignator):
         return resolve
 
     def check(self) -> None:
-        """Check its slots: that there are these surfaces and objects, and that they don't exclude each other."""
+        """Check its slots: the surfaces and objects exist, and the slots don't exclude each other."""
         _checked(self)
 
     @property
@@ -174,12 +174,6 @@ class LocationDesignator(ResolvedDesignator):
 
 
 def _checked(designator: LocationDesignator) -> dict[str, Any]:
-    """Return the checked slots of a location designator.
-
-    Raises:
-        DesignatorError: A slot is missing, unknown or wrong, or two exclude each other.
-        UnknownName: There is no such surface or container.
-    """
     given = {key: unwrap(value) for key, value in designator.description if value is not None}
     slots = checked_slots(_Slots(), given)
     for one, other in _EXCLUDING:
@@ -193,25 +187,20 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
     """Yield the places that a designator describes, the best first.
 
     Raises:
-        DesignatorError: A slot is missing, unknown or wrong.
-        NoPlace: There is none; it says which constraint excluded how many.
+        DesignatorError: A slot is missing, unknown or wrong, or two exclude each other.
+        NoPlace: There is no place; the failure counts the places that each constraint excluded.
     """
     slots = _checked(designator)
     if "position" in slots:
         yield {"position": slots["position"], "orientation": slots.get("orientation"), "arms": ()}
         return
     for place in _objects_places(slots) if designator.for_objects else _robots_places(slots):
-        yield solution_of(place)
-
-
-def solution_of(place: Place) -> Solution:
-    """Return a place as the solution of a designator."""
-    return {
-        "position": list(place.position),
-        "orientation": list(place.orientation),
-        "arms": list(place.arms),
-        "surface": place.surface,
-    }
+        yield {
+            "position": list(place.position),
+            "orientation": list(place.orientation),
+            "arms": list(place.arms),
+            "surface": place.surface,
+        }
 
 
 def _objects_places(slots: Mapping[str, Any]) -> Iterator[Place]:
@@ -255,12 +244,12 @@ def _far_from(point: Sequence[float], places: Iterator[Place], robot: Object) ->
         if math.dist(place.position[:2], point[:2]) >= _AWAY:
             near = 0
             yield place
-        elif (near := near + 1) == _VAIN:
+        elif (near := near + 1) == _MAX_NEAR:
             break
     if near:
         raise NoPlace(f"{robot.name} to stand", {"away-from": near}, "away-from")
 
 
 def _point(near: Any) -> Any:
-    """Return a point that is given, or where an object is."""
+    """Return the given point, or the position of an object."""
     return object_of(near).get_position() if isinstance(near, Object | ObjectDesignator) else near

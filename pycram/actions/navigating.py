@@ -1,15 +1,17 @@
-"""Driving somewhere."""
+"""Driving to a place, and folding the arms before that."""
 
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.actions.action import action
+from pycram.actions.action import ActionDesignator, action
 from pycram.actions.checks import place_for_the_robot
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.performing import perform
 from pycram.foundation import checks
+from pycram.foundation.failures import NoPath, PlanFailure, PostureInCollision
 from pycram.motions.designator import MotionDesignator
 from pycram.reasoning.driving import check_drives
 from pycram.world.world import BulletWorld
@@ -18,7 +20,11 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-_THERE: Final = (1e-3, 1e-3)  # m and rad within which the robot is where it is to be
+    from pycram.models.robots.description import Arm
+
+
+_THERE: Final = (1e-3, 1e-3)  # m and rad within which the robot is at a place
+_PARKED: Final = 0.01  # rad or m that a joint of a parked arm may be off
 
 
 def _places(target: Any, orientation: Sequence[float] | None = None) -> Iterator[Mapping[str, Any]]:
@@ -46,3 +52,43 @@ def navigating(target: Any, orientation: Sequence[float] | None = None) -> None:
     if there and math.dist(position, target) < _THERE[0]:
         return
     perform(MotionDesignator(type="moving", target=target, orientation=orientation))
+
+
+def go(place: LocationDesignator | None) -> None:
+    """Fold the arms and drive to a place, if there is one and the robot drives."""
+    description = BulletWorld.current_robot().description
+    if place is not None and description is not None and description.drives:
+        park()
+        perform(ActionDesignator(type="navigating", target=place))
+
+
+def park() -> None:
+    """Fold the arms; if that fails, they stay as they are."""
+    with suppress(PlanFailure):
+        perform(ActionDesignator(type="parking-arms"))
+
+
+@action("parking-arms")
+def parking_arms(arm: str | None = None) -> None:
+    """Folds the arms that aren't folded, together if they can; with what they hold.
+
+    Args:
+        arm: Name of the arm; all by default.
+    """
+    description = BulletWorld.current_robot().description
+    every = [] if description is None else [each for each in description.arms.values() if "park" in each.poses]
+    open_ = [each.name for each in every if arm in (None, each.name) and not _is_parked(each)]
+    if not open_:
+        return
+    try:
+        perform(MotionDesignator([("type", "move-arm-joints"), *((f"{name}-arm", "park") for name in open_)]))
+    except (PostureInCollision, NoPath):
+        if len(open_) == 1:
+            raise
+        for name in open_:
+            perform(MotionDesignator([("type", "move-arm-joints"), (f"{name}-arm", "park")]))
+
+
+def _is_parked(arm: Arm) -> bool:
+    robot = BulletWorld.current_robot()
+    return all(abs(robot.get_joint_position(joint) - value) < _PARKED for joint, value in arm.posture("park").items())

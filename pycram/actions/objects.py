@@ -1,4 +1,4 @@
-"""Object designators: objects as plans describe them, which stand for what is believed."""
+"""Object designators: descriptions of objects, resolved by the robot's beliefs."""
 
 from __future__ import annotations
 
@@ -68,11 +68,11 @@ class ObjectDesignator(ResolvedDesignator):
 
 
 def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
-    """Yield what is believed of the objects that a designator describes, what was learned last first.
+    """Yield the beliefs about the objects of a designator, the latest first.
 
     Raises:
         DesignatorError: There are none in the world.
-        PerceptionError: Nothing is believed of them.
+        PerceptionError: There is no belief about them.
     """
     candidates = _candidates(designator)
     known = [belief for belief in beliefs() if belief.object in candidates]
@@ -84,11 +84,7 @@ def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
 
 
 def _candidates(designator: ObjectDesignator) -> list[Object]:
-    """Return the objects of the world that a designator describes.
-
-    Raises:
-        DesignatorError: There are none.
-    """
+    """Return the objects of the world that a designator describes; DesignatorError if there are none."""
     given = {key: unwrap(value) for key, value in designator.description if value is not None}
     wanted = checked_slots(_Slots(), given)
     world = BulletWorld.current_robot().world
@@ -103,7 +99,7 @@ def _candidates(designator: ObjectDesignator) -> list[Object]:
 
 
 def candidates_of(thing: Object | ObjectDesignator) -> list[Object]:
-    """Return the objects, all of one type, that may be meant: what is given, or what a designator describes."""
+    """Return the given object, or the objects that a designator describes, all of one type."""
     if not isinstance(thing, ObjectDesignator):
         return [thing]
     found = _candidates(thing)
@@ -111,10 +107,10 @@ def candidates_of(thing: Object | ObjectDesignator) -> list[Object]:
 
 
 def object_of(thing: Object | ObjectDesignator) -> Object:
-    """Return an object that is given, or that a designator stands for.
+    """Return the given object, or the first solution of a designator.
 
     Raises:
-        PerceptionError: Nothing is believed of it.
+        PerceptionError: There is no belief about it.
     """
     if not isinstance(thing, ObjectDesignator):
         return thing

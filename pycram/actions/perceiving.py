@@ -1,23 +1,43 @@
-"""Looking at an object again, where it is believed to be."""
+"""Perceiving: looking at objects and places, and searching an object on surfaces and in closed containers."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import itertools
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
-from pycram.actions.action import action
-from pycram.actions.objects import candidates_of
+from pycram.actions.action import ActionDesignator, action
+from pycram.actions.containers import Access, containers
+from pycram.actions.locations import LocationDesignator
+from pycram.actions.objects import candidates_of, object_of
 from pycram.actions.performing import perform
-from pycram.foundation.failures import PerceptionError
+from pycram.foundation.failures import PerceptionError, PlanFailure
+from pycram.foundation.names import export
 from pycram.knowledge import beliefs
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.modules.perception import RECOGNISABLE
+from pycram.reasoning.places import standing_places
+from pycram.reasoning.places.seeing import in_sight
 from pycram.reasoning.queries.visibility import visible
 from pycram.world.world import BulletWorld
+from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from pycram.reasoning.places import Place
     from pycram.world.object import Object
+    from recorder.geometry import PoseLike, Quaternion, Vector
+
+
+_FAR: Final = 3.0  # m, maximum distance of a look from where the robot stands
+_NEAR: Final = 1.6  # m, maximum distance of a look from a place to stand
+_STRIDE: Final = 0.8  # m between the points of a surface; a camera sees as much from 1 m
+_PLACES: Final = 2  # places to stand that are tried for a point
+_SEEING: Final = 4  # places to stand that are examined for a sight of hidden points
+_TRIES: Final = 4  # budget of opening and of closing
 
 
 @action("perceiving")
@@ -38,13 +58,13 @@ def perceiving(object: Any) -> Object:  # noqa: A002  the slot's name
 
 
 def has_camera() -> bool:
-    """Return whether the robot has one, as its description says."""
+    """Return whether the description of the robot has a camera."""
     description = BulletWorld.current_robot().description
     return description is not None and description.camera is not None
 
 
 def detected(bodies: Sequence[Object]) -> Object:
-    """Return the one of some objects of a type that the robot's camera sees best, as it is directed now.
+    """Return the object of several of a type that the robot's camera sees best in its present direction.
 
     Raises:
         PerceptionError: It sees none of them, or only others.
@@ -60,3 +80,245 @@ def detected(bodies: Sequence[Object]) -> Object:
             if visible(body, robot.description.camera.frame, robot=robot, threshold=RECOGNISABLE):
                 return body
     raise PerceptionError(kind, {body.name: f"is not seen, but {found.name}" for body in bodies})
+
+
+@action("looking")
+def looking(object: Any = None, target: Any = None) -> None:  # noqa: A002  the slot's name
+    """Turns the camera to an object, or to a place; one of both is required.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        target: A LocationDesignator, the name of a surface (to its middle), or [x, y, z] in m, world frame.
+    """
+    body = None if object is None else object_of(object)
+    if isinstance(target, LocationDesignator) and target.for_objects:
+        target = target.middle()
+    perform(MotionDesignator(type="looking", object=body, target=target))
+
+
+class ObjectNotFound(PerceptionError):
+    """An object wasn't found where it was looked for.
+
+    Attributes:
+        object_type: What was looked for.
+        looked: Where, in that order, and what came of it.
+        reasons: What came of it last, by where that was.
+    """
+
+    def __init__(self, object_type: str, looked: Sequence[tuple[str, BaseException]]) -> None:
+        super().__init__(object_type, {where: str(failure) for where, failure in looked})
+        self.looked = list(looked)
+        seen = dict.fromkeys(where for where, failure in looked if isinstance(failure, PerceptionError))
+        vain = [where for where in dict.fromkeys(where for where, _ in looked) if where not in seen]
+        text = f"it was looked for {', '.join(seen)}" if seen else "there was nothing to look at"
+        rest = f"; no look was possible {', '.join(vain)}" if vain else ""
+        self.args = (f"no {object_type} found: {text}{rest}",)
+
+
+export("pycram.actions", ObjectNotFound)
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """A point of a surface."""
+
+    where: str  # its name in messages, as "on the island"
+    position: Vector  # world frame, m
+    container: str  # that holds the surface; "" for none
+
+
+@action("searching")
+def searching(object: Any) -> Object:  # noqa: A002  the slot's name
+    """Looks for an object until the camera sees it, and returns it.
+
+    It looks where the object is believed to be, then over all surfaces, the nearest first: at first from where the
+    robot stands, then from places beside them; then it opens what is closed, looks into it, also from before it where a
+    door or a front hides some of it, and closes it again. It fails with ObjectNotFound, which says where it was looked
+    for. A robot without a camera asks the state of the world.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+    """
+    bodies = candidates_of(object)
+    if not has_camera():
+        return detected(bodies)
+    search = _Search(bodies)
+    steps: tuple[Callable[[], Iterator[None]], ...] = (
+        search.where_believed,
+        search.from_here,
+        search.from_elsewhere,
+        search.in_containers,
+    )
+    for step in steps:
+        for _ in step():  # one look after the other
+            if search.found is not None:
+                return search.found
+    raise ObjectNotFound(bodies[0].type, search.looked)
+
+
+class _Search:
+    """A search for one of several objects."""
+
+    def __init__(self, bodies: Sequence[Object]) -> None:
+        self.found: Object | None = None
+        self.looked: list[tuple[str, BaseException]] = []  # places of failed looks, with the failures
+        self._bodies = bodies
+        self._robot = BulletWorld.current_robot()
+        self._stood: list[Vector] = []
+
+    def where_believed(self) -> Iterator[None]:
+        """Look where the objects are believed to be: from here, then from nearby."""
+        for belief in [belief for belief in beliefs() if belief.object in self._bodies]:
+            point = _Point(f"where {belief.object.name} was {belief.source}", belief.position, "")
+            self._look(point)
+            yield
+            if not self._is_near(point.position):
+                yield from self._beside(point, [point])
+
+    def from_here(self) -> Iterator[None]:
+        """Look at all near surfaces."""
+        for point in self._open_points():
+            if self._distance(point.position) < _FAR:
+                self._look(point)
+                yield
+
+    def from_elsewhere(self) -> Iterator[None]:
+        """Look at all surfaces from nearby."""
+        points = self._open_points()
+        for point in points:
+            if not any(math.dist(place[:2], point.position[:2]) < _NEAR for place in self._stood):
+                yield from self._beside(point, points)
+
+    def in_containers(self) -> Iterator[None]:
+        """Open each closed container, look into it, and close it if the object isn't found."""
+        closed = [access for access, _ in containers() if access.is_closed]
+        closed.sort(key=lambda access: self._distance(access.body.get_link_position(access.handle)))
+        for access in closed:
+            opened = self._open(access)
+            if opened is not None:
+                points = _points(self._robot, access)
+                for point in points:
+                    self._look(point)
+                    yield
+                hidden = [
+                    point for point in points if not self._in_sight(point, self._robot.get_position_and_orientation())
+                ]
+                if hidden:  # a door or a front may be before it
+                    yield from self._from_before(access, hidden)
+                self._close(access, opened)
+
+    # --- one look ----------------------------------------------------------------------------------------------------
+
+    def _look(self, point: _Point) -> None:
+        try:
+            perform(MotionDesignator(type="looking", target=point.position))
+            self.found = detected(self._bodies)
+        except PlanFailure as failure:
+            self.looked.append((point.where, failure))
+
+    def _open(self, access: Access) -> Mapping[str, Any] | None:
+        """Open a container, and return the slots with which to close it; None if it can't be opened."""
+        try:
+            arm = perform(ActionDesignator(type="opening", container=access.name, budget=_TRIES))
+        except PlanFailure as failure:
+            self.looked.append((f"in {access.name}", failure))
+            return None
+        place, orientation = self._robot.get_position_and_orientation()
+        return {"arm": arm, "place": place, "orientation": orientation}
+
+    @staticmethod
+    def _close(access: Access, opened: Mapping[str, Any]) -> None:
+        """Close a container from the same place, else from another place; if that fails too, it stays open."""
+        for slots in (opened, {}):
+            with suppress(PlanFailure):
+                perform(ActionDesignator(type="closing", container=access.name, budget=_TRIES, **slots))
+                return
+
+    def _beside(self, point: _Point, points: Sequence[_Point]) -> Iterator[None]:
+        """Go near a point, and look at all near points."""
+        if self._goes_beside(point):
+            x, y, z = self._robot.get_position()
+            self._stood.append((x, y, z))
+            for each in points:
+                if self._is_near(each.position):
+                    self._look(each)
+                    yield
+
+    def _goes_beside(self, point: _Point) -> bool:
+        if self._robot.description is None or not self._robot.description.drives:
+            return False
+        places = standing_places(self._robot, near=point.position)
+        for _ in range(_PLACES):
+            try:
+                place = next(places, None)
+                if place is None:
+                    break
+                facing = _facing(place, point)
+                perform(MotionDesignator(type="moving", target=place.position, orientation=facing))
+            except PlanFailure as failure:
+                self.looked.append((point.where, failure))
+            else:
+                return True
+        return False
+
+    def _from_before(self, access: Access, hidden: Sequence[_Point]) -> Iterator[None]:
+        """Look at hidden points from a place in front of the container from which some are in sight."""
+        handle = access.body.get_link_position(access.handle)
+        before = [(one + other) / 2 for one, other in zip(handle, hidden[0].position, strict=True)]
+        with suppress(PlanFailure):
+            for place in itertools.islice(standing_places(self._robot, near=before), _SEEING):
+                facing = _facing(place, hidden[0])
+                seen = [point for point in hidden if self._in_sight(point, (place.position, facing))]
+                if seen:
+                    perform(MotionDesignator(type="moving", target=place.position, orientation=facing))
+                    for point in seen:
+                        self._look(point)
+                        yield
+                    return
+
+    def _in_sight(self, point: _Point, base: PoseLike) -> bool:
+        with self._robot.world.lock:
+            return in_sight(self._robot, point.position, base)
+
+    def _open_points(self) -> list[_Point]:
+        """Return points of the surfaces in no closed container, the nearest first."""
+        closed = {(access.body.name, access.name) for access, _ in containers() if access.is_closed}
+        points = [point for point in _points(self._robot) if tuple(point.container.split("/", 1)) not in closed]
+        return sorted(points, key=lambda point: self._distance(point.position))
+
+    def _distance(self, position: Sequence[float]) -> float:
+        return math.dist(self._robot.get_position()[:2], position[:2])
+
+    def _is_near(self, position: Sequence[float]) -> bool:
+        return self._distance(position) < _NEAR
+
+
+def _facing(place: Place, point: _Point) -> Quaternion:
+    """Return the orientation in which a robot at a place faces a point."""
+    across, along = (point.position[axis] - place.position[axis] for axis in (0, 1))
+    return geometry.from_rpy(0.0, 0.0, math.atan2(along, across))
+
+
+def _points(robot: Object, inside: Access | None = None) -> list[_Point]:
+    """Return points of all surfaces, or of the surfaces in a container."""
+    found = []
+    for body in robot.world.objects:
+        for surface in body.surfaces.values():
+            if inside is not None and (body is not inside.body or surface.container != inside.name):
+                continue
+            frame = body.surface_pose(surface)
+            where = f"in {surface.container}" if surface.container else f"on {surface.name}"
+            container = f"{body.name}/{surface.container}" if surface.container else ""
+            for x, y in _spread(surface.outline):
+                found.append(_Point(where, geometry.transform(frame, (x, y, 0.0)), container))
+    return found
+
+
+def _spread(outline: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
+    """Yield points of a surface in its frame, m, dense enough that a camera sees all of it."""
+    sides = []
+    for axis in (0, 1):
+        low, high = min(corner[axis] for corner in outline), max(corner[axis] for corner in outline)
+        count = max(1, round((high - low) / _STRIDE))
+        sides.append([low + (high - low) * (number + 0.5) / count for number in range(count)])
+    yield from ((x, y) for x in sides[0] for y in sides[1])

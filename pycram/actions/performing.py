@@ -1,4 +1,4 @@
-"""Performing actions: one choice after the other is tried, each a task, until one does or the budget is spent."""
+"""Performing actions: choices are tried in order, each a task, until one succeeds or the budget is spent."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram.actions.action import ActionDesignator, ActionType, prepared, type_of
 from pycram.actions.projecting import AT_ONCE, Thinking, imagine, not_projecting, thinking
 from pycram.foundation.failures import PlanFailure
-from pycram.foundation.names import export, qualified_name
+from pycram.foundation.names import export
 from pycram.foundation.refusals import refusing
 from pycram.language.block import current_block
 from pycram.language.retries import FailureHandling
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pycram.motions.solutions import Solution
 
 BUDGET: Final = 20
-"""How many tries of an action may fail by default, with those of the actions that it is made of."""
+"""Number of tries of an action, including those of its subactions, that may fail by default."""
 
 _ENDLESS: Final = 10**9  # retries
 _MAX_REASONS: Final = 4  # kinds of failures in the message of an ActionFailed
@@ -38,17 +38,11 @@ _MAX_REASONS: Final = 4  # kinds of failures in the message of an ActionFailed
 
 @dataclass(frozen=True, slots=True)
 class Try:
-    """One choice that was tried in vain.
+    """A choice that failed."""
 
-    Attributes:
-        choice: What was chosen, by slot.
-        failure: What came of it.
-        imagined: Whether it was only tried in a projection.
-    """
-
-    choice: Mapping[str, Any]
+    choice: Mapping[str, Any]  # chosen values by slot
     failure: BaseException
-    imagined: bool = False
+    imagined: bool = False  # whether it was only tried in a projection
 
 
 class ActionFailed(PlanFailure):
@@ -77,7 +71,7 @@ export("pycram.actions", ActionFailed)
 
 
 def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
-    """Return in words what came of tries, those alike as one."""
+    """Return the failures of tries as text, equal ones counted."""
     groups: dict[str, int] = {}
     for each in tried:
         reason = _reason(each.failure)
@@ -89,14 +83,14 @@ def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
 
 
 def _reason(failure: BaseException) -> str:
-    """Return a failure as one line; of an action that was tried in vain only what failed first in it."""
+    """Return a failure as one line; of a failed action the first failure in it."""
     while isinstance(failure, ActionFailed) and failure.tried:
         failure = failure.tried[0].failure
     return format_error(failure).partition("\n")[0]
 
 
 class _Budget:
-    """How many tries may still fail: of an action, as long as that around it isn't spent."""
+    """The number of tries that may still fail, of an action and of the actions around it."""
 
     def __init__(self, tries: int, around: _Budget | None) -> None:
         self._left = tries
@@ -104,11 +98,9 @@ class _Budget:
 
     @property
     def left(self) -> int:
-        """The number."""
         return self._left if self._around is None else min(self._left, self._around.left)
 
     def spend(self) -> None:
-        """Count a try that failed."""
         self._left -= 1
         if self._around is not None:
             self._around.spend()
@@ -120,12 +112,12 @@ _budget: ContextVar[_Budget | None] = ContextVar("pycram_budget", default=None)
 def perform(designator: Designator) -> Any:
     """Perform an action or a motion, and return its result; in the body of a block that has branches, a future.
 
-    An action's choices are tried one after the other, until one does.
+    An action's choices are tried in order, until one succeeds.
 
     Raises:
         DesignatorError: It isn't a designator of an action or motion, or a slot is missing, unknown or wrong.
-        ActionFailed: No choice has done, or the budget is spent.
-        PlanFailure: What failed where there was nothing to choose, or why there is no choice at all.
+        ActionFailed: No choice succeeded, or the budget is spent.
+        PlanFailure: The action's failure where there was nothing to choose, or the reason why there is no choice.
     """
     if isinstance(designator, MotionDesignator):
         return ProcessModule.perform(designator)
@@ -156,11 +148,7 @@ def _check(designator: ActionDesignator) -> None:
 
 
 class _Act:
-    """An action from its request to its end.
-
-    Attributes:
-        span: Its node of the task tree.
-    """
+    """An action from its request to its end."""
 
     def __init__(self, designator: ActionDesignator) -> None:
         slots = {key: value for key, value in designator.description if key != "type"}
@@ -168,7 +156,7 @@ class _Act:
         self._designator = designator
 
     def carry_out(self) -> Any:
-        """Wait for what its slots stand for, and try its choices."""
+        """Wait for the futures in its slots, and try its choices."""
         for branch in self._designator.branches():
             branch.result()
         checkpoint()
@@ -185,7 +173,7 @@ class _Act:
             first = next(solutions)
             kind = type_of(first)
             solutions = itertools.chain([first], solutions)
-            if not _chosen(first, slots):  # all is said: perhaps there is nothing to choose
+            if not _chosen(first, slots):  # there may be nothing to choose
                 some, rest = _taken(solutions, 2)
                 if len(some) == 1:
                     return kind.call(first)
@@ -193,7 +181,7 @@ class _Act:
             return _Tries(kind, slots, solutions, budget, ahead).carried_out()
 
     def _solutions(self) -> Iterator[Solution]:
-        """Yield its solutions; how the first one was found goes on record."""
+        """Yield its solutions; record how the first was found."""
         self.span.solution = first = self._designator.reference()
         found = self._designator.resolution()
         self.span.decision = Decision(
@@ -202,14 +190,14 @@ class _Act:
             solution=found.index,
             known=found.known,
             complete=found.complete,
-            module=qualified_name(type_of(first).function),
+            module=type_of(first).recorded_as,
         )
         yield first
         yield from itertools.islice(self._designator.solutions(), 1, None)
 
     @staticmethod
     def _room(asked: int | None) -> _Budget:
-        """Return the budget of an action: what is left of that around it, or one of its own."""
+        """Return the budget of an action: its own, or that of the action around it."""
         around = _budget.get()
         if around is not None and asked is None:
             return around
@@ -217,14 +205,14 @@ class _Act:
 
 
 class _Tries(FailureHandling):
-    """The choices of an action, tried one after the other.
+    """The choices of an action, tried in order.
 
     Args:
         kind: The action.
-        given: Its slots; what its solutions have beside these is what was chosen.
+        given: Its slots; other values in its solutions are chosen.
         solutions: Its solutions, at least one.
-        budget: How many tries may still fail.
-        ahead: How the choices are imagined first; None if they are not.
+        budget: The number of tries that may still fail.
+        ahead: The limits of imagining choices first; None if they are not imagined.
     """
 
     def __init__(
@@ -243,7 +231,7 @@ class _Tries(FailureHandling):
         self._found = solutions
         self._solutions = solutions if ahead is None else self._imagined(ahead)
         self._solution: Solution = {}
-        self._spent = False  # whether there may be choices that weren't imagined
+        self._spent = False  # whether there may be choices beyond the limits
 
     @property
     def fields(self) -> dict[str, object]:
@@ -251,13 +239,13 @@ class _Tries(FailureHandling):
         return {"action": self._kind.type, "budget": self._budget.left}
 
     def carried_out(self) -> Any:
-        """Try one choice after the other, and return the result of the first that does.
+        """Try the choices in order, and return the result of the first success.
 
         Raises:
-            ActionFailed: None has done.
+            ActionFailed: None succeeded.
         """
         self.parameters = self._next()
-        with not_projecting():  # what was imagined comes true, and what wasn't is chosen without thinking
+        with not_projecting():  # neither in imagined choices nor after them
             return self.run(lambda **_: type_of(self._solution).call(self._solution))
 
     def recover(self, failure: BaseException) -> Mapping[str, Any]:
@@ -286,7 +274,7 @@ class _Tries(FailureHandling):
         return _chosen(solution, self._given)
 
     def _imagined(self, ahead: Thinking) -> Iterator[Solution]:
-        """Yield the solutions that succeed in projections, in their order."""
+        """Yield the solutions that succeed in projections, in order."""
         imagined, seconds = 0, 0.0
         while imagined < ahead.budget and (ahead.seconds is None or seconds < ahead.seconds):
             batch, self._found = _taken(self._found, min(AT_ONCE[imagined > 0], ahead.budget - imagined))
@@ -306,10 +294,10 @@ class _Tries(FailureHandling):
 
 
 def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], Iterator[Solution]]:
-    """Return the next solutions, and those after them; why there are no more is raised when it is their turn."""
+    """Return the next solutions, and the rest; a failure to find more is raised from the rest."""
     found: list[Solution] = []
     try:
-        found.extend(itertools.islice(solutions, size))  # keeps what was found before an error
+        found.extend(itertools.islice(solutions, size))  # keeps the solutions before an error
     except PlanFailure as failure:
         if not found:
             raise
@@ -318,7 +306,7 @@ def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], It
 
 
 def _chosen(solution: Solution, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what was chosen in a solution: what the action's slots leave open."""
+    """Return the chosen values of a solution: those of the action's open slots."""
     chosen: dict[str, Any] = {}
     for slot, value in solution.items():
         asked = given.get(slot)

@@ -1,4 +1,4 @@
-"""Thinking before acting: choices are imagined in forks, and the first that succeeds is done (thesis 6.3)."""
+"""Projecting choices before acting: they are tried in forks, and the first success is performed (thesis 6.3)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from pycram.motions.solutions import Solution
 
 AT_ONCE: Final = (1, 4)
-"""How many choices are found before they are imagined, at first, as the best one mostly does, and then.
+"""Numbers of choices that are imagined in parallel: in the first batch, as the best choice mostly succeeds; and later.
 
-That is so whatever the number of cores: a run has the same records.
+They don't depend on the number of cores, so a run has the same records everywhere.
 """
 
 _BUDGET: Final = 8
@@ -29,15 +29,10 @@ _BUDGET: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Thinking:
-    """How choices are imagined.
+    """Limits of imagining choices."""
 
-    Attributes:
-        budget: How many of an action at most.
-        seconds: Simulated time in all, after which no others are; None for no limit.
-    """
-
-    budget: int = _BUDGET
-    seconds: float | None = None
+    budget: int = _BUDGET  # choices of an action
+    seconds: float | None = None  # simulated time of all choices; None for no limit
 
 
 _thinking: ContextVar[Thinking | None] = ContextVar("pycram_thinking", default=None)
@@ -45,19 +40,19 @@ _ended: ContextVar[bool] = ContextVar("pycram_thought", default=False)
 
 
 def projecting(budget: int = _BUDGET, *, seconds: float | None = None) -> Binding[Thinking | None]:
-    """Have the best choices of the actions in the ``with`` block imagined before one is done.
+    """Imagine the best choices of the actions in the ``with`` block before one is performed.
 
     For example::
 
         with projecting(budget=4):
             perform(ActionDesignator(type="transporting", object=milk, target="island"))
 
-    They are done in copies of the process, on all cores, and the first in their order that succeeds is done for real;
-    if none does, the action fails, and nothing has moved.
+    They run in copies of the process, on all cores, and the first success in their order is performed. If all fail,
+    the action fails, and nothing has moved.
 
     Args:
-        budget: How many choices of an action are imagined at most.
-        seconds: Simulated time that these may take in all; no others are imagined after it.
+        budget: Maximum number of imagined choices of an action.
+        seconds: Simulated time after which no more choices are imagined.
 
     Raises:
         BadArgument: A limit is wrong.
@@ -70,15 +65,15 @@ def projecting(budget: int = _BUDGET, *, seconds: float | None = None) -> Bindin
 
 
 def not_projecting() -> Binding[bool]:
-    """Have nothing imagined in the ``with`` block, whatever its actions ask for."""
+    """Imagine nothing in the ``with`` block, even if its actions ask for it."""
     return Binding(_ended, True)
 
 
 def thinking(*, wanted: bool | None) -> Thinking | None:
-    """Return how an action's choices are imagined here; None if they are not.
+    """Return the limits of imagining an action's choices here; None if they are not imagined.
 
     Args:
-        wanted: What the action itself says; None if nothing.
+        wanted: Whether the action itself asks for it; None if it has no such slot.
     """
     if _ended.get() or wanted is False:
         return None
@@ -86,17 +81,14 @@ def thinking(*, wanted: bool | None) -> Thinking | None:
 
 
 def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]) -> list[Outcome]:
-    """Do an action with several choices in copies of this process, up to the first that succeeds.
+    """Perform choices of an action in copies of this process, up to the first success; return their outcomes.
 
     Args:
-        candidates: The action, its solution, and what was chosen in it, for records; in the order of preference.
-
-    Returns:
-        How these ended, in their order; only the last one may have succeeded.
+        candidates: The action, its solution, and the chosen slots for records; in the order of preference.
 
     Raises:
         NotProjectable: The process can't be copied here.
-        BaseException: What isn't a plan failure: one of these has it.
+        BaseException: The error of a choice, if it isn't a plan failure.
     """
     outcomes = project_all([partial(_Imagined(kind, solution), **choice) for kind, solution, choice in candidates])
     for outcome in outcomes:
@@ -106,7 +98,7 @@ def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]
 
 
 class _Imagined:
-    """An action with a solution, as the function that a projection calls."""
+    """An action with a solution, as a function to project."""
 
     def __init__(self, kind: ActionType, solution: Solution) -> None:
         self.__qualname__ = kind.type

@@ -1,4 +1,4 @@
-"""Putting down what a hand holds, from where the robot stands."""
+"""Picking up an object and placing it, from where the robot stands."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import action
-from pycram.actions.checks import place_for_an_object
+from pycram.actions.checks import place_for_an_object, portable
 from pycram.actions.containers import containers, enclosing_at
-from pycram.actions.hands import held_by, holding_arm
+from pycram.actions.hands import free_arms, held_by, holding_arm
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
@@ -25,21 +25,37 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 
+def _arms(arm: str | None = None) -> Iterator[Mapping[str, Any]]:
+    yield from ({"arm": each} for each in free_arms(arm))
+
+
+@action("picking-up", choices=_arms, checked={"object": portable})
+def picking_up(object: Any, arm: str | None = None, grasp: str | None = None) -> Any:  # noqa: A002  the slot's name
+    """Takes an object with a gripper, from where the robot stands.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        arm: Name of the arm; by default each of the robot's is tried that is free.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
+    """
+    return perform(MotionDesignator(type="pick-up", object=object_of(object), arm=arm, grasp=grasp))
+
+
 _UPRIGHT: Final = [geometry.from_rpy(0.0, 0.0, step * math.pi / 6) for step in range(12)]
 
 
 def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Mapping[str, Any]]:
-    """Yield where an object can be put, by a slot ``target``: ``position`` and ``orientation``, None for any.
+    """Yield places of an object at a target: ``position`` and ``orientation``, None for any.
 
     Args:
         body: The object.
-        target: The slot's value.
-        arm: Of the current robot, which is to get there; None for whoever would.
+        target: The value of a slot ``target``.
+        arm: The arm of the current robot that is to reach the place; None if any may.
     """
     if not isinstance(target, LocationDesignator):
         yield {"position": target, "orientation": None}
         return
-    wanted = target.prop_value("orientation")  # else as is natural for the hand: what was found is one of many
+    wanted = target.prop_value("orientation")  # else the hand's natural one: the found orientation is one of many
     if target.for_objects:
         reached = [] if arm is None else [("reachable-for", BulletWorld.current_robot()), ("arm", arm.name)]
         target = target.copy([("for", body), *reached])
@@ -50,11 +66,11 @@ def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Ma
 
 
 def check_target(body: Object, target: Any) -> None:
-    """Check, before anything moves, that an object has a place at a target at all, whoever would bring it there.
+    """Check, before anything moves, that a target has room for an object, for any arm.
 
     Raises:
-        NoPlace: It has none: the surfaces are too small, too full or closed, or constraints exclude each other.
-        PlaceFailed: Nothing is below that it could stand on, or something is there.
+        NoPlace: The surfaces are too small, too full or closed, or constraints exclude each other.
+        PlaceFailed: There is no support below, or the place is occupied.
     """
     place = next(places_for(body, target))
     if closed := _closed_at(target):
@@ -74,7 +90,7 @@ def check_target(body: Object, target: Any) -> None:
 
 
 def _closed_at(target: Any) -> list[str]:
-    """Return the names of the containers that have to be opened before an object can be put at a target."""
+    """Return the names of the closed containers that block a target."""
     if not isinstance(target, LocationDesignator) or not target.for_objects:
         place = target.reference()["position"] if isinstance(target, LocationDesignator) else target
         container = enclosing_at(place)

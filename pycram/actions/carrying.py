@@ -1,0 +1,322 @@
+"""Carrying objects: transporting fetches and delivers; fetching clears away the objects that are in its way."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from contextlib import suppress
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.actions.action import ActionDesignator, action
+from pycram.actions.checks import place_for_an_object, portable
+from pycram.actions.containers import containers, enclosing
+from pycram.actions.hands import arms, free_arms, held_by, holder, holding_arm
+from pycram.actions.locations import LocationDesignator
+from pycram.actions.navigating import go, park
+from pycram.actions.objects import ObjectDesignator, candidates_of, object_of
+from pycram.actions.performing import ActionFailed, perform
+from pycram.actions.pick_and_place import check_target, places_for
+from pycram.foundation.failures import Blocked, NoPlace, PerceptionError, PlanFailure, ReasoningError
+from pycram.knowledge import believed
+from pycram.language.retries import failure_handling
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.driving import drives
+from pycram.reasoning.places import PutDown, standing_places
+from pycram.reasoning.queries.blocking import blocking
+from pycram.scheduling.cancellation import Binding
+from pycram.world.world import BulletWorld
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pycram.actions.containers import Access
+    from pycram.models.surfaces import Surface
+    from pycram.reasoning.places import Place
+    from pycram.reasoning.places.place import Target
+    from pycram.world.object import Object
+
+
+_MAX_PLACES: Final = 6  # places with room for the hand that are tried before others
+_MOVED: Final = 0.05  # m from where an object is believed to be, at which it isn't there any more
+_IN_THE_WAY: Final = 2  # things that are cleared away, one after the other
+_BESIDE: Final = 0.5  # m between things one of which may be in the way of the other
+_NEAREST: Final = 3  # surfaces to which something is cleared away
+_STANCES: Final = 2  # places to stand at that are tried for one place of the object
+_MAX_UNREACHABLE: Final = 6  # places of the object that are reached from nowhere, after which no others are tried
+_CLOSING_TRIES: Final = 4  # that closing may fail
+
+#: Objects that wait until other objects are cleared away, outermost first.
+_waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=())
+
+
+def _find_and_open(object: Any) -> list[Access]:  # noqa: A002  the slot's name
+    """Find an object, open its container and fold the arms; return the containers that were opened.
+
+    Places to stand are searched with folded arms.
+    """
+    arms()
+    closed = [access for access, _ in containers() if access.is_closed]
+    body = _found(object)
+    if holder(body) is None:
+        container = enclosing(body)
+        if container is not None:
+            perform(ActionDesignator(type="opening", container=container))
+        park()
+    return [access for access in closed if not access.is_closed]
+
+
+def _found(thing: Any) -> Any:
+    """Return the object of a designator, after a search if its place is unknown."""
+    if isinstance(thing, ObjectDesignator):
+        try:
+            body = object_of(thing)
+        except PerceptionError:
+            perform(ActionDesignator(type="searching", object=thing))
+            return object_of(thing)
+        belief = believed(body)
+        if belief is not None and math.dist(belief.position, body.get_position()) > _MOVED:
+            perform(ActionDesignator(type="searching", object=body))  # looks there first
+        return body
+    return thing
+
+
+def _fetching_choices(
+    object: Any,  # noqa: A002  the slot's name
+    arm: str | None = None,
+    place: LocationDesignator | None = None,
+    grasp: str | None = None,
+) -> Iterator[Mapping[str, Any]]:
+    """Yield places to stand and arms to take an object; then those from which it can be reached after clearing away."""
+    body = object_of(object)
+    if holder(body) is not None:
+        yield {}
+        return
+    free = free_arms(arm)
+    if place is not None:
+        yield from ({"arm": each, "place": place} for each in free)
+        return
+    nowhere: NoPlace | None = None
+    try:
+        yield from _from_places(body, free, body, grasp)
+    except NoPlace as failure:
+        nowhere = failure
+    if holder(body) is None and _crowded(body):
+        if not drives(BulletWorld.current_robot()):  # there is no other place, whatever is in the way
+            yield from ({"arm": each, "clear": True} for each in free)
+        else:
+            with suppress(NoPlace):
+                yield from ({**choice, "clear": True} for choice in _from_places(body, free, center(body)))
+    if nowhere is not None:
+        raise nowhere
+
+
+def _from_places(
+    body: Object, free: Sequence[str], reach: Target, grasp: str | None = None
+) -> Iterator[Mapping[str, Any]]:
+    """Yield places from which a target is reached, and arms, until an arm has taken the object."""
+    robot = BulletWorld.current_robot()
+    for spot in itertools.islice(standing_places(robot, reach=[reach], arms=free, grasp=grasp), _MAX_PLACES):
+        for arm in spot.arms:
+            yield {"arm": arm, "place": _stance(spot)}
+            if holder(body) is not None:
+                return
+
+
+def _stance(place: Place) -> LocationDesignator:
+    return LocationDesignator(position=place.position, orientation=place.orientation)
+
+
+@action("fetching", choices=_fetching_choices, prepare=_find_and_open, checked={"object": portable})
+def fetching(
+    object: Any,  # noqa: A002  the slot's name
+    arm: str | None = None,
+    grasp: str | None = None,
+    place: Any = None,
+    clear: bool = False,
+) -> Any:
+    """Goes where it reaches an object, and takes it; what is in the way it puts elsewhere.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        arm: Name of the arm; by default each is tried that is free.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
+        place: Where the robot stands then, a LocationDesignator; by default places from which it reaches the object.
+        clear: Whether to clear away at once what is in the way; by default only when that is the reason for a failure.
+    """
+    body = object_of(object)
+    if holder(body) is not None:
+        return body
+    if clear:
+        go(place)
+        _clear_away(body, arm)
+    for attempt in failure_handling(_IN_THE_WAY).on(Blocked, lambda _: _clear_away(body, arm)):
+        with attempt:
+            go(place)
+            with suppress(PlanFailure):  # what is hidden from here is taken to be where it was believed to be
+                perform(ActionDesignator(type="perceiving", object=body))
+            perform(ActionDesignator(type="picking-up", object=body, arm=arm, grasp=grasp))
+    park()
+    return body
+
+
+def _crowded(body: Object) -> bool:
+    """Return whether an object that can be cleared away is near."""
+    others = [each for each in body.world.objects if each is not body and not each.fixed and not each.is_robot]
+    free = [each for each in others if each.carrier is None and each not in _waiting.get()]
+    return any(math.dist(each.get_position(), body.get_position()) < _BESIDE for each in free)
+
+
+def _clear_away(body: Object, arm: str | None) -> None:
+    """Put the objects that block an arm's way to an object elsewhere.
+
+    Raises:
+        ReasoningError: The blocking objects can't be moved, or wait for this object itself.
+    """
+    robot = BulletWorld.current_robot()
+    description = robot.description
+    tools = [] if description is None else [each for each in description.arms.values() if arm in (None, each.name)]
+    in_the_way = [each for each in blocking(body, robot, tools[0].tool_frame) if not each.is_robot]
+    movable = [each for each in in_the_way if not each.fixed]
+    if not movable:
+        names = ", ".join(each.name for each in in_the_way)
+        raise ReasoningError(
+            f"what is in the way of {body.name} can't be cleared away: {names or 'nothing movable is'}"
+        )
+    waiting = (*_waiting.get(), body)
+    for other in movable:
+        if other in waiting:
+            circle = " and ".join(each.name for each in waiting[waiting.index(other) :])
+            raise ReasoningError(f"{circle} block each other: none can go first")
+        elsewhere = LocationDesignator(on=_surfaces_beside(body), away_from=body)
+        with Binding(_waiting, waiting):
+            perform(ActionDesignator(type="transporting", object=other, target=elsewhere))
+
+
+def _surfaces_beside(body: Object) -> list[Surface]:
+    """Return the surfaces nearest to an object that are in no container and extend beyond the object."""
+    position = body.get_position()
+    found = [
+        (math.dist(furniture.surface_pose(surface)[0], position), surface)
+        for furniture in body.world.objects
+        for surface in furniture.surfaces.values()
+        if not surface.container and _beyond(furniture, surface, position)
+    ]
+    return [surface for _, surface in sorted(found, key=lambda each: each[0])[:_NEAREST]]
+
+
+def _beyond(furniture: Object, surface: Surface, position: Sequence[float]) -> bool:
+    """Return whether a surface extends beyond a position's neighbourhood; a fridge's top doesn't, for its inside."""
+    pose = furniture.surface_pose(surface)
+    corners = (geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline)
+    return any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners)
+
+
+def _delivering_choices(
+    object: Any,  # noqa: A002  the slot's name
+    target: Any,
+    place: LocationDesignator | None = None,
+) -> Iterator[Mapping[str, Any]]:
+    """Yield places for the object, and places to stand; an empty choice ends them when a try has lost the object."""
+    body, robot = object_of(object), BulletWorld.current_robot()
+    arm = holding_arm(body)
+    unreachable: list[NoPlace] = []
+    reached = False
+    for put in places_for(body, target, arm):
+        there = LocationDesignator(position=put["position"], orientation=put["orientation"])
+        if place is not None:
+            yield {"put": there, "place": place}
+            continue
+        goal = PutDown(tuple(put["position"]), put["orientation"], body)
+        try:
+            for found in itertools.islice(standing_places(robot, reach=[goal], arms=[arm.name]), _STANCES):
+                reached = True
+                yield {"put": there, "place": _stance(found)}
+                if holder(body) is None:  # it fell, or leans: fetch it again, perhaps with another arm
+                    yield {}
+                    return
+        except NoPlace as failure:
+            unreachable.append(failure)
+            if len(unreachable) == _MAX_UNREACHABLE:
+                break
+    if unreachable and not reached:
+        raise unreachable[-1]
+
+
+@action("delivering", choices=_delivering_choices, prepare=park, checked={"target": place_for_an_object})
+def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> Any:  # noqa: A002  the slot's name
+    """Goes where it reaches a place, puts down there what a hand holds, and folds the arms.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects; in a hand.
+        target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        put: The exact place, a LocationDesignator with a position; by default those that the target stands for.
+        place: Where the robot stands then, a LocationDesignator; by default places from which it reaches that place.
+    """
+    body = object_of(object)
+    if holder(body) is None:  # it was put down, but doesn't stand where it should
+        perform(ActionDesignator(type="fetching", object=body))
+        return perform(ActionDesignator(type="delivering", object=body, target=target, put=put, place=place))
+    go(place)
+    perform(ActionDesignator(type="placing", object=body, target=put or target))
+    park()
+    return body
+
+
+def _prepare_transporting(object: Any, target: Any, close: bool = True) -> Iterator[None]:  # noqa: A002  the slot's name
+    """Check that the target has room before the object is fetched; in the end close the containers that were opened."""
+    arms()
+    check_target(candidates_of(object)[0], target)
+    opened = _find_and_open(object)
+    try:
+        yield
+    except PlanFailure:
+        _close(opened if close else ())
+        raise
+    _close(opened if close else ())
+
+
+def _close(opened: Sequence[Access]) -> None:
+    """Close containers; one that can't be closed from anywhere stays open."""
+    for access in opened:
+        with suppress(PlanFailure):
+            perform(ActionDesignator(type="closing", container=access.name, budget=_CLOSING_TRIES))
+
+
+@action(
+    "transporting",
+    choices=_fetching_choices,
+    prepare=_prepare_transporting,
+    checked={"object": portable, "target": place_for_an_object},
+)
+def transporting(
+    object: Any,  # noqa: A002  the slot's name
+    target: Any,
+    arm: str | None = None,
+    grasp: str | None = None,
+    place: Any = None,
+    clear: bool = False,
+    close: bool = True,  # noqa: ARG001  done in the end
+) -> Any:
+    """Fetches an object and delivers it; the drawer or door that was opened for it is closed again.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        target: Where it is to be put: a LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        arm: Name of the arm; by default each is tried that is free.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
+        place: Where the robot stands to take it, a LocationDesignator; by default places from which it reaches it.
+        clear: Whether to clear away at once what is in the way of it.
+        close: Whether what is opened for it is closed in the end, where that can be done.
+    """
+    body = object_of(object)
+    perform(ActionDesignator(type="fetching", object=body, arm=arm, grasp=grasp, place=place, clear=clear))
+    deliver = ActionDesignator(type="delivering", object=body, target=target)
+    try:
+        return perform(deliver)
+    except (NoPlace, ActionFailed):  # for the arm that holds it
+        if holder(body) is None or not any(held_by(other) is None for other in arms()):
+            raise
+        perform(ActionDesignator(type="handing-over", object=body))  # another arm may reach farther
+        return perform(deliver.copy())
