@@ -172,13 +172,15 @@ def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
     """Has recordings that begin in its block write to other sinks than files and viewers.
 
     A program runs there from its start: its recordings are numbered from 1, whatever this process recorded before.
+    Recordings of forked processes, such as projections, aren't redirected.
 
     Args:
         sink_of: gives the sink by the record of a run's start, to which it may add; None for a recording that is made
             as ever.
     """
     global _redirect  # noqa: PLW0603  recordings are the process's
-    before, _redirect = _redirect, sink_of
+    owner = process()
+    before, _redirect = _redirect, lambda run: sink_of(run) if process() == owner else None
     numbers = Counter(_numbers)
     _numbers.clear()
     try:

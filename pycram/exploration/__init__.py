@@ -1,9 +1,11 @@
-"""Exploration: a plan runs in many orders of its branches, to find those in which it ends otherwise (races).
+"""Exploration: a plan runs in many orders of its branches, to find orders with another ending (races).
 
-Random numbers and the order of sets are the same in all runs, so what differs is due to the order. The first run takes
-the branches as they were added, the orders of the others are drawn by :class:`~pycram.scheduling.order.Pct`. Of each
-ending that isn't the first run's, what decides is made small (:mod:`pycram.exploration.reducing`), run once more, and
-recorded.
+Random numbers and the order of sets are the same in all runs, so differences are due to the order. The first run takes
+the branches as they were added; :class:`~pycram.scheduling.order.Pct` draws the other orders. For each other ending,
+the deciding precedences are reduced to a minimum, run once more, and recorded.
+
+The reduction is delta debugging (Zeller, Hildebrandt: Simplifying and isolating failure-inducing input, IEEE TSE 2002),
+with several tries in parallel. The result is 1-minimal: without any one of its precedences the ending is another one.
 """
 
 from __future__ import annotations
@@ -11,12 +13,21 @@ from __future__ import annotations
 import os
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from pycram.exploration.ending import DEADLOCK, DIED, FAILED, SUCCEEDED, TIME_LIMIT, Ending
-from pycram.exploration.reducing import reduced
-from pycram.exploration.runs import Attempt, Runner, Runs
+from pycram.exploration.runs import (
+    DEADLOCK,
+    DIED,
+    FAILED,
+    SUCCEEDED,
+    TIME_LIMIT,
+    Ending,
+    OrderedRun,
+    PlanRunner,
+    Runner,
+)
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.foundation.names import export
@@ -33,12 +44,26 @@ from recorder.tracing import forking
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-__all__ = ["DEADLOCK", "DIED", "FAILED", "SUCCEEDED", "TIME_LIMIT", "Exploration", "Found", "NotExplorable", "explore"]
+    from pycram.scheduling.order import Precedence
+
+
+__all__ = [
+    "DEADLOCK",
+    "DIED",
+    "FAILED",
+    "SUCCEEDED",
+    "TIME_LIMIT",
+    "EndingGroup",
+    "Exploration",
+    "NotExplorable",
+    "explore",
+]
 
 DEPTH: Final = 3  # of races: most that are known need no more (Burckhardt et al.)
 LIMIT: Final = 60.0  # s
 _ROUND: Final = 16  # runs that draw over the same number of turns
 _EXPLAINED: Final = 8  # endings; there may be as many as runs
+_MAX_TRIES: Final = 200  # runs to reduce an order
 _TELLING: Final = (SUCCEEDED, FAILED, DEADLOCK)  # kinds of endings whose runs tell what their orders were
 
 
@@ -58,42 +83,26 @@ export("pycram.exploration", NotExplorable)
 
 
 @dataclass(slots=True)
-class Found:
-    """Runs that end alike.
+class EndingGroup:
+    """Runs that end alike."""
 
-    Attributes:
-        ending: That of the first of them.
-        count: How many they are.
-        order: An order that leads there, as :mod:`pycram.scheduling.order` has it as text: the smallest that is known.
-        made: What decides: these branches go before those, which else ends as the first found ending. Empty for the
-            first, and where it isn't known.
-        recording: The file of a run in that order; None if none was kept.
-    """
-
-    ending: Ending
+    ending: Ending  # of the first run
     count: int
-    order: str
+    order: str  # the smallest known order with this ending, as text of :mod:`pycram.scheduling.order`
+    #: The deciding precedences; without them the first ending is reached. Empty for the first ending, and if unknown.
     made: tuple[Made, ...] = ()
-    recording: Path | None = None
+    recording: Path | None = None  # of a run in that order
 
 
 @dataclass(slots=True)
 class Exploration:
-    """What running a plan in many orders has found.
+    """The results of running a plan in many orders."""
 
-    Attributes:
-        runs: How many have ended.
-        orders: How many of them had another order than all before.
-        found: The endings; first that of the order in which branches were added, then in the order of the runs.
-        deterministic: Whether those that were run twice in the same order ended alike.
-        interrupted: Whether Ctrl-C ended it.
-    """
-
-    runs: int
-    orders: int
-    found: list[Found]
-    deterministic: bool = True
-    interrupted: bool = False
+    runs: int  # number of ended runs
+    orders: int  # number of different orders among them
+    found: list[EndingGroup]  # in the order of the runs; the first run takes branches as they were added
+    deterministic: bool = True  # whether runs in the same order ended alike
+    interrupted: bool = False  # by Ctrl-C
 
     @property
     def alike(self) -> bool:
@@ -110,15 +119,15 @@ def explore(
     limit: float = LIMIT,
     folder: str | Path | None = None,
 ) -> Exploration:
-    """Do an action in many orders of its branches, each time in a copy of this process; here nothing happens.
+    """Run an action in many orders of its branches, each time in a copy of this process; nothing changes here.
 
     Args:
         action: A function of the plan.
-        runs: How many orders.
+        runs: Number of orders.
         seed: Of random numbers, the same in all runs, and of the orders.
-        depth: Races are found that need this many orderings of two steps, or less.
-        limit: Seconds by the clock that a run may take.
-        folder: Where a recording of each ending is kept if there are several; None to keep none.
+        depth: Maximum number of orderings of two steps that a race needs to be found.
+        limit: Seconds of wall-clock time for each run.
+        folder: For a recording of each ending, if there are several; None to keep none.
 
     Raises:
         NotExplorable: A world has a window or runs in real time, threads of the plan's own run, or nothing can fork.
@@ -155,17 +164,17 @@ def explore_runs(
     overwrite: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Exploration:
-    """Explore what a function runs; see :func:`explore`.
+    """Explore a plan by a function that runs it; see :func:`explore`.
 
     Args:
         run: Runs the plan once.
-        count: How many orders.
+        count: Number of orders.
         depth: Of the races.
-        limit: Seconds that a run may take.
+        limit: Seconds of wall-clock time for each run.
         plan: Its file; None for the program's.
         file: Recordings are named after it, RUN.explored-1.mcap for the first ending; None to keep none.
-        overwrite: Whether recordings that are there are replaced.
-        progress: Called after each run with their number.
+        overwrite: Whether existing recordings are replaced.
+        progress: Called after each run with the number of runs.
     """
     for argument, number in (("runs", count), ("depth", depth)):
         if checks.number(argument, number) != int(number) or number < 1:
@@ -176,9 +185,9 @@ def explore_runs(
     if file is not None and not file.parent.is_dir():  # else it would come out when all has run
         raise RecordingError(file, "No such file or directory", "make the folder first")
     look_up_revisions(plan)
-    several = Runs(run, limit)
+    several = PlanRunner(run, limit)
     result = Exploration(0, 0, [])
-    attempts: dict[int, Attempt] = {}
+    attempts: dict[int, OrderedRun] = {}
     try:
         for orders in _orders(count, depth, attempts):
             begun = len(attempts)
@@ -206,8 +215,8 @@ def _refuse_impossible() -> None:
         raise NotExplorable(f"the copies would lack the threads {', '.join(threads)}; start them within the action")
 
 
-def _orders(count: int, depth: int, attempts: dict[int, Attempt]) -> Iterator[Sequence[str]]:
-    """Yield the orders of each round; the longest run so far says over how many turns they are drawn."""
+def _orders(count: int, depth: int, attempts: dict[int, OrderedRun]) -> Iterator[Sequence[str]]:
+    """Yield the orders of each round, drawn over as many turns as the longest run so far had."""
     yield [ADDED]
     for start in range(1, count, _ROUND):
         turns = max(attempt.turns for attempt in attempts.values())
@@ -216,21 +225,21 @@ def _orders(count: int, depth: int, attempts: dict[int, Attempt]) -> Iterator[Se
         yield [f"pct:{number}:{depth}:{turns}" for number in range(start, min(start + _ROUND, count))]
 
 
-def _sort(attempts: Mapping[int, Attempt], result: Exploration) -> None:
+def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
     """Find the different endings, in the order of the runs."""
-    if not result.runs:  # else it is known, and what decides may be
+    if not result.runs:  # else it is done
         for _, attempt in sorted(attempts.items()):
             like = next((each for each in result.found if each.ending.is_like(attempt.ending)), None)
             if like is None:
-                result.found.append(Found(attempt.ending, 1, attempt.order))
+                result.found.append(EndingGroup(attempt.ending, 1, attempt.order))
             else:
                 like.count += 1
     result.runs = len(attempts)
     result.orders = len({attempt.precedences for attempt in attempts.values()})
 
 
-def _decide(runs: Runs, result: Exploration, attempts: Mapping[int, Attempt]) -> None:
-    """Find what decides: which few precedences make an order that ends as the first one an order that doesn't."""
+def _decide(runs: PlanRunner, result: Exploration, attempts: Mapping[int, OrderedRun]) -> None:
+    """Find the few precedences that decide each ending."""
     again = [each for each in result.found[:_EXPLAINED] if each.ending.kind in _TELLING] * 2
     for index, attempt in runs.all([each.order for each in again]):
         result.deterministic &= attempt.ending.is_like(again[index].ending)
@@ -238,15 +247,15 @@ def _decide(runs: Runs, result: Exploration, attempts: Mapping[int, Attempt]) ->
         if found.ending.kind in _TELLING:
             of_it = [each for each in attempts.values() if each.ending.is_like(found.ending)]
             shortest = min(of_it, key=lambda attempt: len(attempt.made))
-            least = reduced(runs, shortest.precedences, found.ending)
+            least = _reduced(runs, shortest.precedences, found.ending)
             if least is None:
                 result.deterministic = False
                 return
             found.order = text_of(least.precedences)
 
 
-def _run_again(runs: Runs, result: Exploration, file: Path | None, *, overwrite: bool) -> None:
-    """Run the smallest order of each ending once more, for where its branches stand, and to record it."""
+def _run_again(runs: PlanRunner, result: Exploration, file: Path | None, *, overwrite: bool) -> None:
+    """Run the smallest order of each ending once more, to record it with the places of its branches."""
     for number, found in enumerate(result.found[:_EXPLAINED], 1):
         name = None if file is None else file.with_name(f"{file.stem}.explored-{number}{file.suffix}")
         if name is not None and not overwrite:
@@ -256,3 +265,55 @@ def _run_again(runs: Runs, result: Exploration, file: Path | None, *, overwrite:
             result.deterministic = False
         found.recording = name
         found.made = attempt.made if found.order.startswith(ADDED) else ()
+
+
+class _Tries:
+    """Tries whether precedences lead to an ending, each once."""
+
+    def __init__(self, runs: PlanRunner, ending: Ending) -> None:
+        self._runs = runs
+        self._ending = ending
+        self._known: dict[tuple[Precedence, ...], OrderedRun] = {}
+
+    def first_of(self, tries: Sequence[Sequence[Precedence]]) -> OrderedRun | None:
+        """Return the first run with that ending, running as many in parallel as there are cores."""
+        for start in range(0, len(tries), self._runs.cores):
+            wave = [tuple(each) for each in tries[start : start + self._runs.cores]]
+            new = [each for each in wave if each not in self._known][: _MAX_TRIES - len(self._known)]
+            for index, attempt in self._runs.all([text_of(each) for each in new]):
+                self._known[new[index]] = attempt
+            for each in wave:
+                if each in self._known and self._known[each].ending.is_like(self._ending):
+                    return self._known[each]
+        return None
+
+
+def _reduced(runs: PlanRunner, precedences: Sequence[Precedence], ending: Ending) -> OrderedRun | None:
+    """Return a run with a minimum of given precedences that still has a given ending.
+
+    Returns None if the run with all precedences has another ending: the plan isn't deterministic.
+    """
+    tries = _Tries(runs, ending)
+    best = tries.first_of([precedences])
+    parts = 2
+    while best is not None and parts <= len(best.precedences):
+        least = best.precedences
+        cuts = [len(least) * part // parts for part in range(parts + 1)]
+        chunks = [(least[:a], least[a:b], least[b:]) for a, b in pairwise(cuts)]
+        some = tries.first_of([chunk for _, chunk, _ in chunks])
+        rest = some or tries.first_of([(*before, *after) for before, _, after in chunks])
+        if rest is None:
+            parts = len(least) if parts < len(least) else parts + 1
+        else:
+            best, parts = rest, 2 if some else max(parts - 1, 2)
+    return best and _nearer(tries, best)
+
+
+def _nearer(tries: _Tries, best: OrderedRun) -> OrderedRun:
+    """Return a run in which branches precede as few others as possible."""
+    for at in range(len(best.made)):
+        made = best.precedences
+        found = tries.first_of([(*made[:at], passed, *made[at + 1 :]) for passed in best.made[at].passed])
+        if found is not None and len(found.made) == len(made):
+            best = found
+    return best

@@ -1,4 +1,4 @@
-"""``pycram run --explore N PLAN``: what exploring has found, in words and as JSON."""
+"""``pycram run --explore N PLAN``: the results of an exploration, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pycram.exploration import NotExplorable, explore_runs
-from pycram.exploration.ending import SUCCEEDED
+from pycram.exploration.runs import SUCCEEDED
 from recorder.errors import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from pycram.exploration import Exploration, Found
-    from pycram.exploration.ending import Ending
-    from pycram.exploration.runs import Runner
+    from pycram.exploration import EndingGroup, Exploration
+    from pycram.exploration.runs import Ending, Runner
     from pycram.scheduling.order import Standing
 
 _SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
@@ -47,15 +46,15 @@ def run(
     Args:
         runner: Runs the plan once.
         plan: Its file, as the user gave it.
-        arguments: The plan's.
-        count: How many orders.
-        seed: The runs'.
-        motion: Their execution environment, where one was asked for.
+        arguments: Of the plan.
+        count: Number of orders.
+        seed: Of the runs.
+        motion: Execution environment; "" for the plan's.
         values: Of the plan's parameters, as NAME=VALUE.
         depth: Of the races.
-        limit: Seconds that a run may take.
-        file: What recordings are named after.
-        overwrite: Whether recordings that are there are replaced.
+        limit: Seconds of wall-clock time for each run.
+        file: Recordings are named after it.
+        overwrite: Whether existing recordings are replaced.
         as_json: Whether to print JSON.
     """
     # what plans import, once for all runs
@@ -148,7 +147,7 @@ def _lines(result: Exploration, plan: str, command: list[str], rest: list[str], 
 
 
 def _words(ending: Ending, first: Ending | None = None) -> str:
-    """Return how a run ended; of one that succeeded as the first did, what is otherwise."""
+    """Return an ending in words; if it and the first succeeded, with their differences."""
     words = ending.kind
     if ending.failure:
         failure = " ".join(ending.failure.split())
@@ -162,7 +161,7 @@ def _words(ending: Ending, first: Ending | None = None) -> str:
     return f"{words}, but {', '.join([*otherwise[:_MAX_TOLD], *more])}"
 
 
-def _decisive(found: Found) -> Iterator[str]:
+def _decisive(found: EndingGroup) -> Iterator[str]:
     for number, each in enumerate(found.made[:_MAX_TOLD]):
         yield f"  {'and ' if number else ''}{_standing(each.first)} runs before {_standing(each.second)}"
     if found.made[_MAX_TOLD:]:
@@ -179,6 +178,6 @@ def _shown_line(line: str) -> str:
 
 
 def _shown(file: Path) -> str:
-    """Return a path from the folder that one is in, if it is below that."""
+    """Return a path relative to the working directory, if it is below that."""
     here = os.path.relpath(file)
     return str(file) if here.startswith("..") else here

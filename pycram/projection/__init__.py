@@ -1,18 +1,18 @@
-"""Projection: an action is done for real in a forked copy of the process, to see how it would end (thesis 6.3; CRAM).
+"""Projection: an action runs for real in a forked copy of the process, which returns its outcome (thesis 6.3; CRAM).
 
-The copy goes on from this very moment, with the plan, its worlds and its random numbers, to the same bits as this
-process would; other branches of the plan stand still in it. The outcome comes back; nothing else does. In this process
-nothing runs meanwhile, so a plan that looks ahead takes the same order each time.
+The copy continues from this moment, with the plan, its worlds and its random numbers, and computes the same bits as
+this process would; other branches of the plan are suspended in it. Only the outcome comes back. In this process nothing
+runs meanwhile, so a plan that projects actions runs in the same order each time.
 """
 
 from __future__ import annotations
 
-import os
 import pickle
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -22,10 +22,9 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.foundation.names import export
 from pycram.language.branch import name_of, run
-from pycram.projection.child import Child, limit_memory, usable_cores, wait
-from pycram.scheduling.cancellation import checkpoint
+from pycram.projection.child import Child, limit_memory, obstacle, usable_cores
+from pycram.projection.pool import ChildPool, ChildResult
 from pycram.scheduling.locks import refuse_held
-from pycram.scheduling.schedule import MISSED_SIGNALS_EVERY
 from pycram.world import saved_state
 from pycram.world.current import current, open_worlds
 from pycram.world.object import Object
@@ -34,7 +33,7 @@ from pycram.world.world import BulletWorld
 from recorder import records
 from recorder.recording import record
 from recorder.records import format_error
-from recorder.tracing import forking, interrupts, journal
+from recorder.tracing import journal
 from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span
 
@@ -93,35 +92,27 @@ export("pycram.projection", NotProjectable, ProjectionDied, ProjectedError)
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a projected action ended.
+    """The outcome of a projected action."""
 
-    Attributes:
-        action: Its name.
-        succeeded: Whether it would succeed.
-        result: What it would return, objects being those of this process; None if it can't leave its process.
-        failure: What it would raise; a ProjectionDied if it crashed, took too long or needed too much memory; a
-            ProjectedError if it can't leave its process.
-        duration: Simulated time that it would take in the current world, in s.
-        state: The current world's state at its end, for ``world.restore(outcome.state)``; None if there is none, or
-            if something followed a trajectory then.
-        recording: The file with all that it did; None if nothing is recorded.
-        unsent: Text of a result that can't leave its process, as it can't be pickled; else "".
-    """
-
-    action: str
+    action: str  # its name
     succeeded: bool
+    #: Its result, with objects of this process; None if the result can't be pickled.
     result: Result = None
+    #: Its error; ProjectionDied after a crash or at a limit, ProjectedError if the error can't be pickled.
     failure: BaseException | None = None
+    #: Simulated time in the current world, in s.
     duration: float = 0.0
+    #: The current world's state at its end, for ``world.restore(outcome.state)``; None while a body followed a
+    #: trajectory, or without a world.
     state: SavedState | None = None
-    recording: Path | None = None
-    unsent: str = ""
+    recording: Path | None = None  # None if nothing is recorded
+    unsent: str = ""  # text of a result that can't be pickled
 
     def __bool__(self) -> bool:
         return self.succeeded
 
     def __record__(self) -> object:
-        """Return what the projection's task has as its result."""
+        """Return the result of the projection's task."""
         return {
             "succeeded": self.succeeded,
             "result": self.result,
@@ -134,13 +125,13 @@ class Outcome:
 def project(
     action: Action, *args: object, timeout: float | None = None, memory: float | None = None, **kwargs: object
 ) -> Outcome:
-    """Do an action in a copy of this process, and return how it ends.
+    """Run an action in a copy of this process, and return its outcome.
 
     Args:
         action: A function of the plan.
         args: Its arguments.
-        timeout: Seconds by the clock after which the copy is ended; None for no limit.
-        memory: Megabytes that the copy may need beside what it shares; None for no limit.
+        timeout: Seconds of wall-clock time after which the copy is killed; None for no limit.
+        memory: Megabytes of additional memory for the copy; None for no limit.
         kwargs: The action's keyword arguments.
 
     Raises:
@@ -160,14 +151,14 @@ def project_all(
     timeout: float | None = None,
     memory: float | None = None,
 ) -> list[Outcome]:
-    """Do actions in copies of this process, as many at once as it has cores, and return how they end, in their order.
+    """Run actions in copies of this process, in parallel on all cores, and return their outcomes in order.
 
     Args:
         candidates: Actions, in the order of preference.
-        until: "first" ends with the first candidate that succeeds, whoever ends earlier: its outcome is the last one
-            then, and those after it are not waited for. "all" does all.
-        timeout: Seconds by the clock for each; None for no limit.
-        memory: Megabytes for each; None for no limit.
+        until: With "first", the first candidate in order that succeeds has the last outcome; later candidates are
+            killed. With "all", all run to their ends.
+        timeout: Seconds of wall-clock time for each; None for no limit.
+        memory: Megabytes of additional memory for each; None for no limit.
 
     Raises:
         NotProjectable: See :func:`project`.
@@ -188,7 +179,7 @@ def _name(action: object) -> str:
 
 
 def _limits(timeout: float | None, memory: float | None) -> tuple[float | None, int | None]:
-    """Return the checked limits: seconds, and bytes."""
+    """Check the limits; return seconds, and bytes."""
     seconds = None if timeout is None else checks.number("timeout", timeout)
     if seconds is not None and seconds <= 0:
         raise BadArgument("timeout", timeout, "seconds, more than 0")
@@ -202,76 +193,42 @@ def _project_all(
     actions: Sequence[Action], names: Sequence[str], until: str, timeout: float | None, memory: float | None
 ) -> list[Outcome]:
     limit, room = _limits(timeout, memory)
-    _refuse_impossible()
-    running: dict[int, tuple[_Projection, ExitStack]] = {}
-    outcomes: dict[int, tuple[Outcome, _Projection, ExitStack]] = {}  # those that have ended, by candidate
-    ended: list[Outcome] = []  # those on record
-    cores = usable_cores()
-    following, needed = 0, len(actions)
-    with ExitStack() as ending:
-        while following < needed or running:
-            while following < needed and len(running) < cores:
-                tasks = ending.enter_context(ExitStack())
-                projection = _Projection(
-                    actions[following], names[following], room, tasks, begun=following == len(ended)
-                )
-                running[following] = projection, tasks
-                following += 1
-            wait([projection.child for projection, _ in running.values()], _time_left(running, limit))
-            if interrupts.is_pending():
-                checkpoint()
-            for number, (projection, tasks) in list(running.items()):
-                outcome = projection.outcome(limit) if number < needed else None
-                if outcome is None and number < needed:
-                    continue
-                del running[number]
-                if outcome is None:  # an earlier candidate is good enough
-                    tasks.close()
-                    continue
-                outcomes[number] = outcome, projection, tasks
-                if until == "first" and outcome.succeeded:
-                    needed = min(needed, number + 1)
-            # On record is one after the other, in their order, whoever ends earlier and however many cores there are.
-            while len(ended) in outcomes and len(ended) < needed:
-                outcome, projection, tasks = outcomes.pop(len(ended))
-                with tasks:
-                    projection.end(outcome)
-                ended.append(outcome)
-                if len(ended) in running and len(ended) < needed:
-                    running[len(ended)][0].begin()
-    return ended
-
-
-def _time_left(running: dict[int, tuple[_Projection, ExitStack]], limit: float | None) -> float:
-    if limit is None:
-        return MISSED_SIGNALS_EVERY
-    first = min(projection.child.began for projection, _ in running.values()) + limit
-    return min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)
-
-
-def _refuse_impossible() -> None:
     refuse_held()
-    cause = obstacle()
-    if cause:
+    if cause := obstacle():
         raise NotProjectable(cause)
+    projections: dict[int, _Projection] = {}
+    outcomes: dict[int, Outcome] = {}  # of candidates that have ended
+    recorded: list[Outcome] = []
+    needed = len(actions)
+    waiting = deque(range(needed))
+    pool: ChildPool[int] = ChildPool(usable_cores(), limit)
+    with ExitStack() as ending:
 
+        def start(number: int) -> Child:
+            tasks = ending.enter_context(ExitStack())
+            begun = number == len(recorded)
+            projections[number] = _Projection(actions[number], names[number], room, tasks, begun=begun)
+            return projections[number].start()
 
-def obstacle() -> str:
-    """Return why this process can't be copied at this moment, and what to do; "" if it can."""
-    if not hasattr(os, "fork"):
-        return "this system can't copy a process (os.fork)"
-    for world in open_worlds():
-        if world.mode == "GUI":
-            return f"{world.name} has a window, which a copy can't have; open it with BulletWorld()"
-        if world.realtime:
-            return f"{world.name} runs in real time; call set_realtime(False) before"
-    threads = [thread.name for thread in forking.others()]
-    if threads:
-        return (
-            f"the copy would lack the thread{'s' if threads[1:] else ''} {', '.join(threads)}; branches of `with par` "
-            "are copied, in_thread(...) has to end before"
-        )
-    return ""
+        with closing(pool.run(waiting, start)) as results:
+            for number, result in results:
+                outcomes[number] = outcome = projections[number].outcome(result, limit)
+                if until == "first" and outcome.succeeded:  # later candidates aren't needed
+                    needed = number + 1
+                    waiting.clear()
+                    for later in range(needed, len(actions)):
+                        if pool.is_running(later):
+                            pool.kill(later)
+                            projections[later].tasks.close()
+                # Candidates are recorded in order, whichever ends first and however many cores there are.
+                while len(recorded) in outcomes and len(recorded) < needed:
+                    following = len(recorded)
+                    with projections[following].tasks:
+                        projections[following].end(outcomes[following])
+                    recorded.append(outcomes[following])
+                    if pool.is_running(following + 1) and following + 1 < needed:
+                        projections[following + 1].begin()
+    return recorded
 
 
 _MAX_MEMORY: Final = 10**12  # bytes
@@ -279,9 +236,10 @@ _numbers: Final = threading.local()
 
 
 class _Projection:
-    """One action that is done in a child, as a task of this process."""
+    """An action that runs in a child, as a task of this process."""
 
     def __init__(self, action: Action, name: str, memory: int | None, tasks: ExitStack, *, begun: bool) -> None:
+        self._action = action
         self._name = name
         self._memory = memory
         self._world = current()
@@ -291,25 +249,27 @@ class _Projection:
         self._task = Span("projection", name, parameters={**given, **({} if memory is None else {"memory": memory})})
         self._task_began = time.perf_counter_ns()
         self._begun = False
+        self.tasks = tasks
         tasks.push(self._interrupted)
         if begun:
             self.begin()
-        with Uninterrupted():  # no child without its end
-            self.child = Child(partial(_answer, action, self._task, self._recording, self.begin, memory))
-            tasks.callback(self.child.kill)
 
-    def outcome(self, limit: float | None) -> Outcome | None:
-        """Return how it ended; None as long as it hasn't. What takes longer than the limit in s is ended."""
-        if not self.child.ended:
-            if limit is None or time.monotonic() < self.child.began + limit:
-                return None
-            self.child.kill()
+    def start(self) -> Child:
+        """Fork the child."""
+        with Uninterrupted():  # an interrupt leaves no child running
+            child = Child(partial(_answer, self._action, self._task, self._recording, self.begin, self._memory))
+            self.tasks.callback(child.kill)
+        return child
+
+    def outcome(self, ended: ChildResult, limit: float | None) -> Outcome:
+        """Return the outcome of its child's result."""
+        if ended.late:
             return self._died(f"took longer than {limit:g} s")
-        if not self.child.received:
-            return self._died(self.child.how)
+        if not ended.answer:
+            return self._died(ended.how)
         try:
-            succeeded, result, failure, steps, state, unsent = _Unpickler(BytesIO(self.child.received)).load()
-        except Exception as error:  # noqa: BLE001  of a class that the action has made, say
+            succeeded, result, failure, steps, state, unsent = _Unpickler(BytesIO(ended.answer)).load()
+        except Exception as error:  # noqa: BLE001  unpickling calls code of the plan's classes
             return self._died(f"returned what this process doesn't know: {format_error(error)}")
         if isinstance(failure, MemoryError) and self._memory is not None:
             return self._died(f"needed more than {self._memory / 1e6:g} MB")
@@ -325,7 +285,7 @@ class _Projection:
         return Outcome(self._name, False, failure=ProjectionDied(self._name, cause), recording=self._recording)
 
     def begin(self) -> None:
-        """Record its beginning, as its turn has come: not as the current task, as several run at once."""
+        """Record its beginning, in its turn; not as the current task, because several run in parallel."""
         if not self._begun:
             self._begun = True
             self._task.start(self._task_began)
@@ -343,7 +303,7 @@ class _Projection:
 
 
 def _path() -> Path | None:
-    """Return where the next projection is recorded: beside the recording that runs."""
+    """Return the file of the next projection, next to the current recording."""
     beside = next(iter(journal.paths()), None)
     if beside is None:
         return None
@@ -359,16 +319,16 @@ def _path() -> Path | None:
 
 
 def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[[], None], memory: int | None) -> bytes:
-    """Do the action, and return its outcome."""
+    """Run the action, and return its outcome."""
     failure: BaseException | None = None
     result: Result = None
     try:
-        begin()  # here it runs, though it may not be its turn yet on the parent's record
+        begin()  # in the parent it may not be recorded yet
         with task.entered(), _recorded(task.name, recording):
-            if memory is not None:  # not before: a thread that can't begin is waited for without end
+            if memory is not None:  # not earlier: Python waits forever for a thread that can't start
                 limit_memory(memory)
             result = run(action)
-    except BaseException as error:  # noqa: BLE001  told to the parent
+    except BaseException as error:  # noqa: BLE001  sent to the parent
         failure = error.with_traceback(None)
     world = current()
     steps = world.sim_step if world is not None else 0
@@ -377,7 +337,7 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
         state = saved_state.save(world).command.SerializeToString()
     try:
         return _pickled((failure is None, result, failure, steps, state, ""))
-    except Exception:  # noqa: BLE001  of a user's own types: then as text
+    except Exception:  # noqa: BLE001  pickling calls code of the plan's classes; then send a text
         if failure is None:
             return _pickled((True, None, None, steps, state, _text(result)))
         return _pickled((False, None, ProjectedError(format_error(failure)), steps, state, ""))

@@ -1,4 +1,4 @@
-"""Forked children: processes that go on with the plan on their own, send one answer, and never outlive their parent."""
+"""Forked children: processes that continue the plan, send one answer, and never outlive their parent."""
 
 from __future__ import annotations
 
@@ -31,21 +31,12 @@ with contextlib.suppress(OSError, AttributeError, TypeError):  # only Linux has 
 
 
 class Child:
-    """A forked process that calls a function, from its start to its answer.
-
-    Args:
-        answer: Called in the child; what it returns is the answer.
-
-    Attributes:
-        received: What it has sent so far.
-        ended: Whether it has ended.
-        status: How, as ``os.waitpid`` tells it.
-    """
+    """A forked process that calls a function, and sends the result as its answer."""
 
     def __init__(self, answer: Callable[[], bytes]) -> None:
-        self.received = bytearray()
+        self.received = bytearray()  # of the answer, so far
         self.ended = False
-        self.status = 0
+        self.status = 0  # of ``os.waitpid``
         self.began = time.monotonic()
         self._reading, writing = os.pipe()
         parent, dice = os.getpid(), random.getstate()  # which Python seeds again in a child
@@ -61,32 +52,27 @@ class Child:
         os.close(writing)
 
     def fileno(self) -> int:
-        """Return what to wait at for its answer."""
+        """Return the file descriptor of its answer."""
         return self._reading
 
     def read(self) -> None:
-        """Take what it has sent; at its end, take note of how it ended."""
+        """Read a part of its answer; at its end, wait for the process."""
         part = os.read(self._reading, _BLOCK)
         self.received += part
         if not part:
             self._reap()
 
     def kill(self) -> None:
-        """End it at once, if it runs."""
+        """Kill it, if it runs."""
         if not self.ended:
             os.kill(self.pid, signal.SIGKILL)
             self._reap()
 
     @property
-    def signal(self) -> str:
-        """The name of the signal that has ended it; "" if none has."""
-        return signal.Signals(os.WTERMSIG(self.status)).name if os.WIFSIGNALED(self.status) else ""
-
-    @property
     def how(self) -> str:
         """How it ended, in words."""
-        code = os.waitstatus_to_exitcode(self.status)
-        return f"was ended by {self.signal}" if self.signal else f"ended with exit code {code}"
+        code = os.waitstatus_to_exitcode(self.status)  # negative for a signal
+        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def _reap(self) -> None:
         os.close(self._reading)
@@ -95,12 +81,30 @@ class Child:
 
 
 def usable_cores() -> int:
-    """Return how many children of this process can run at once."""
+    """Return the number of children of this process that can run in parallel."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def obstacle() -> str:
+    """Return why this process can't be copied at this moment, and what to do; "" if it can."""
+    if not hasattr(os, "fork"):
+        return "this system can't copy a process (os.fork)"
+    for world in open_worlds():
+        if world.mode == "GUI":
+            return f"{world.name} has a window, which a copy can't have; open it with BulletWorld()"
+        if world.realtime:
+            return f"{world.name} runs in real time; call set_realtime(False) before"
+    threads = [thread.name for thread in forking.others()]
+    if threads:
+        return (
+            f"the copy would lack the thread{'s' if threads[1:] else ''} {', '.join(threads)}; branches of `with par` "
+            "are copied, in_thread(...) has to end before"
+        )
+    return ""
+
+
 def has_children() -> bool:
-    """Return whether this process has any children, such as a copy of it couldn't wait for."""
+    """Return whether this process has child processes, which a copy of it couldn't wait for."""
     if not hasattr(os, "waitid"):
         return False
     try:
@@ -111,13 +115,13 @@ def has_children() -> bool:
 
 
 def wait(children: Sequence[Child], timeout: float | None) -> None:
-    """Take what the first of the children send; return after the timeout in s if none does."""
+    """Read from the first children that send; return after the timeout in s if none does."""
     for child in select.select(children, (), (), timeout)[0]:
         child.read()
 
 
 def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
-    """Be the child: nothing of the parent's is written to, closed or cleaned up."""
+    """Run the child; it writes to, closes and cleans up nothing of the parent's."""
     try:
         die_with(parent)
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -137,13 +141,13 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         text = answer()
         while text:
             text = text[os.write(writing, text) :]
-    except BaseException:  # noqa: BLE001  the answer tells errors of the action; this is the child's own
+    except BaseException:  # noqa: BLE001  the answer has errors of the action; this is the child's own
         os._exit(_CRASHED)
     os._exit(0)
 
 
 def _leave(writing: int, parent: int) -> None:
-    """Be a process that a child's action has forked: it has no part in the answer, and ends with the child."""
+    """Run in a process that the child's action has forked: it has no part in the answer, and ends with the child."""
     if os.getppid() == parent:  # its own children inherit what it has
         os.close(writing)
         die_with(parent)
@@ -158,7 +162,7 @@ def die_with(parent: int) -> None:
 
 
 def limit_memory(memory: int) -> None:
-    """Let this process take no more than some bytes beside what it has: what asks for more gets a MemoryError."""
+    """Limit this process's additional memory to some bytes; larger requests raise MemoryError."""
     import resource  # noqa: PLC0415  only systems that can fork have it
 
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123  of this very process

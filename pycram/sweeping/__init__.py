@@ -1,8 +1,8 @@
-"""Sweeps: a plan runs many times, with other seeds and parameters, and each run is recorded.
+"""Sweeps: a plan runs many times, with different seeds and parameters, and each run is recorded.
 
-Each run is a fork of a process that has imported, parsed and simulated what runs begin with, and executes the whole
-plan from its start, with its own seed: so each recording is complete, and can be verified and retraced. What is done
-stays done: a sweep that is started again makes the runs that are missing.
+Each run is a fork of a process that has imported and parsed the modules and models of runs. It executes the whole plan
+from its start, with its own seed: so each recording is complete, and can be verified and retraced. A sweep that is
+started again makes only the missing runs.
 """
 
 from __future__ import annotations
@@ -20,19 +20,16 @@ from pycram.foundation.failures import BadArgument
 from pycram.scheduling.locks import refuse_held
 from pycram.seeding import MAX_SEED
 from pycram.sweeping import folder as folders
-from pycram.sweeping.folder import SweepRefused
-from pycram.sweeping.local import Local
-from pycram.sweeping.one_run import Outcome, RunLost, Spec
-from pycram.sweeping.result import Sweep, facts_of
-from pycram.sweeping.values import Variations
-from pycram.sweeping.worker import Worker, WorkerLost
+from pycram.sweeping.folder import Sweep, SweepRefused, facts_of
+from pycram.sweeping.local import Local, Worker, WorkerLost
+from pycram.sweeping.one_run import RunLost, RunOutcome, Spec, Variations
 from pycram.world.current import open_worlds
 from recorder.tracing import forking
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-__all__ = ["LIMIT", "Outcome", "RunLost", "Sweep", "SweepRefused", "sweep"]
+__all__ = ["LIMIT", "RunLost", "RunOutcome", "Sweep", "SweepRefused", "sweep"]
 
 LIMIT: Final = 300.0  # s
 
@@ -52,23 +49,23 @@ def sweep(
     motion: str = "",
     locals: bool = True,  # noqa: A002  as they are called in Python
     ray: str | None = None,
-    progress: Callable[[Sweep, Outcome | None], None] = lambda _, __: None,
+    progress: Callable[[Sweep, RunOutcome | None], None] = lambda _, __: None,
 ) -> Sweep:
     """Run a plan many times; each run's recording is a file of a folder.
 
-    From a process that has threads, as a notebook, or worlds, the runs are copies of another process.
+    If this process has threads, like a notebook, or worlds, the runs are forks of another process.
 
     Args:
         plan: Its file.
-        runs: How many, numbered from 0.
-        folder: Where the recordings go; one that has a part of this sweep gets the rest. With ``ray`` it is one that
-            all nodes share, or any URL that fsspec knows.
+        runs: Number of runs; they are numbered from 0.
+        folder: For the recordings; if it has a part of this sweep, the rest is made. With ``ray``, a folder that all
+            nodes share, or any URL that fsspec knows.
         seed: Run N has the seed ``seed + N``, and draws its parameters from it.
-        set: Values of parameters that the runs take in turn, all combinations of them.
+        set: Values of parameters; the runs take all combinations in turn.
         sample: Distributions of parameters, as ``"uniform(0,1)"``; also normal, integers, choice.
-        cores: How many run at once; 0 for one on each core.
-        limit: Seconds by the clock that a run may take.
-        memory: Bytes that a run may take beside what it begins with; 0 for any number.
+        cores: Maximum number of parallel runs; 0 for one on each core.
+        limit: Seconds of wall-clock time for each run.
+        memory: Bytes of additional memory for each run; 0 for no limit.
         arguments: Of the plan.
         motion: The execution environment where the plan names none.
         locals: Whether failures hold the local variables of the plan's functions.
@@ -76,7 +73,7 @@ def sweep(
         progress: Called at the start and after each run.
 
     Raises:
-        SweepRefused: The folder has another sweep or one is running into it, or the system can't fork.
+        SweepRefused: The folder has another sweep or is in use, or the system can't fork.
         UnknownParameter: The plan doesn't declare a parameter.
         BadArgument: An argument is wrong.
         LockHeld: The caller holds a lock.
@@ -111,7 +108,6 @@ def _spec(
     *,
     local_variables: bool,
 ) -> Spec:
-    """Check what is given; nothing has changed by then."""
     file = Path(plan)
     if not file.is_file():
         raise BadArgument("plan", str(plan), "the file of a plan")
@@ -141,7 +137,7 @@ def _spec(
     )
 
 
-def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, Outcome | None], None]) -> Sweep:
+def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, RunOutcome | None], None]) -> Sweep:
     folder = Path(spec.folder)
     facts = facts_of(spec, runs)
     models = (folders.begin(folder, facts).get("models") or {}).get("file")
@@ -151,7 +147,7 @@ def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, Outcome
     progress(result, None)
     if not missing:
         return result
-    # forks would lack the threads of this process, as a notebook's, and begin with its worlds
+    # forks would lack the threads of this process and start with its worlds
     kind = Worker if forking.others() or open_worlds() else Local
     try:
         with closing(kind(spec, cores, models if models in there else None)) as process:
@@ -173,8 +169,8 @@ def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, Outcome
     return result
 
 
-def _set_aside(result: Sweep, outcome: Outcome) -> None:
-    """Keep the recording of a plan that can't start, so that it can be mended and swept into the same folder."""
+def _set_aside(result: Sweep, outcome: RunOutcome) -> None:
+    """Rename the recording of a plan that can't start, so that the fixed plan can be swept into the same folder."""
     folder = Path(result.folder)
     kept = (folder / outcome.name).replace(folder / result.failures[0].name)
     (folder / folders.SWEEP).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""``pycram sweep PLAN``: progress on stderr while it runs, and in the end what has come of it."""
+"""``pycram sweep PLAN``: progress on stderr while it runs, and a summary in the end."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.failures import UsageError
 from pycram.running import FAILED, INTERRUPTED, SUCCEEDED, WRONG_USAGE, tell
 from pycram.sweeping import sweep
-from pycram.sweeping.values import listed, sampled
+from pycram.sweeping.one_run import listed, sampled
 
 if TYPE_CHECKING:
     import argparse
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress
 
-    from pycram.sweeping import Outcome, Sweep
+    from pycram.sweeping import RunOutcome, Sweep
 
 _SHOWN: Final = 5  # failures
 _WIDTH: Final = 160  # characters of a failure
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
 
 
 class _Shown:
-    """The progress, as a bar where somebody looks."""
+    """The progress, as a bar on a terminal."""
 
     def __init__(self, runs: int) -> None:
         self.bar: Progress | None = _bar() if sys.stderr.isatty() else None
@@ -69,8 +69,8 @@ class _Shown:
         self._began = time.monotonic()
         self.seconds = 0.0
 
-    def update(self, result: Sweep, outcome: Outcome | None) -> None:
-        """Show how far it has come."""
+    def update(self, result: Sweep, outcome: RunOutcome | None) -> None:
+        """Update the bar."""
         now = time.monotonic()
         self._began = now if outcome is None else self._began
         self.seconds = now - self._began
@@ -106,7 +106,7 @@ def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
     if left and not result.stopped:
         yield f"{left} are missing; the same command makes them"
     failures = sorted(result.failures, key=lambda each: each.number)  # they came as they ended
-    causes: dict[str, list[Outcome]] = {}
+    causes: dict[str, list[RunOutcome]] = {}
     for each in failures:
         causes.setdefault(_NUMBER.sub("#", each.failure), []).append(each)
     for alike in sorted(causes.values(), key=len, reverse=True)[:_SHOWN]:

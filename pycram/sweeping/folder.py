@@ -1,35 +1,38 @@
-"""The folder of a sweep: a recording a run, named by its number and parameters, and what was swept.
+"""The folder of a sweep, with a recording of each run, and the state of the sweep.
 
-``sweep.json`` says what was swept, so that a sweep which is started again does what is missing and nothing else.
-``sweep.lock`` is locked while one runs. Names that begin with a dot are being written.
+``sweep.json`` describes the sweep, so that a restarted sweep makes only the missing runs. ``sweep.lock`` is locked
+while a sweep runs. Files whose names begin with a dot are being written.
 """
 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import os
 import platform
 import re
 import time
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import UsageError
 from pycram.foundation.names import export
-from recorder.records.values import LEFT_OUT, is_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from pathlib import Path
+
+    from pycram.sweeping.one_run import RunOutcome, Spec
+
 
 FORMAT: Final = 1  # of sweep.json
 SWEEP: Final = "sweep.json"
 _LOCK: Final = "sweep.lock"
-_UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # in names of files, on any system
-_MAX_LETTERS: Final = 120  # characters of a name
 _PART: Final = re.compile(r"\.(\d{5,}.*\.mcap|models-.*\.mcap|sweep\.json)\.part")
 _MAY_CHANGE: Final = frozenset({"runs", "plan"})  # when it is started again
+_KEPT: Final = 100  # outcomes of failures, and remarks: memory doesn't grow with the runs
 _held: Final[set[Path]] = set()  # folders into which this process sweeps
 
 
@@ -48,23 +51,12 @@ class SweepRefused(UsageError):
 export("pycram.sweeping", SweepRefused)
 
 
-def name_of(number: int, values: Mapping[str, Any]) -> str:
-    """Return the name of a run's recording: for people, as the recording itself has the values."""
-    shown = ((name, LEFT_OUT if is_secret(name) else value) for name, value in values.items())
-    words = ",".join(f"{name}={_shown(value)}" for name, value in shown)
-    return f"{number:05}{'.' if words else ''}{words[:_MAX_LETTERS]}.mcap"
-
-
-def _shown(value: object) -> str:
-    return _UNSAFE.sub("_", f"{value:.4g}" if isinstance(value, float) else str(value))
-
-
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Make a folder, and keep it from other sweeps while the block runs.
+    """Make a folder, and lock it against other sweeps while the block runs.
 
     Raises:
-        SweepRefused: One runs into it, or it can't be made.
+        SweepRefused: Another sweep uses it, or it can't be made.
     """
     held = folder.resolve()
     who = f"process {os.getpid()} on {platform.node()} (since {time.strftime('%Y-%m-%d %H:%M:%S')})"
@@ -102,7 +94,7 @@ def _in_use(folder: Path, who: str) -> SweepRefused:
 
 
 def begin(folder: Path, facts: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Write down what is swept, and return what the folder had from before, which is empty in a new one.
+    """Write the description of a sweep, and return the folder's earlier one; empty in a new folder.
 
     Raises:
         SweepRefused: The folder has another sweep.
@@ -127,7 +119,65 @@ def begin(folder: Path, facts: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def write(folder: Path, facts: Mapping[str, Any]) -> None:
-    """Write down what is swept, whole or not at all."""
+    """Write the description of a sweep, atomically."""
     part = folder / f".{SWEEP}.part"
     part.write_text(json.dumps({"format": FORMAT, **facts}, indent=1) + "\n", encoding="utf-8")
     part.replace(folder / SWEEP)
+
+
+@dataclass(slots=True)
+class Sweep:
+    """The progress and result of a sweep."""
+
+    folder: str  # of the recordings
+    runs: int  # that were asked for
+    before: int = 0  # runs that existed before
+    done: int = 0  # runs that were made now
+    failed: int = 0  # of those
+    failures: list[RunOutcome] = field(default_factory=list)  # the first ones
+    stopped: str = ""  # why it ended before all runs were made; "" if it didn't
+    interrupted: bool = False  # by Ctrl-C
+    remarks: list[str] = field(default_factory=list)  # errors of hooks
+
+    def take(self, outcome: RunOutcome) -> bool:
+        """Count a run; return whether it was recorded, because else no other run would be."""
+        if outcome.unrecorded:
+            self.stopped = f"run {outcome.number} couldn't be recorded: {outcome.unrecorded}"
+            return False
+        if outcome.remark and len(self.remarks) < _KEPT:
+            self.remarks.append(f"{outcome.name}: {outcome.remark}")
+        self.done += 1
+        if not outcome.succeeded:
+            self.failed += 1
+            if len(self.failures) < _KEPT:
+                self.failures.append(outcome)
+        return True
+
+    def has_not_begun(self) -> bool:
+        """Return whether the first run failed before the plan did anything, as all other runs would.
+
+        If so, its outcome gets the name under which its recording is to be set aside.
+        """
+        if self.before or self.done > 1 or not self.failures:
+            return False
+        first = self.failures[0]
+        if first.started and not first.lost:
+            return False
+        self.stopped = f"the first run failed before the plan did anything: {first.failure}"
+        self.failures = [replace(first, name=f"{first.name}.failed")]
+        return True
+
+
+def facts_of(spec: Spec, runs: int) -> dict[str, Any]:
+    """Return the content of a folder's ``sweep.json``."""
+    digest = hashlib.sha256(Path(spec.plan).read_bytes()).hexdigest()
+    return {
+        "plan": spec.plan,
+        "plan_sha256": digest,
+        "arguments": list(spec.arguments),
+        "seed": spec.seed,
+        "runs": runs,
+        "set": spec.listed,
+        "sample": spec.sampled,
+        "motion": spec.motion,
+    }

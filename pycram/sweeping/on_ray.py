@@ -1,8 +1,8 @@
-"""Sweeps on a Ray cluster: batches of runs are tasks, and results are files of a folder that all nodes can write to.
+"""Sweeps on a Ray cluster: batches of runs are Ray tasks, and recordings go to a folder that all nodes can write to.
 
-Ray does a lost node's batches again; of such a batch the runs that are in the folder already aren't made twice. Ray's
-processes are kept, each with a warm process of ours that forks (:mod:`pycram.sweeping.worker`), and end after a number
-of batches. PyCRAM and the plan are at the same paths on all nodes.
+Ray repeats a lost node's batches; runs of these already in the folder aren't made twice. Each Ray process keeps a
+warm :class:`~pycram.sweeping.local.Worker`, and ends after a number of batches. PyCRAM and the plan are at the same
+paths on all nodes.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.sweeping import folder as folders
-from pycram.sweeping.one_run import Outcome, Spec
-from pycram.sweeping.result import Sweep, facts_of
-from pycram.sweeping.worker import Worker
+from pycram.sweeping.folder import Sweep, facts_of
+from pycram.sweeping.local import Worker
+from pycram.sweeping.one_run import RunOutcome, Spec
 from recorder.mcap.shared_models import NAME
 from recorder.packages import needed
 
@@ -38,16 +38,16 @@ _AHEAD: Final = 3  # batches that wait for each core
 
 
 def sweep_on_ray(
-    spec: Spec, runs: int, url: str, address: str, cores: int, progress: Callable[[Sweep, Outcome | None], None]
+    spec: Spec, runs: int, url: str, address: str, cores: int, progress: Callable[[Sweep, RunOutcome | None], None]
 ) -> Sweep:
     """Sweep on a cluster; see :func:`pycram.sweeping.sweep`.
 
     Args:
-        spec: The sweep's.
-        runs: How many.
+        spec: Of the sweep.
+        runs: Number of runs.
         url: Of the folder.
         address: Of the cluster; "" for one on this machine.
-        cores: How many runs at once; 0 for one on each of the cluster's.
+        cores: Maximum number of parallel runs; 0 for one on each core of the cluster.
         progress: Called at the start and after each run.
     """
     store = _Store(url)
@@ -96,15 +96,15 @@ def _cores() -> int:
 
 
 def _batches(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
-    """Yield the runs of each task: the first run alone, as it shows whether the plan can start."""
+    """Yield the runs of each task: the first run alone, because it shows whether the plan can start."""
     if numbers:
         yield numbers[:1]
     for start in range(1, len(numbers), _BATCH):
         yield numbers[start : start + _BATCH]
 
 
-def _made(spec: Spec, url: str, batches: Any, models: str | None, cores: int) -> Iterator[Outcome]:
-    """Have batches made, a few more than there are cores at a time; yield the outcomes as they come."""
+def _made(spec: Spec, url: str, batches: Any, models: str | None, cores: int) -> Iterator[RunOutcome]:
+    """Submit batches, a few more at a time than there are cores; yield the outcomes as they come."""
     task = ray.remote(num_cpus=1, max_calls=_CALLS, max_retries=-1)(_make)
     waiting = iter(batches)
     running: list[Any] = []
@@ -117,17 +117,17 @@ def _made(spec: Spec, url: str, batches: Any, models: str | None, cores: int) ->
                 return
             ended, running = ray.wait(running)
             for each in ended:
-                yield from (Outcome(**outcome) for outcome in ray.get(each))
+                yield from (RunOutcome(**outcome) for outcome in ray.get(each))
     finally:
         for each in running:
             ray.cancel(each, force=True)
 
 
 class _Store:
-    """A folder by its URL; a plain path is one that all nodes share.
+    """A folder by its URL; a plain path is a folder that all nodes share.
 
     Raises:
-        SweepRefused: There can't be one of that URL.
+        SweepRefused: The URL can't be used.
     """
 
     def __init__(self, url: str) -> None:
@@ -148,13 +148,13 @@ class _Store:
         return {Path(each).name for each in self._files.ls(self.root, detail=False)}
 
     def has(self, name: str) -> bool:
-        """Return whether a file is there; the others aren't looked at, which may be very many."""
+        """Return whether a file exists, without listing the folder, which may be very large."""
         self._files.invalidate_cache()
         found: bool = self._files.exists(f"{self.root}/{name}")
         return found
 
     def put(self, file: Path, within: str = "") -> None:
-        """Put a file there, or into a folder within, whole or not at all."""
+        """Copy a file into the folder, or into a folder within it, atomically."""
         folder = f"{self.root}/{within}" if within else self.root
         target = f"{folder}/{file.name}"
         if self.is_local:  # storage of objects does it by itself
@@ -167,12 +167,12 @@ class _Store:
             self._files.put_file(str(file), target)
 
     def fetch(self, name: str, folder: Path) -> None:
-        """Get a file from there, if it is there."""
+        """Copy a file from the folder, if it exists."""
         if self._files.exists(f"{self.root}/{name}") and not (folder / name).exists():
             self._files.get_file(f"{self.root}/{name}", str(folder / name))
 
     def set_aside(self, name: str, kept: str) -> None:
-        """Keep the recording of a plan that can't start, so that it can be mended and swept into the same folder."""
+        """Rename the recording of a plan that can't start, so that the fixed plan can be swept into the same folder."""
         self._files.mv(f"{self.root}/{name}", f"{self.root}/{kept}")
         self._files.rm(f"{self.root}/{folders.SWEEP}")
 
@@ -185,7 +185,7 @@ _worker: Worker | None = None
 
 
 def _warm(spec: Spec, models: str | None) -> Worker:
-    """Return the process of ours that this process of Ray's keeps, for runs of a sweep into a folder of its own."""
+    """Return the worker of this Ray process, for runs into a folder of its own."""
     global _worker  # noqa: PLW0603  of this process of Ray's
     if _worker is None:
         folder = tempfile.mkdtemp(prefix="pycram-sweep-")
@@ -196,7 +196,7 @@ def _warm(spec: Spec, models: str | None) -> Worker:
 
 
 def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str | None) -> list[dict[str, Any]]:
-    """Make those runs of a batch that aren't there yet; a task of Ray's."""
+    """Make the missing runs of a batch, as a Ray task."""
     global _worker  # noqa: PLW0603  of this process of Ray's
     spec, store = Spec(**spec_facts), _Store(url)
     worker = _warm(spec, models)
@@ -226,7 +226,7 @@ def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str 
 
 
 def _known(store: _Store, spec: Spec, number: int, folder: Path) -> dict[str, Any]:
-    """Return the outcome of a run that is there, by its recording."""
+    """Return the outcome of an existing recording."""
     from mcap.reader import make_reader  # noqa: PLC0415
 
     from recorder.records import Run, format_failure  # noqa: PLC0415
@@ -238,4 +238,6 @@ def _known(store: _Store, spec: Spec, number: int, folder: Path) -> dict[str, An
     (folder / name).unlink()
     ends = [run for run in runs if run.phase == Run.FINISHED]
     succeeded = bool(ends) and ends[-1].succeeded
-    return asdict(Outcome(number, name, succeeded, "" if succeeded or not ends else format_failure(ends[-1].failure)))
+    return asdict(
+        RunOutcome(number, name, succeeded, "" if succeeded or not ends else format_failure(ends[-1].failure))
+    )

@@ -27,8 +27,7 @@ from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
-from pycram.projection import obstacle
-from pycram.projection.child import Child, die_with, has_children
+from pycram.projection.child import Child, die_with, has_children, obstacle
 from pycram.scheduling.locks import is_held
 from pycram.scheduling.schedule import scheduler
 from recorder.records import Task, format_error

@@ -16,7 +16,7 @@ from replay.runs.rows import read_rows
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pycram.sweeping import Outcome, Sweep
+    from pycram.sweeping import RunOutcome, Sweep
 
 pytestmark = [pytest.mark.long, pytest.mark.needs("Ray")]
 PLAN = """
@@ -46,7 +46,7 @@ def test_a_node_is_lost_in_the_middle(tmp_path: Path) -> None:
     cluster.wait_for_nodes()
     seen: list[int] = []
 
-    def progress(result: Sweep, outcome: Outcome | None) -> None:
+    def progress(result: Sweep, outcome: RunOutcome | None) -> None:
         nonlocal second
         if outcome is not None:
             seen.append(outcome.number)

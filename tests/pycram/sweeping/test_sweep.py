@@ -20,8 +20,8 @@ import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.cli import main as pycram_command
 from pycram.failures import BadArgument, UsageError
-from pycram.sweeping import Outcome, Sweep, SweepRefused
-from pycram.sweeping.values import Variations
+from pycram.sweeping import RunOutcome, Sweep, SweepRefused
+from pycram.sweeping.one_run import Variations
 from recorder.records import Mutation, Run
 from replay.recording import Recording
 from replay.restore.verify import verify
@@ -265,7 +265,7 @@ def test_two_sweeps_into_one_folder(plan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "runs"
     messages = []
 
-    def meanwhile(_: Sweep, outcome: Outcome | None) -> None:
+    def meanwhile(_: Sweep, outcome: RunOutcome | None) -> None:
         if outcome is None:
             with pytest.raises(SweepRefused) as refused:
                 pycram.sweep(plan, 1, folder)
@@ -295,7 +295,7 @@ def test_a_process_with_threads_and_worlds_as_a_notebook_sweeps_in_another_one(p
     folder = tmp_path / "runs"
     values = {"what": ["fine", "fails"], "x": [0.25]}
 
-    def stop(result: Sweep, _: Outcome | None) -> None:
+    def stop(result: Sweep, _: RunOutcome | None) -> None:
         if result.done == 2:
             raise KeyboardInterrupt
 
