@@ -90,7 +90,8 @@ class PlanRunner:
                 yield index, self._ended(order, result)
 
     def _ended(self, order: str, result: ChildResult) -> OrderedRun:
-        ending, turns, made = Ending(DIED, f"its process {result.how}"), 0, ()
+        ending, turns = Ending(DIED, f"its process {result.how}"), 0
+        made: tuple[Made, ...] = ()
         if result.answer:
             answer: Mapping[str, Any] = json.loads(result.answer)
             ending, turns = Ending(**answer["ending"]), answer["turns"]
