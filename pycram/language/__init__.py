@@ -40,7 +40,7 @@ from __future__ import annotations
 
 from pycram.language.block import (
     Action,
-    BlockKind,
+    Kind,
     NeverOpened,
     Nothing,
     Opening,
@@ -58,7 +58,7 @@ from recorder.tasks import State
 
 __all__ = [
     "Action",
-    "BlockKind",
+    "Kind",
     "NeverOpened",
     "Nothing",
     "Opening",

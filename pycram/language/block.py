@@ -519,7 +519,7 @@ class Nothing(Opening, list[Result]):
         super().__init__(policy)
 
 
-class BlockKind(Opening):
+class Kind(Opening):
     """One of the five words: opens a block with or without parentheses, or runs functions."""
 
     @overload
@@ -564,17 +564,17 @@ class BlockKind(Opening):
         return self._policy.name
 
 
-par: Final = BlockKind(Policy("par", concurrent=True, decided_by=frozenset()))
+par: Final = Kind(Policy("par", concurrent=True, decided_by=frozenset()))
 """Run branches concurrently to their ends; fail if any fails."""
 
-pursue: Final = BlockKind(Policy("pursue", concurrent=True, decided_by=frozenset({State.SUCCEEDED, State.FAILED})))
+pursue: Final = Kind(Policy("pursue", concurrent=True, decided_by=frozenset({State.SUCCEEDED, State.FAILED})))
 """Run branches concurrently; the first that ends decides, the others are cancelled."""
 
-try_all: Final = BlockKind(Policy("try_all", concurrent=True, decided_by=frozenset({State.SUCCEEDED})))
+try_all: Final = Kind(Policy("try_all", concurrent=True, decided_by=frozenset({State.SUCCEEDED})))
 """Run branches concurrently; the first that succeeds decides, the others are cancelled."""
 
-seq: Final = BlockKind(Policy("seq", concurrent=False, decided_by=frozenset({State.FAILED})))
+seq: Final = Kind(Policy("seq", concurrent=False, decided_by=frozenset({State.FAILED})))
 """Run branches in order up to the first that fails."""
 
-try_in_order: Final = BlockKind(Policy("try_in_order", concurrent=False, decided_by=frozenset({State.SUCCEEDED})))
+try_in_order: Final = Kind(Policy("try_in_order", concurrent=False, decided_by=frozenset({State.SUCCEEDED})))
 """Run branches in order up to the first that succeeds."""

@@ -20,12 +20,12 @@ from tests.pycram.language.gates import C, F, Gate, S, succeeds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pycram.language import BlockKind
+    from pycram.language import Kind
     from pycram.language.block import Block
 
 
 def test_blocks_in_generators_that_end_out_of_order_are_refused() -> None:
-    def plan(kind: BlockKind) -> Iterator[Block]:
+    def plan(kind: Kind) -> Iterator[Block]:
         with kind as s:
             yield s
 

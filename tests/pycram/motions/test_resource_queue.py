@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pycram.bullet_world import BulletWorld
-    from pycram.language import BlockKind
+    from pycram.language import Kind
     from pycram.language.block import Block
 
 
@@ -177,9 +177,7 @@ def test_a_cancelled_motion_leaves_the_queue() -> None:
 
 
 @pytest.mark.parametrize("block", [par, seq], ids=["par", "seq"])
-def test_ctrl_c_while_a_motion_is_queued_releases_its_resources(
-    block: BlockKind, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_while_a_motion_is_queued_releases_its_resources(block: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
     enqueue = Ticket.enqueue
 
     def interrupted(ticket: Ticket) -> None:
