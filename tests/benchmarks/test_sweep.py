@@ -1,4 +1,4 @@
-"""What a run of a sweep costs, as ratios within one sweep: it finds done what the first two had to do."""
+"""What a run of a sweep costs, as ratios within one sweep: later runs find models parsed that the first had to parse."""
 
 from __future__ import annotations
 
