@@ -29,7 +29,7 @@ from replay.state.fold import state_at
 from replay.state.json_data import kind_of, record_data
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
@@ -89,7 +89,7 @@ def _divergence(
     waiting: tuple[dict[_Key, Record], dict[_Key, Record]] = {}, {}
     explaining = [False, False]
     equal = since = 0
-    diverged: tuple[Record, Record, dict[str, tuple[Plain, Plain]]] | None = None
+    diverged: _Diverged | None = None
     for pair in zip_longest(_keyed(first, names, 0), _keyed(second, names, 1)):
         for side, item in enumerate(pair):
             if item is None:
@@ -100,53 +100,46 @@ def _divergence(
             if match is None:
                 waiting[side][key] = record
             elif diverged is None:
-                a, b = (match, record) if side else (record, match)
-                fields = differing(a, b, tolerance, names)
+                pair_of_runs = (match, record) if side else (record, match)
+                fields = differing(*pair_of_runs, tolerance, names)
                 if fields:
-                    diverged = a, b, fields
+                    diverged = *pair_of_runs, fields
                 else:
                     equal += 1
         since += diverged is not None
         if since > _WINDOW:
             break
-    first_difference = _earliest(diverged, _without_unknown(waiting, explaining))
-    if first_difference is None:
-        return equal, None
-    a_record, b_record, fields = first_difference
-    path = _path(second, b_record) if a_record is None and b_record is not None else _path(first, a_record)
-    return equal, Divergence(a_record, b_record, path, fields)
+    return equal, _first(first, second, diverged, waiting, explaining)
 
 
-def _without_unknown(
-    waiting: tuple[dict[_Key, Record], dict[_Key, Record]], explaining: Sequence[bool]
-) -> tuple[dict[_Key, Record], dict[_Key, Record]]:
-    """Return the unmatched records without those that tell how something was chosen, if the other run has none."""
-    first, second = (
-        {key: record for key, record in unmatched.items() if explaining[1 - side] or not _explains(record)}
-        for side, unmatched in enumerate(waiting)
-    )
-    return first, second
+def _first(
+    first: RecordReader,
+    second: RecordReader,
+    diverged: _Diverged | None,
+    waiting: Sequence[Mapping[_Key, Record]],
+    explaining: Sequence[bool],
+) -> Divergence | None:
+    """Return what comes first: a pair that differs, or a record that only one run has.
 
-
-def _earliest(
-    diverged: tuple[Record, Record, dict[str, tuple[Plain, Plain]]] | None,
-    waiting: tuple[dict[_Key, Record], dict[_Key, Record]],
-) -> _Diverged | None:
-    """Return what comes first: a pair that differs, or a record that only one run has."""
-    candidates: list[tuple[list[int], _Diverged]] = []
-    if diverged is not None:
-        candidates.append((sorted((diverged[0].seq, diverged[1].seq)), diverged))
+    A record that tells how something was chosen doesn't count if the other run has none.
+    """
+    candidates: list[_Diverged] = [] if diverged is None else [diverged]
     for side, unmatched in enumerate(waiting):
-        record = next(iter(unmatched.values()), None)  # dictionaries are in the order of the run
-        if record is not None:
-            candidates.append(([record.seq] * 2, (None, record, {}) if side else (record, None, {})))
-    return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
+        alone = next((each for each in unmatched.values() if explaining[1 - side] or not _explains(each)), None)
+        if alone is not None:
+            candidates.append((None, alone, {}) if side else (alone, None, {}))
+    if not candidates:
+        return None
+    a, b, fields = min(candidates, key=_steps)
+    log, record = (second, b) if a is None else (first, a)
+    tasks = causing_tasks(log, record).tasks if record is not None else ()
+    return Divergence(a, b, "/".join(task.started.name for task in reversed(tasks)), fields)
 
 
-def _path(log: RecordReader, record: Record | None) -> str:
-    return (
-        "/".join(task.started.name for task in reversed(causing_tasks(log, record).tasks)) if record is not None else ""
-    )
+def _steps(diverged: _Diverged) -> list[int]:
+    """Return the steps of a pair that differs, in order; of a record that only one run has twice its step."""
+    steps = sorted(record.seq for record in diverged[:2] if record is not None)
+    return [steps[0], steps[-1]]
 
 
 def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_Key, Record]]:
@@ -263,7 +256,8 @@ class PairedNames:
     """
 
     def __init__(self, first: RecordReader, second: RecordReader) -> None:
-        self.worlds = dict(_pairs(_worlds(first), _worlds(second)))
+        opened = (list(dict.fromkeys(lifetime.world for lifetime in log.lifetimes)) for log in (first, second))
+        self.worlds = dict(_pairs(*opened))
         self._offsets: list[int | None] = [None, None]  # numbers of the first fluents that are seen, by run
 
     def note(self, run: int, record: Record) -> None:
@@ -302,11 +296,6 @@ class PairedNames:
         if isinstance(value, str):
             return self.worlds[value] if key == "world" and value in self.worlds else self.text(value)
         return value
-
-
-def _worlds(log: RecordReader) -> list[str]:
-    """Return the names of its worlds in the order of their opening."""
-    return list(dict.fromkeys(lifetime.world for lifetime in log.lifetimes))
 
 
 def _pairs(first: list[str], second: list[str]) -> Iterable[tuple[str, str]]:
