@@ -2,26 +2,31 @@
 
 Everything here is read from the recording; nothing is guessed. The answers to the plan's queries are set beside what
 has moved since.
+
+What a failed action tried: its choices, what was imagined of them, and the places that it considered for them.
 """
 
 from __future__ import annotations
 
+import builtins
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Failure, Query, argument_values
+from recorder.records import Failure, Query, Run, argument_values
 from recorder.records.text import is_choice
-from replay.compare.states import difference
+from recorder.records.text import fates_text
+from recorder.records.text import foreseen
+from replay.compare.states import Difference, difference
 from replay.errors import NoSuchStep
 from replay.explain.causes import find
 from replay.explain.causes.case import FailureCase
-from replay.explain.scene import bodies, branches
-from replay.explain.tried import TriedAction, tried
+from replay.explain.scene import FailedBranch, InvolvedBody, bodies, branches
 from replay.history.failures import RootCause, failed_threads, failures, root_cause
-from replay.history.source import PlanSource
+from replay.history.source import Line, ParsedException, PlanSource
 from replay.history.summary import summary
 from replay.history.tasks import choices
+from replay.report import phrases
 from replay.state.fold import state_at
 from replay.state.json_data import mentions
 
@@ -36,13 +41,6 @@ if TYPE_CHECKING:
     from replay.history.summary import Summary
     from replay.state.state import Body, State, World
 
-import builtins
-from dataclasses import dataclass, field
-
-from recorder.records import Run
-from replay.compare.states import Difference
-from replay.explain.scene import FailedBranch, InvolvedBody
-from replay.history.source import Line, ParsedException
 
 _MAX_QUERIES: Final = 8
 _FIRST, _LAST = 5, 20  # of many attempts, those for which the robot's state is folded
@@ -357,3 +355,88 @@ def _since(log: RecordReader, task: Node | None, now: State) -> ChangesSince | N
     if task is None or task.finished is None:
         return None
     return ChangesSince(task, difference(state_at(log, min(task.finished.seq, now.step)), now))
+
+
+_LISTED: Final = 3  # attempts that are listed, of the first and of the last
+_MAX_IMAGINED: Final = 6
+_MAX_PLACES: Final = 5  # queries for places, the last ones
+
+
+@dataclass(frozen=True, slots=True)
+class TriedAction:
+    """A failed action."""
+
+    action: Node
+    attempts: tuple[Node, ...]  # of its choices, in order, each with what was chosen as its parameters
+    imagined: tuple[Node, ...]  # projections of choices, in order
+    places: tuple[Query, ...]  # queries for places, in its parts too
+    spent: bool  # its budget
+    last: str  # the choice that could not be made in the end, and why; "" if there was no more to choose from
+
+    def lines(self) -> Iterator[str]:
+        """Yield the choices of an action, what came of each, and why there was no other."""
+        left_out = len(self.attempts) - 2 * _LISTED
+        for number, attempt in enumerate(self.attempts):
+            if left_out > 0 and number == _LISTED:
+                yield f"... {left_out} more ..."
+            if left_out <= 0 or not _LISTED <= number < _LISTED + left_out:
+                yield f"step {attempt.started.seq}: {_choice(attempt)}"
+                error = attempt.error
+                yield f"    {phrases.one_line(': '.join(filter(None, error)))}" if error else "    it has not ended"
+        for projection in self.imagined[-_MAX_IMAGINED:]:
+            outcome = foreseen(projection.finished) if projection.finished is not None else "it has not ended"
+            yield f"step {projection.started.seq}: imagined, {_choice(projection)}"
+            yield f"    {outcome}"
+        for query in self.places:
+            yield f"step {query.seq}: {phrases.question(query)}"
+            yield f"    {fates_text(query) or 'no place was left on its map'}"
+        if self.last:
+            yield f"nothing else could be chosen: {phrases.one_line(self.last)}"
+        elif self.spent:
+            yield "the budget of tries was spent"
+        elif self.attempts:
+            yield "there was nothing else to choose"
+
+
+def tried(log: RecordReader, failed: Node) -> TriedAction | None:
+    """Return what the outermost failed action tried that a failed task is a part of; None if it is part of none."""
+    actions = [task for task in failed.around() if task.kind == "action" and task.failed]
+    if not actions:
+        return None
+    action = actions[-1]
+    handling = [task for task in action.children if task.kind == "failure-handling" and "action" in task.parameters]
+    parts = [part for task in handling for part in task.children]
+    imagined = [part for part in (*action.children, *parts) if part.kind == "projection"]
+    ids = {node.id for _, node in action.walk()}
+    stop = action.last_step + 1
+    asked = [
+        query for query in log.records(Query, action.started.seq, stop) if query.HasField("grid") and query.task in ids
+    ]
+    data = {} if action.failure is None else argument_values(action.failure.data)
+    return TriedAction(
+        action,
+        tuple(part for part in parts if part.kind == "attempt"),
+        tuple(imagined),
+        tuple(asked[-_MAX_PLACES:]),
+        data.get("spent") is True,
+        _error_text(data.get("last")),
+    )
+
+
+def _error_text(last: Plain) -> str:
+    """Return a recorded error as text."""
+    if isinstance(last, dict):
+        return str(last.get("repr") or next(iter(last.values()), ""))
+    return "" if last is None else str(last)
+
+
+def _choice(task: Node) -> str:
+    """Return what was chosen: slots with their values, of places their positions."""
+    chosen = [f"{slot}={_value(value)}" for slot, value in task.parameters.items() if value is not None]
+    return ", ".join(chosen) or "as asked"
+
+
+def _value(value: object) -> str:
+    if isinstance(value, dict) and isinstance(value.get("position"), list):
+        return phrases.vector(value["position"])
+    return phrases.value(value)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from replay.compare import states
 from replay.explain.causes.cause import Cause
 from replay.explain.causes.waiting import Interruption
 from replay.explain.scene import InvolvedBody, facing
-from replay.explain.tried import TriedAction
+from replay.explain.why import TriedAction
 from replay.report import phrases, report
 from replay.report.question import BadQuestion, Name, QueryCall, Term, question_of
 from replay.report.report import section
