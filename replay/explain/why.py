@@ -14,9 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Failure, Query, Run, argument_values
-from recorder.records.text import is_choice
-from recorder.records.text import fates_text
-from recorder.records.text import foreseen
+from recorder.records.text import fates_text, foreseen, is_choice
 from replay.compare.states import Difference, difference
 from replay.errors import NoSuchStep
 from replay.explain.causes import find
