@@ -1,9 +1,7 @@
 """Why a plan failed: what failed and where in the plan, what was attempted, the queries it relied on, what had changed.
 
 Everything here is read from the recording; nothing is guessed. The answers to the plan's queries are set beside what
-has moved since.
-
-What a failed action tried: its choices, what was imagined of them, and the places that it considered for them.
+has moved since. Of an action that failed the explanation has what it tried: its choices, projections of them, places.
 """
 
 from __future__ import annotations
@@ -42,6 +40,9 @@ if TYPE_CHECKING:
 
 _MAX_QUERIES: Final = 8
 _FIRST, _LAST = 5, 20  # of many attempts, those for which the robot's state is folded
+_LISTED: Final = 3  # choices that are listed, of the first and of the last
+_MAX_IMAGINED: Final = 6
+_MAX_PLACES: Final = 5  # queries for places, the last ones
 _MOVED: Final = 0.001  # m from which on a body counts as moved since a query
 
 
@@ -353,11 +354,6 @@ def _since(log: RecordReader, task: Node | None, now: State) -> ChangesSince | N
     if task is None or task.finished is None:
         return None
     return ChangesSince(task, difference(state_at(log, min(task.finished.seq, now.step)), now))
-
-
-_LISTED: Final = 3  # attempts that are listed, of the first and of the last
-_MAX_IMAGINED: Final = 6
-_MAX_PLACES: Final = 5  # queries for places, the last ones
 
 
 @dataclass(frozen=True, slots=True)
