@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -133,20 +134,12 @@ def _parts(case: FailureCase) -> Iterator[tuple[str, str, Pose | None]]:
     ends += [(container, str(named.get(slot) or "")) for slot in ("drawer-handle", "handle")]
     joints = [(container, str(named.get(slot) or "")) for slot in ("drawer-joint", "joint")]
     for name, link in dict.fromkeys(ends):
-        body = case.world.bodies.get(name)
-        pose = _link_pose(case, body, link) if body is not None and link else None
-        if pose is not None:
-            yield name, link, pose
+        if link and name in case.world.bodies:
+            with suppress(NoSuchName):
+                yield name, link, case.state.link_pose(case.world.bodies[name], link)
     for name, joint in dict.fromkeys(joints):
         if name in case.world.bodies and joint in case.world.bodies[name].joints:
             yield name, joint, None
-
-
-def _link_pose(case: FailureCase, body: Body, link: str) -> Pose | None:
-    try:
-        return case.state.link_pose(body, link)
-    except NoSuchName:
-        return None
 
 
 def branches(case: FailureCase) -> Iterator[FailedBranch]:

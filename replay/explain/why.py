@@ -16,7 +16,7 @@ from recorder.records.text import fates_text, foreseen, is_choice
 from replay.compare.states import Difference, difference
 from replay.errors import NoSuchStep
 from replay.explain.causes import find
-from replay.explain.causes.case import FailureCase
+from replay.explain.causes.case import FailureCase, bodies_in
 from replay.explain.scene import FailedBranch, InvolvedBody, bodies, branches
 from replay.history.failures import RootCause, failed_threads, failures, root_cause
 from replay.history.source import Line, ParsedException, PlanSource
@@ -29,7 +29,6 @@ from replay.state.json_data import mentions
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from recorder.records import Plain
     from recorder.tasks import Node
     from replay.explain.causes.cause import Cause
     from replay.file.record_reader import RecordReader
@@ -185,7 +184,7 @@ def _task_failure(
     source, motion = PlanSource(log), task.motion
     start, end = motion.started.seq, task.last_step
     before = failures(log, end + 1)
-    objects = _objects(motion.parameters)
+    objects = list(bodies_in(motion.parameters))
     alike = [attempt for attempt in before.origins if _is_alike(log, attempt.motion, motion, objects)]
     before_it = [attempt for attempt in alike if attempt.motion is not motion and attempt.motion.started.seq < start]
     previous = before_it[-1] if before_it else None
@@ -230,7 +229,7 @@ def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: Root
     last = failed.last_success
     window = last.started.seq if last is not None else 0
     queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())
-    objects = list(dict.fromkeys(body for query in queries for body in _objects(argument_values(query.arguments))))
+    objects = list(dict.fromkeys(body for query in queries for body in bodies_in(argument_values(query.arguments))))
     world = _world(state, objects, queries)
     case = FailureCase(log, cause.step, cause.failure or Failure(), None, failed, state, world, cause.exceptions)
     return Why(
@@ -258,7 +257,7 @@ def _is_alike(log: RecordReader, task: Node, failed: Node, objects: Iterable[tup
     """Return whether a task is the same with one of the same bodies; bodies of a later world are others."""
     if (task.kind, task.name) != (failed.kind, failed.name):
         return False
-    own = set(_objects(task.parameters))
+    own = set(bodies_in(task.parameters))
     now, then = failed.started.seq, task.started.seq
     common = own.intersection(objects)
     return (
@@ -275,15 +274,6 @@ def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> 
             then = state_at(log, max(task.motion.started.seq - 1, 0)).worlds.get(world.name)
             robot = then.bodies.get(then.robot) if then is not None else None
         yield FailedAttempt(task, robot)
-
-
-def _objects(parameters: Plain) -> list[tuple[str, str]]:
-    """Return the names of the bodies in values, with their worlds."""
-    if isinstance(parameters, dict):
-        if set(parameters) == {"object", "world"}:
-            return [(str(parameters["object"]), str(parameters["world"]))]
-        parameters = list(parameters.values())
-    return [body for value in parameters for body in _objects(value)] if isinstance(parameters, list) else []
 
 
 # --- queries ---------------------------------------------------------------------------------------------------------
@@ -322,7 +312,7 @@ def _with_changes(log: RecordReader, query: Query, world: World | None) -> Relev
     if then.title != world.title:
         return RelevantQuery(query, world=then.title)
     moved, removed = [], []
-    for name, _ in dict.fromkeys(_objects(argument_values(query.arguments))):
+    for name, _ in dict.fromkeys(bodies_in(argument_values(query.arguments))):
         before, after = then.bodies.get(name), world.bodies.get(name)
         if before is None:
             continue
@@ -407,21 +397,18 @@ def tried(log: RecordReader, failed: Node) -> TriedAction | None:
         query for query in log.records(Query, action.started.seq, stop) if query.HasField("grid") and query.task in ids
     ]
     data = {} if action.failure is None else argument_values(action.failure.data)
+    last = data.get("last")
+    if isinstance(last, dict):  # an exception
+        last = last.get("repr") or next(iter(last.values()), "")
+    error = "" if last is None else str(last)
     return TriedAction(
         action,
         tuple(part for part in parts if part.kind == "attempt"),
         tuple(imagined),
         tuple(asked[-_MAX_PLACES:]),
         data.get("spent") is True,
-        _error_text(data.get("last")),
+        error,
     )
-
-
-def _error_text(last: Plain) -> str:
-    """Return a recorded error as text."""
-    if isinstance(last, dict):
-        return str(last.get("repr") or next(iter(last.values()), ""))
-    return "" if last is None else str(last)
 
 
 def _choice(task: Node) -> str:

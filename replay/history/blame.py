@@ -193,7 +193,7 @@ class _Search:
         """Return whether a change is more than settling, or than rounding."""
         if commanded(record) == self._body:
             return True
-        return _is_far(part, after, before, _SETTLING if _is_physics(record) else _ROUNDING)
+        return _is_far(part, after, before, _SETTLING if is_physics(record) else _ROUNDING)
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
         """Return its values in a record: position and orientation, or the joint's value."""
@@ -268,7 +268,8 @@ class _Search:
         return Carried(held, None, None)
 
 
-def _is_physics(record: Mutation | Keyframe) -> bool:
+def is_physics(record: Mutation | Keyframe) -> bool:
+    """Return whether a record is a stretch of simulation."""
     return isinstance(record, Mutation) and record.WhichOneof("command") in ("simulate", "set_realtime")
 
 
@@ -301,7 +302,7 @@ def _in_simulation(record: Mutation, world: World, body: str, joint: str) -> str
 
 def _how(record: Mutation, world: World, body: str, joint: str) -> tuple[str, list[Attachment]]:
     """Return how a command made a body or joint move, by the state before it."""
-    if _is_physics(record):
+    if is_physics(record):
         return _in_simulation(record, world, body, joint), []
     if record.HasField("reset"):
         return "reset", []

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 
 _RUN_RECORDS: Final = 2  # of a run without failed threads: started, finished
+#: What a plan ends with that somebody interrupts.
+INTERRUPT: Final = "KeyboardInterrupt"
 _MAX_KEPT: Final = 5_000  # failures, and motions: a node with its records takes some 3 kB
 
 
@@ -96,16 +98,12 @@ def failed_threads(log: RecordReader) -> tuple[Run, ...]:
     return tuple(record for record in log.records(Run) if record.phase == Run.THREAD_FAILED)
 
 
-#: What a plan ends with that somebody interrupts.
-INTERRUPT: Final = "KeyboardInterrupt"
-
-
 @dataclass(frozen=True, slots=True)
 class RootCause:
     """The root cause of a failure."""
 
-    #: the moment of it: the end of the task in which it began; of a failure of the plan's own code the last step before
-    #: worlds were closed, or that in which its thread ended
+    #: The end of the task in which it began. If the plan's own code failed: the last step before worlds were closed, or
+    #: the step in which its thread ended.
     step: int
     task: Node | None  # the task in which it began; None if the plan's own code did it
     failure: Failure | None = None  # what the plan, or a thread of it, failed with; None if neither did
@@ -121,7 +119,9 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
         task = decisive(failed.origins)
         return RootCause(task.last_step, task) if task is not None else None
     thread = end.thread if end.phase == Run.THREAD_FAILED else ""
-    exceptions = _exceptions(end.failure, PlanSource(log))
+    parsed = parse_traceback(end.failure.traceback, PlanSource(log))
+    last = parsed.pop() if parsed else ParsedException("", "", ())  # it is the failure itself: the record has its words
+    exceptions = (*parsed, ParsedException(end.failure.type, end.failure.message, last.lines, last.own))
     earlier = [task for task in failed.origins if task.last_step < end.seq]  # the plan may go on, and fail alike
     if end.failure.type == INTERRUPT:  # not because of what had failed before
         exceptions = exceptions[-1:]
@@ -139,13 +139,6 @@ def uncaught_failure(log: RecordReader) -> Run | None:
     if isinstance(end, Run) and end.HasField("failure"):
         return end
     return next(reversed(failed_threads(log)), None)
-
-
-def _exceptions(failure: Failure, source: PlanSource) -> tuple[ParsedException, ...]:
-    """Return the exceptions, causes first; the last one is the failure itself, whose words the record has."""
-    exceptions = parse_traceback(failure.traceback, source)
-    last = exceptions.pop() if exceptions else ParsedException("", "", ())
-    return (*exceptions, ParsedException(failure.type, failure.message, last.lines, last.own))
 
 
 def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:

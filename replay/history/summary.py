@@ -13,8 +13,6 @@ from replay.history.failures import INTERRUPT, failed_threads
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from recorder.records import Record
-    from replay.file.lifetimes import Lifetime
     from replay.file.record_reader import RecordReader
 
 #: Recordings up to this size, in bytes, are read whole to check them; of larger ones only both ends.
@@ -52,18 +50,6 @@ class Summary:
     start: Run | None  # the first record, with what the plan was given; None if it is lost
 
 
-def _simulated(log: RecordReader, lifetime: Lifetime) -> WorldClock:
-    end = log.end_of(lifetime)
-    return WorldClock(lifetime.world, lifetime.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
-
-
-def _seconds(first: Record, last: Record) -> float:
-    """Time between two records in s, also where the wall clock was set meanwhile; older recordings have that alone."""
-    if last.monotonic_ns:
-        return (last.monotonic_ns - first.monotonic_ns) / 1e9
-    return (last.wall_time_ns - first.wall_time_ns) / 1e9
-
-
 def summary(log: RecordReader) -> Summary:
     """Sum up a recording.
 
@@ -81,11 +67,16 @@ def summary(log: RecordReader) -> Summary:
     unfinished = "running" if log.live else "lost" if is_lost else "cut off"
     failed = "interrupted" if end is not None and end.failure.type == INTERRUPT else "failed"
     outcome = unfinished if end is None else "succeeded" if end.succeeded else failed
+    elapsed_ns = last.monotonic_ns - first.monotonic_ns  # right also if the wall clock was set meanwhile
+    if not last.monotonic_ns:  # as in older recordings
+        elapsed_ns = last.wall_time_ns - first.wall_time_ns
+    ends = [(lifetime, log.end_of(lifetime)) for lifetime in log.lifetimes]
+    steps = [(lifetime, end.sim_step if end is not None else 0) for lifetime, end in ends]
     return Summary(
         plan=log.metadata.get("plan", ""),
         started=datetime.fromtimestamp(first.wall_time_ns / 1e9, UTC),
-        seconds=_seconds(first, last),
-        worlds=tuple(_simulated(log, lifetime) for lifetime in log.lifetimes),
+        seconds=elapsed_ns / 1e9,
+        worlds=tuple(WorldClock(each.world, each.number, step / STEPS_PER_SECOND) for each, step in steps),
         outcome=outcome,
         failure=format_failure(end.failure) if end is not None and end.HasField("failure") else "",
         threads=tuple((record.thread, format_failure(record.failure)) for record in failed_threads(log)),

@@ -279,16 +279,20 @@ def _mover(record: Mutation | Keyframe) -> str:
     return f"{joints[0]} of {body}" if len(joints) == 1 else body
 
 
-def objects_in(value: Plain) -> Iterator[str]:
-    """Yield the names of the bodies in a recorded value."""
+def bodies_in(value: Plain) -> Iterator[tuple[str, str]]:
+    """Yield the names of the bodies in a recorded value, with their worlds."""
     if isinstance(value, dict):
         if set(value) == {"object", "world"}:
-            yield str(value["object"])
+            yield str(value["object"]), str(value["world"])
             return
         value = list(value.values())
-    if isinstance(value, list):
-        for item in value:
-            yield from objects_in(item)
+    for item in value if isinstance(value, list) else ():
+        yield from bodies_in(item)
+
+
+def objects_in(value: Plain) -> Iterator[str]:
+    """Yield the names of the bodies in a recorded value."""
+    return (name for name, _ in bodies_in(value))
 
 
 def _names_in(data: Mapping[str, Plain]) -> Iterator[str]:

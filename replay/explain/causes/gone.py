@@ -38,7 +38,10 @@ class Gone(Cause):
         if removal is None:
             return
         removed = case.change(removal, name, "removed")
-        loaded = _loaded_again(case, removal, name)
+        later = case.log.records(Mutation, removal.seq + 1, case.step)
+        again = (each for each in later if each.HasField("load_body") and each.world == removal.world)
+        reloaded = next((each for each in again if each.load_body.body == name), None)
+        loaded = case.change(reloaded, name, "load") if reloaded is not None else None
         steps = (removed.step, *([loaded.step] if loaded is not None else []), case.step)
         yield Gone(steps, name, removed, loaded)
 
@@ -134,13 +137,6 @@ def _removal_of_type(case: FailureCase, object_type: str) -> tuple[str, Mutation
         if body is not None and body.type == object_type:
             return body.name, record
     return "", None
-
-
-def _loaded_again(case: FailureCase, removal: Mutation, name: str) -> CausingChange | None:
-    for record in case.log.records(Mutation, removal.seq + 1, case.step):
-        if record.HasField("load_body") and record.load_body.body == name and record.world == removal.world:
-            return case.change(record, name, "load")
-    return None
 
 
 def _last_grip(case: FailureCase, body: str, *, attached: bool) -> CausingChange | None:

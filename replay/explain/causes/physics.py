@@ -16,7 +16,7 @@ from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
 from replay.explain.causes.case import FailureCase, about, objects_in, result
 from replay.explain.causes.cause import Cause, CausingChange
-from replay.history.blame import commanded
+from replay.history.blame import commanded, is_physics
 from replay.report import phrases
 from replay.state.fold import state_at
 
@@ -114,10 +114,10 @@ class _Fate:
                 continue
             if name in record.effect.removed:
                 break
-            if not _is_physics(record) and self._touches(record):
+            if not is_physics(record) and self._touches(record):
                 self.base = record
                 break
-            if _is_physics(record) and self._pose_in(record):
+            if is_physics(record) and self._pose_in(record):
                 self.moves.insert(0, record)
         successes = (
             motion.last_step
@@ -272,10 +272,6 @@ class _Fate:
     def _pose(self, step: int) -> Pose | None:
         body = self._body(state_at(self._case.log, step), self._name)
         return body.pose if body is not None else None
-
-
-def _is_physics(record: Mutation) -> bool:
-    return record.WhichOneof("command") in ("simulate", "set_realtime")
 
 
 def _how(record: Mutation) -> str:
