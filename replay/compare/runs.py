@@ -100,10 +100,10 @@ def _divergence(
             if match is None:
                 waiting[side][key] = record
             elif diverged is None:
-                pair_of_runs = (match, record) if side else (record, match)
-                fields = differing(*pair_of_runs, tolerance, names)
+                a, b = (match, record) if side else (record, match)
+                fields = differing(a, b, tolerance, names)
                 if fields:
-                    diverged = *pair_of_runs, fields
+                    diverged = a, b, fields
                 else:
                     equal += 1
         since += diverged is not None
