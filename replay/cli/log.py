@@ -96,22 +96,14 @@ def follow(
 
 @dataclass(slots=True)
 class RecordFilter:
-    """Picks the records of a recording that match all that is given; it can go on when the recording has grown.
+    """Picks the records of a recording that match all that is given; it can go on when the recording has grown."""
 
-    Attributes:
-        kinds: names of kinds ("task", "mutation", ...); empty for all.
-        task: id of a task, or part of its name; its subtasks match too.
-        body: name of a body that records must be about.
-        world: name of the world that they are about.
-        text: what their line must contain, ignoring case.
-        where: a file of the plan, and one of its lines or None, that must have led to them.
-    """
-
-    kinds: Collection[str]
-    task: str | None
-    body: str | None
-    world: str | None
-    text: str | None
+    kinds: Collection[str]  # names of kinds ("task", "mutation", ...); empty for all
+    task: str | None  # id of a task, or part of its name; its subtasks match too
+    body: str | None  # name of a body that records must be about
+    world: str | None  # name of the world that they are about
+    text: str | None  # what their line must contain, ignoring case
+    #: a file of the plan, and one of its lines or None, that must have led to them
     where: tuple[str, int | None] | None = None
     _tasks: set[int] = field(default_factory=set)  # that match
     _led_to: set[int] = field(default_factory=set)  # tasks that the line led to

@@ -1,20 +1,22 @@
-"""The tables of a folder of recordings: made from new and changed recordings only, and replaced in one go.
+"""The tables of a folder of recordings: made from new and changed recordings only, and replaced atomically.
 
-Beside the recordings lies ``tables/``: ``contents.json``, which says what is in the tables, and in folders of their own
-the Parquet files of the tables, called parts: each has the rows of some recordings. What is added is a part of its own;
-small parts are merged. The new contents replace the old ones by one rename, so a kill leaves the old tables or the new
-ones. Readers hold a lock on the parts that they have, shared: what is obsolete stays until nobody reads it any more.
-Recordings that can't be read, or are of a newer release, are named and left out.
+``tables/`` in the folder has ``contents.json``, which lists the recordings in the tables, and a subfolder for each part
+with the Parquet files of some recordings. An update adds a part; small parts are merged. New contents replace the old
+ones by one rename, so a kill leaves the old tables or the new ones. Readers hold a shared lock on their parts: an
+obsolete part stays until its last reader closes. Recordings that can't be read, or are of a newer release, are reported
+and left out.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import re
 import shutil
 import tempfile
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,18 +25,18 @@ from pyarrow import compute, parquet
 
 from replay.errors import NotALog, ReplayError
 from replay.file.record_reader import RecordReader
-from replay.runs.contents import Contents, flocked, parts_there
-from replay.runs.record_rows import tables_of
-from replay.runs.rows import FOLDER, NEW, partial_rows, read_rows, written_rows
-from replay.runs.schema import RUN, TABLES, arrow_schema
+from replay.runs.rows import FOLDER, NEW, partial_rows, read_rows, tables_of, written_rows
+from replay.runs.schema import RUN, TABLES, VERSION, arrow_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
 
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 _RUN_FIELD: Final = pa.field(RUN.name, pa.string())
 _MODELS: Final = "models-"  # files of models that a sweep's recordings share
@@ -59,14 +61,9 @@ class NotRead(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """A file of the folder that is left out.
+    """A file of the folder that has no rows in the tables."""
 
-    Attributes:
-        name: of the file.
-        reason: in words.
-    """
-
-    name: str
+    name: str  # of the file
     reason: str
 
 
@@ -90,7 +87,7 @@ class Folder:
         self._held = contextlib.ExitStack()
 
     def close(self) -> None:
-        """Let go of the tables, which other processes may then remove when they bring them up to date."""
+        """Release the tables; other processes may then remove obsolete parts."""
         self._held.close()
 
     @property
@@ -100,7 +97,7 @@ class Folder:
 
     @property
     def skipped(self) -> tuple[Skipped, ...]:
-        """The files that are left out, each with the reason."""
+        """The files without rows, each with the reason."""
         files = sorted(self._contents.files.items())
         return tuple(Skipped(name, facts["reason"]) for name, facts in files if "reason" in facts)
 
@@ -111,7 +108,7 @@ class Folder:
 
     def files(self, table: str) -> list[str]:
         """Return the Parquet files of a table."""
-        tables = self.tables.absolute()  # wherever the process goes meanwhile
+        tables = self.tables.absolute()  # the process may change its directory
         return [str(tables / part / f"{table}.parquet") for part in sorted(self._contents.parts)]
 
     def recordings(self) -> dict[str, os.stat_result]:
@@ -133,12 +130,12 @@ class Folder:
         """Bring the tables up to date.
 
         Args:
-            progress: is called with how many of how many recordings are read.
+            progress: called with the number of recordings read, and of all to be read.
 
         Raises:
             NotRead: the tables aren't up to date, and can't be written.
         """
-        if self.tables.is_symlink():  # what lies elsewhere isn't ours to replace
+        if self.tables.is_symlink():  # its target isn't ours to replace
             raise NotRead(self.path, f"{self.tables} is a link; remove it, and tables are made in its place")
         self.close()
         try:
@@ -147,7 +144,7 @@ class Folder:
                 self._update(progress)
                 self._hold()
         except OSError as error:
-            self._contents = Contents.read(self.tables)  # such as on a read-only disk: they may be there
+            self._contents = Contents.read(self.tables)  # a read-only disk may have up-to-date tables
             if any(self._changed(self.recordings())):
                 reason = error.strerror or str(error)
                 cause = f"its tables can't be written ({reason}); copy it to where they can be"
@@ -155,9 +152,13 @@ class Folder:
             self._hold()
 
     def _changed(self, present: Mapping[str, os.stat_result]) -> tuple[list[str], list[str]]:
-        """Return which recordings in the tables have changed or are gone, and which ones are to be read."""
+        """Return the recordings in the tables that changed or are gone, and the recordings to be read."""
         known = self._contents.files
-        stale = [name for name, facts in known.items() if _state(present.get(name)) != _known_state(facts)]
+        stale = [
+            name
+            for name, facts in known.items()
+            if _state(present.get(name)) != {key: facts.get(key) for key in ("size", "mtime_ns")}
+        ]
         return stale, [name for name in present if name not in known or name in stale]
 
     def _update(self, progress: Callable[[int, int], object]) -> None:
@@ -170,7 +171,9 @@ class Folder:
             batch = wanted[start : start + _BATCH]
             progress(start, len(wanted))
             self._add({name: present[name] for name in batch}, progress, start, len(wanted))
-        self._merge()
+        small = {part: names for part, names in self._contents.parts.items() if len(names) < _SMALL}
+        if len(small) >= _PARTS:
+            self._rewrite(list(small), [name for names in small.values() for name in names])
         self._contents.write(self.tables)
         for part in parts_there(self.tables) - set(self._contents.parts):
             with contextlib.suppress(BlockingIOError), flocked(self.tables / part, exclusive=True):
@@ -182,7 +185,7 @@ class Folder:
     def _add(
         self, recordings: Mapping[str, os.stat_result], progress: Callable[[int, int], object], done: int, of: int
     ) -> None:
-        """Read recordings, and write their rows as a part."""
+        """Read recordings and write their rows as a part."""
         rows: dict[str, list[pa.Table]] = defaultdict(list)
         names = []
         for name, state in recordings.items():
@@ -190,12 +193,14 @@ class Folder:
             try:
                 tables = self._rows(name, state)
             except (ReplayError, OSError) as error:
-                self._contents.files[name] = _state(state) | {"reason": _reason(self.path / name, error)}
+                reason = str(error).removeprefix(f"{self.path / name}: ")
+                self._contents.files[name] = _state(state) | {"reason": reason}
                 continue
             progress(done, of)
             names.append(name)
             for table, of_table in tables.items():
-                rows[table].append(_with_run(of_table, name))
+                run = pa.repeat(pa.scalar(name, pa.string()), len(of_table))
+                rows[table].append(of_table.add_column(0, _RUN_FIELD, run))
         if not names:
             return
         part = self._write_part({table: pa.concat_tables(parts) for table, parts in rows.items()})
@@ -221,7 +226,7 @@ class Folder:
     # --- parts -------------------------------------------------------------------------------------------------------
 
     def _drop(self, names: Iterable[str]) -> None:
-        """Leave recordings out that changed or are gone."""
+        """Remove the rows of recordings."""
         gone: dict[str, set[str]] = defaultdict(set)
         for name in names:
             facts = self._contents.files.pop(name)
@@ -231,12 +236,6 @@ class Folder:
             rest = [name for name, facts in self._contents.files.items() if facts.get("part") == part]
             if rest:
                 self._rewrite([part], rest)
-
-    def _merge(self) -> None:
-        """Merge small parts where there are many."""
-        small = {part: names for part, names in self._contents.parts.items() if len(names) < _SMALL}
-        if len(small) >= _PARTS:
-            self._rewrite(list(small), [name for names in small.values() for name in names])
 
     def _rewrite(self, parts: Sequence[str], names: Sequence[str]) -> None:
         """Write the rows of some recordings of some parts as one new part."""
@@ -270,7 +269,7 @@ class Folder:
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
-        """Let no other process change the tables meanwhile."""
+        """Keep other processes from changing the tables."""
         self.tables.mkdir(exist_ok=True)
         (self.tables / NEW).mkdir(exist_ok=True)
         with (self.tables / ".lock").open("w") as lock:
@@ -281,24 +280,12 @@ class Folder:
     def _hold(self) -> None:
         """Keep other processes from removing these tables until they are closed."""
         for part in self._contents.parts:
-            with contextlib.suppress(BlockingIOError):  # it isn't waited for
+            with contextlib.suppress(BlockingIOError):  # don't wait for it
                 self._held.enter_context(flocked(self.tables / part, exclusive=False))
 
 
 def _state(state: os.stat_result | None) -> dict[str, Any]:
     return {} if state is None else {"size": state.st_size, "mtime_ns": state.st_mtime_ns}
-
-
-def _known_state(facts: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: facts.get(key) for key in ("size", "mtime_ns")}
-
-
-def _with_run(table: pa.Table, name: str) -> pa.Table:
-    return table.add_column(0, _RUN_FIELD, pa.repeat(pa.scalar(name, pa.string()), len(table)))
-
-
-def _reason(path: Path, error: Exception) -> str:
-    return str(error).removeprefix(f"{path}: ")
 
 
 def _umask() -> int:
@@ -310,3 +297,87 @@ def _umask() -> int:
 def empty_tables() -> dict[str, pa.Table]:
     """Return the tables of a folder without recordings."""
     return {table.name: pa.schema([_RUN_FIELD, *arrow_schema(table)]).empty_table() for table in TABLES}
+
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+
+_CONTENTS: Final = "contents.json"
+_PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # its name; with a dot before it while it is written
+
+
+@dataclass
+class Contents:
+    """The contents of the tables."""
+
+    #: size and time of each recording that was read, and its part; those that can't be read have the reason
+    files: dict[str, dict[str, Any]] = field(default_factory=dict)
+    next: int = 1  # number of the next part
+
+    @property
+    def parts(self) -> dict[str, list[str]]:
+        """Names of the recordings by part."""
+        found = defaultdict(list)
+        for name, facts in self.files.items():
+            if "part" in facts:
+                found[facts["part"]].append(name)
+        return found
+
+    @classmethod
+    def read(cls, tables: Path) -> Contents:
+        """Return the contents of a folder of tables; empty if they are unreadable or of another release."""
+        numbers = [int(found[1]) for name in parts_there(tables) if (found := _PART.fullmatch(name))]
+        nothing = cls(next=max(numbers, default=0) + 1)  # readers of old parts may continue
+        try:
+            content = json.loads((tables / _CONTENTS).read_text(encoding="utf-8"))
+            contents = cls(dict(content["files"]), int(content["next"]))
+            decimal = all(part.isdecimal() for part in contents.parts)  # no path out of the folder
+            ours = content["version"] == VERSION and decimal
+            intact = ours and all(
+                (tables / part / f"{table.name}.parquet").is_file() for part in contents.parts for table in TABLES
+            )
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return nothing
+        return contents if intact else nothing
+
+    def write(self, tables: Path) -> None:
+        """Write them atomically."""
+        partial = tables / f".{_CONTENTS}.{os.getpid()}"
+        content = {"version": VERSION, "next": self.next, "files": self.files}
+        try:
+            partial.write_text(json.dumps(content, indent=0), encoding="utf-8")
+            partial.replace(tables / _CONTENTS)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def parts_there(tables: Path) -> set[str]:
+    """Return the names of the folders of parts, including obsolete ones."""
+    found = tables.iterdir() if tables.is_dir() else ()
+    return {each.name for each in found if _PART.fullmatch(each.name) and each.is_dir() and not each.is_symlink()}
+
+
+@contextlib.contextmanager
+def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
+    """Hold a lock on a folder, if the system has locks, without waiting for it.
+
+    Raises:
+        BlockingIOError: another process holds it.
+    """
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise
+        except OSError:  # some network file systems have none
+            pass
+        yield
+    finally:
+        os.close(descriptor)

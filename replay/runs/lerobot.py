@@ -1,11 +1,9 @@
-"""Runs as a data set of LeRobot's format v3.0: an episode a run, 30 frames a second of simulated time.
+"""Runs as a data set in LeRobot's format v3.0: an episode for each run, 30 frames a second of simulated time.
 
-A frame has where the robot's base and joints are (``observation.state``), where they are in the next frame
-(``action``), and where the bodies are that move in any run (``observation.environment_state``). Between two changes
-everything is where it was, so runs whose motions take time (execution environment ``continuous``) have trajectories,
-others jump. What a camera sees can be drawn for each frame (:mod:`replay.runs.video`).
-
-The folder is written under another name first, and renamed when it is whole.
+A frame has the robot's base pose and joints (``observation.state``), the same of the next frame (``action``), and poses
+of all bodies that move in any run (``observation.environment_state``). Between two changes nothing moves. So only runs
+whose motions take time (execution environment ``continuous``) have trajectories. A camera's picture can be drawn for
+each frame (:mod:`replay.runs.video`). The folder is written under a temporary name and renamed when it is complete.
 """
 
 from __future__ import annotations
@@ -36,37 +34,30 @@ if TYPE_CHECKING:
 
 FPS: Final = 30
 _FILE_SIZE: Final = 100  # MB of a data file
-FILES: Final = 1000  # in a folder of them
+FILES: Final = 1000  # files in a folder
 _DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO: Final = "observation.images.camera"
 VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-VIDEO_SIZE: Final = 200  # MB of a file of videos, after which the next episode begins another one
+VIDEO_SIZE: Final = 200  # MB of a video file, after which the next episode begins a new one
 _EPISODES: Final = "meta/episodes/chunk-000/file-000.parquet"
 _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _STATE, _ACTION, _ENVIRONMENT = "observation.state", "action", "observation.environment_state"
 
 
-#: Draws what a camera sees in a world after a step, or at a moment within the next one (s of simulated time), in so
-#: many pixels, width and height; who exports brings it, as recordings are read without what draws.
+#: Draws the picture of a camera in a world after a step, or at a moment within the next step (s of simulated time). The
+#: size is width and height in pixels. The caller provides it, as reading recordings doesn't need rendering.
 Draw: TypeAlias = "Callable[[RecordReader, int, str, float | None, tuple[int, int]], NDArray[np.uint8]]"
 
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was exported.
-
-    Attributes:
-        folder: the data set.
-        episodes: names of the recordings, in the order of the episodes.
-        frames: of all.
-        left_out: recordings without a robot that moves, by name.
-    """
+    """A data set that was written."""
 
     folder: Path
-    episodes: tuple[str, ...]
+    episodes: tuple[str, ...]  # names of the recordings, in the order of the episodes
     frames: int
-    left_out: tuple[str, ...]
+    left_out: tuple[str, ...]  # names of recordings in which no robot moves
 
 
 def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = None) -> Exported:
@@ -74,12 +65,12 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
 
     Args:
         runs: the folder of recordings.
-        names: of those that are exported.
-        folder: where the data set gets; it must not be there yet.
-        draw: draws what a camera sees, for a video; None for none.
+        names: names of the runs to export.
+        folder: the data set; it must not exist.
+        draw: draws the pictures of a video; None for no video.
 
     Raises:
-        ReplayError: no robot moves in any run, they are of several robots, or the folder can't be written.
+        ReplayError: no robot moves in any run, the runs are of several robots, or the folder can't be written.
     """
     if draw is not None:
         from replay.runs.video import Videos  # noqa: PLC0415  what it needs is an extra
@@ -102,16 +93,15 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
                 frames = _Writer(partial, runs, list(robots), kinds[0], videos).write()
             partial.chmod(0o755)
             partial.rename(folder)
-        except BaseException:
-            shutil.rmtree(partial, ignore_errors=True)
-            raise
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)  # if it wasn't renamed
     except OSError as error:
         raise ReplayError(f"{folder}: can't be written: {error.strerror or error}") from error
     return Exported(folder, tuple(robots), frames, tuple(name for name in names if name not in robots))
 
 
 def _robots(runs: Runs, names: Sequence[str]) -> dict[str, str]:
-    """Return the last robot of each run whose joints are on record."""
+    """Return the last robot of each run with recorded joints."""
     rows = runs.sql(
         "SELECT run, arg_max(body, step) FROM mutations m WHERE command = 'set_robot' AND body <> '' "
         "AND EXISTS (SELECT 1 FROM joints j WHERE j.run = m.run AND j.body = m.body) GROUP BY run ORDER BY run"
@@ -176,7 +166,7 @@ class _Writer:
 
     @property
     def task(self) -> str:
-        """What the robot does, in words: the plan's name."""
+        """The task's description: the plan's name."""
         (plan,) = self.runs.sql("SELECT plan FROM runs WHERE run = ?", [self.names[0]]).rows()[0]
         return str(plan)
 
@@ -190,7 +180,7 @@ class _Writer:
         return [name for (name,) in rows.rows()]
 
     def _moving(self) -> list[str]:
-        """Return the bodies but the robot that all runs have, and that move in one of them."""
+        """Return the bodies that all runs have and that move in any run, without the robot."""
         in_all = self._common("body", "poses", "body <> ?", [self.robot])
         rows = self.runs.sql(
             "SELECT DISTINCT body FROM (SELECT run, body FROM poses WHERE list_contains(?, run) GROUP BY run, body "
@@ -201,7 +191,7 @@ class _Writer:
         return [body for body in in_all if body in moving]
 
     def _frames(self, run: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Return when the frames of an episode are, in s of simulated time, and its columns."""
+        """Return the times of an episode's frames, in s of simulated time, and its columns."""
         poses = self._series(run, "poses", "body", _POSE)
         joints = self._series(run, "joints", "joint", ("position",), self.robot)
         times = [time for moments, _ in [*poses.values(), *joints.values()] for time in (moments[0], moments[-1])]
@@ -225,7 +215,7 @@ class _Writer:
     def _series(
         self, run: str, table: str, key: str, columns: Sequence[str], body: str | None = None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return times and values by name; of several at one time the last holds."""
+        """Return times and values by name; of several values at one time the last counts."""
         rows = self.runs.sql(
             f"SELECT {key}, sim_seconds, {', '.join(columns)} FROM {table} WHERE run = ? AND (? IS NULL OR body = ?) "  # noqa: S608  the names are ours
             "ORDER BY step, sim_seconds",
@@ -293,25 +283,22 @@ class _Writer:
         """Yield the columns of all data files, one at a time."""
         files = sorted((self.folder / "data").rglob("*.parquet"))
         for name in self._features():
-            parts = [parquet.ParquetFile(file).read([name])[name].combine_chunks() for file in files]
-            yield name, np.concatenate([_array(part) for part in parts])
-
-
-def _array(column: pa.Array) -> np.ndarray:
-    """Return a column as rows of numbers."""
-    if pa.types.is_fixed_size_list(column.type):
-        return np.asarray(column.flatten()).reshape(len(column), -1)
-    return np.asarray(column)
+            parts = []
+            for file in files:
+                column = parquet.ParquetFile(file).read([name])[name].combine_chunks()
+                is_vector = pa.types.is_fixed_size_list(column.type)
+                parts.append(np.asarray(column.flatten()).reshape(len(column), -1) if is_vector else np.asarray(column))
+            yield name, np.concatenate(parts)
 
 
 def _at(series: tuple[np.ndarray, np.ndarray], moments: np.ndarray) -> np.ndarray:
-    """Return what held at some moments; before the first value, that."""
+    """Return the values at some moments; before the first value, the first one."""
     times, values = series
     return values[np.maximum(np.searchsorted(times, moments + 1e-9, side="right") - 1, 0)]
 
 
 def _table(frames: Mapping[str, np.ndarray]) -> pa.Table:
-    """Return an episode as a table: vectors as lists of a fixed size."""
+    """Return an episode as a table, with vectors as fixed-size lists."""
     columns = {}
     for name, values in frames.items():
         if values.ndim == 1:
@@ -323,7 +310,7 @@ def _table(frames: Mapping[str, np.ndarray]) -> pa.Table:
 
 
 def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[float]]]:
-    """Return what LeRobot normalises by, each as a list with a number for each part of a feature."""
+    """Return the statistics by which LeRobot normalises, each with a number for each component of a feature."""
     found = {}
     for name, values in columns.items():
         rows = values.astype(np.float64).reshape(len(values), -1)

@@ -1,9 +1,8 @@
-"""Facts about runs that may separate failures from successes, read from the tables.
+"""The predicates that may separate failed from successful runs, read from the tables.
 
-A fact is a *site* - a parameter, a slot of a motion's solution, a query's answer, a choice, an event, which of two
-things came first - and its value in each run. Only what came before the failure counts: what follows it is no cause of
-it. Where a run didn't get to a site, nothing is known there of it (statistical debugging speaks of predicates that are
-observed or not: Liblit et al. 2005, "Scalable statistical bug isolation").
+A *site* is a parameter, a slot of a motion's solution, an answer, a choice, an event, or an order of two events; it has
+values in each run that reached it. Only values before the failure count. In a run that didn't reach a site the
+predicate isn't observed (Liblit et al. 2005, "Scalable statistical bug isolation").
 """
 
 from __future__ import annotations
@@ -17,29 +16,24 @@ from typing import TYPE_CHECKING, Any, Final
 from recorder.records import from_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from recorder.records import Plain
     from replay.runs.runs import Runs
 
 _MAX_SITES: Final = 20_000
-_MAX_MARKS: Final = 60  # first things of a run whose order is compared
+_MAX_MARKS: Final = 60  # events of a run whose order is compared
 _MAX_TEXT: Final = 80  # characters of a value
 _AXES: Final = ("x", "y", "z")
-#: Kinds of sites without values, which runs got to or didn't: what happened there, and the tasks on their way.
+#: Kinds of sites without values: events that happened, and tasks that runs reached.
 PRESENT: Final = frozenset({"happened", "reached"})
-#: Kinds of tasks whose parameters are their motion's, or tell of nothing but the plan's structure.
+#: Kinds of tasks whose parameters are those of their motion, or only describe the plan's structure.
 _STRUCTURE: Final = frozenset({"process-module", "plan", "branch", "block", "cleanup"})
 
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """What a site had in a run.
-
-    Attributes:
-        value: text, number, or truth.
-        step: of the record.
-    """
+    """A value of a site in a run."""
 
     value: str | float | bool
     step: int
@@ -47,36 +41,25 @@ class Value:
 
 @dataclass(slots=True)
 class Site:
-    """A place at which runs may differ.
+    """A point at which runs may differ."""
 
-    Attributes:
-        kind: "parameter", "pose", "motion", "query", "choice", "event", "order", or one of :data:`PRESENT`.
-        name: in words, as "arm at pick-up(spoon)".
-        values: by the number of the run, all that it had there, in order; runs that didn't get there are left out.
-    """
-
-    kind: str
-    name: str
+    kind: str  # "parameter", "pose", "motion", "query", "choice", "event", "order", or one of :data:`PRESENT`
+    name: str  # as "arm at pick-up(spoon)"
+    #: By the number of the run, its values in order; runs that didn't reach the site are left out.
     values: dict[int, list[Value]] = field(default_factory=lambda: defaultdict(list))
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """A run that is compared with others.
+class ComparedRun:
+    """A run that is compared with others."""
 
-    Attributes:
-        run: name of its file.
-        failed: whether it failed.
-        end: the step at which its failure began; what came later doesn't count. For a success, its last.
-    """
-
-    run: str
+    run: str  # name of its file
     failed: bool
-    end: int
+    end: int  # the last step that counts: where its failure began, or the last one of a success
 
 
-def sites(runs: Runs, cases: Sequence[Case]) -> list[Site]:
-    """Return the sites of runs, each with its values."""
+def sites(runs: Runs, cases: Sequence[ComparedRun]) -> list[Site]:
+    """Return the sites of runs with their values."""
     found = _Sites(cases)
     found.parameters(runs)
     found.poses(runs)
@@ -88,9 +71,9 @@ def sites(runs: Runs, cases: Sequence[Case]) -> list[Site]:
 
 
 class _Sites:
-    """The sites, while tables are read."""
+    """Collects the sites from the tables."""
 
-    def __init__(self, cases: Sequence[Case]) -> None:
+    def __init__(self, cases: Sequence[ComparedRun]) -> None:
         self.cases = cases
         self.numbers = {case.run: number for number, case in enumerate(cases)}
         self.sites: dict[tuple[str, str], Site] = {}
@@ -98,7 +81,7 @@ class _Sites:
         self.branches: list[dict[int, str]] = [{} for _ in cases]
 
     def add(self, kind: str, name: str, number: int, value: Plain, step: int) -> None:
-        """Add a value; lists of numbers as coordinates, and what is no value not at all."""
+        """Add a value, if it is simple; a position is split into its coordinates."""
         for suffix, simple in _simple(value):
             key = kind, f"{suffix} of {name}" if suffix else name
             if key not in self.sites and len(self.sites) >= _MAX_SITES:
@@ -107,16 +90,16 @@ class _Sites:
             site.values[number].append(Value(simple, step))
 
     def before(self, run: str, step: int) -> int | None:
-        """Return the number of a run if a step counts in it."""
+        """Return the number of a run, if a step counts in it."""
         number = self.numbers.get(run)
         return number if number is not None and step <= self.cases[number].end else None
 
     def mark(self, number: int, name: str, step: int, task: int) -> None:
-        """Take note of the first time that something happens in a branch."""
+        """Note the first time that an event happens, and its branch."""
         self.marks[number].setdefault(name, (step, self.branches[number].get(task, "")))
 
     def parameters(self, runs: Runs) -> None:
-        """Add what runs were given."""
+        """Add the parameters of runs."""
         for run, parameters in runs.sql("SELECT run, parameters FROM runs").rows():
             number = self.numbers.get(run)
             if number is not None:
@@ -124,7 +107,7 @@ class _Sites:
                     self.add("parameter", name, number, from_json(text), 0)
 
     def poses(self, runs: Runs) -> None:
-        """Add where bodies were loaded, and where the plan itself put them."""
+        """Add the positions at which bodies were loaded, and to which the plan itself moved them."""
         put = runs.sql(
             "SELECT p.run, p.step, p.body, p.x, p.y, p.z, m.command FROM poses p JOIN mutations m USING (run, step) "
             "WHERE m.body = p.body AND m.command IN ('load_body', 'move_body') ORDER BY p.run, p.step"
@@ -140,7 +123,7 @@ class _Sites:
                 self.add("pose", f"{axis} of {body}, where it was {how}", number, value, step)
 
     def tasks(self, runs: Runs) -> None:  # noqa: C901  one step after the other
-        """Add which tasks runs got to, and how these were decided."""
+        """Add the tasks that runs reached, with their slots, resolvers and process modules."""
         rows = runs.sql(
             "SELECT run, step, task, parent, kind, name, label, parameters, solution, resolver, module, status, "
             "last_step, origin FROM tasks ORDER BY run, step"
@@ -155,11 +138,15 @@ class _Sites:
             if step > self.cases[number].end:
                 continue
             if not self.cases[number].failed or (last is not None and last < self.cases[number].end):
-                # that the failure came where it came is no news: not the tasks that it ended
+                # the tasks that the failure ended only repeat where it happened
                 self.add("reached", f"{label} {kind}" if kind in _STRUCTURE else label, number, True, step)
             if kind not in _STRUCTURE:
                 self.mark(number, f"the start of {label}", step, task)
-                self._slots(number, label, values, step)
+                slots: dict[str, Plain] = {}
+                for text in values:  # slots of the solution replace the given ones
+                    slots |= _object(text)
+                for slot, value in slots.items():
+                    self.add("motion", f"{slot} at {label}", number, value, step)
             ended = last is not None and last < self.cases[number].end
             if ended and kind not in _STRUCTURE:
                 self.mark(number, f"the end of {label}", last, task)
@@ -171,16 +158,8 @@ class _Sites:
             if kind == "branch" and name:
                 self.mark(number, f"the start of branch {name}", step, task)
 
-    def _slots(self, number: int, label: str, values: Iterable[str], step: int) -> None:
-        """Add the slots of a motion; those of its solution replace what it was given."""
-        slots: dict[str, Plain] = {}
-        for text in values:
-            slots |= _object(text)
-        for slot, value in slots.items():
-            self.add("motion", f"{slot} at {label}", number, value, step)
-
     def queries(self, runs: Runs) -> None:
-        """Add answers, and what was chosen."""
+        """Add answers and choices."""
         rows = runs.sql(
             "SELECT run, step, task, label, answer, chosen, candidates, failure FROM queries ORDER BY run, step"
         )
@@ -197,7 +176,7 @@ class _Sites:
                 self.add("query", label, number, from_json(answer), step)
 
     def events(self, runs: Runs) -> None:
-        """Add events, values of fluents, and changes of worlds by the plan itself."""
+        """Add events, values of fluents, and the plan's own changes of worlds."""
         rows = runs.sql("SELECT run, step, task, kind, label, value FROM events ORDER BY run, step")
         for run, step, task, kind, label, value in rows.rows():
             number = self.before(run, step)
@@ -217,11 +196,10 @@ class _Sites:
                     self.add("happened", f"{body} was loaded", number, True, step)
 
     def orders(self) -> None:
-        """Add which of two things of different branches came first.
+        """Add the order of two events of different branches.
 
-        Where only one of them happened before the failure, it was first, as the other one came later or never. Pairs
-        that are known of some failures only would be chosen by the failures themselves: these don't count, nor does
-        what seldom happens in runs that succeed.
+        If only one of them happened before the failure, it was the first. A pair counts only if it is known in nearly
+        all failures, as the failures would select other pairs, and if its events are usual in successful runs.
         """
         failures = sum(case.failed for case in self.cases)
         usual: Counter[str] = Counter()
@@ -251,7 +229,7 @@ def _both(marks: Mapping[str, tuple[int, str]], first: str, second: str) -> bool
 
 
 def _apart(a: str, b: str) -> bool:
-    """Return whether two branches are different ones, none of which is part of the other."""
+    """Return whether two branches differ and neither contains the other."""
     return a != b and not f"{a}/".startswith(f"{b}/") and not f"{b}/".startswith(f"{a}/")
 
 
@@ -264,7 +242,7 @@ def _object(text: str) -> Mapping[str, Plain]:
 
 
 def _simple(value: Plain) -> Iterator[tuple[str, str | float | bool]]:
-    """Yield the simple values that a value is compared by, each with what it is of it."""
+    """Yield the simple values by which a value is compared, each with its coordinate or ""."""
     if isinstance(value, bool):
         yield "", value
     elif isinstance(value, int | float):

@@ -1,7 +1,7 @@
-"""Many runs: a folder of recordings that SQL is asked of, which only reads.
+"""A folder of recordings as tables, for SQL statements that only read.
 
-DuckDB answers, in memory, from the Parquet files beside the recordings. It is kept from everything else: it takes
-single statements that select, opens no files but these, and its settings are locked.
+DuckDB runs them in memory, from the Parquet files of the folder. It is sandboxed: it takes single SELECT statements,
+opens no other files, and its settings are locked.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SINGLE: Final = "give one statement that selects: the tables of runs are read, 
 
 
 class Refused(ReplayError):
-    """A statement isn't one that only reads the tables, or can't be answered.
+    """A statement doesn't only read the tables, or can't be executed.
 
     Attributes:
         sql: the statement.
@@ -50,7 +50,7 @@ class Answer:
 
     def __init__(self, table: pa.Table) -> None:
         names: list[str] = []
-        for name in table.column_names:  # twice the same, as of joined tables, is no key of JSON and no frame's column
+        for name in table.column_names:  # joined tables repeat names, JSON objects and data frames can't
             others = (f"{name}_{number}" for number in range(1, len(table.column_names)))
             names.append(name if name not in names else next(each for each in others if each not in names))
         self._table = table.rename_columns(names)
@@ -68,21 +68,21 @@ class Answer:
         return list(self._table.column_names)
 
     def rows(self) -> list[tuple[Any, ...]]:
-        """Return the rows as Python's own values."""
+        """Return the rows as Python values."""
         columns = [column.to_pylist() for column in self._table.columns]
         return list(zip(*columns, strict=True))
 
     def to_arrow(self) -> pa.Table:
-        """Return the rows as a table of Arrow."""
+        """Return the rows as an Arrow table."""
         return self._table
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the rows as a frame of pandas, which has to be installed."""
+        """Return the rows as a pandas data frame; pandas must be installed."""
         return self._table.to_pandas()
 
     def to_polars(self) -> pl.DataFrame:
-        """Return the rows as a frame of polars, which has to be installed."""
-        import polars as pl  # noqa: PLC0415  who doesn't use it need not have it
+        """Return the rows as a polars data frame; polars must be installed."""
+        import polars as pl  # noqa: PLC0415  optional
 
         return pl.DataFrame(self._table)
 
@@ -92,11 +92,11 @@ class Runs:
 
     Args:
         path: the folder.
-        progress: is called with how many of how many new recordings are read.
+        progress: called with the number of new recordings read, and of all new ones.
 
     Raises:
         NotALog: there is no such folder.
-        NotRead: its tables can't be written beside the recordings.
+        NotRead: its tables can't be written next to the recordings.
     """
 
     def __init__(self, path: str | Path, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
@@ -126,7 +126,7 @@ class Runs:
 
     @property
     def skipped(self) -> tuple[Skipped, ...]:
-        """The files of the folder that are left out, each with the reason."""
+        """The files without rows, each with the reason."""
         return self.folder.skipped
 
     def close(self) -> None:
@@ -138,11 +138,11 @@ class Runs:
         """Return what a statement selects from the tables; docs/runs.md has their columns.
 
         Args:
-            statement: SQL as of DuckDB, with ? for values.
-            values: of these.
+            statement: a SELECT in DuckDB's SQL, with ? for values.
+            values: the values.
 
         Raises:
-            Refused: it isn't one statement that only selects, opens other files, or makes no sense.
+            Refused: the statement is no single SELECT, opens other files, or is invalid.
             NotRead: the tables were removed since they were opened.
         """
         try:
@@ -162,7 +162,7 @@ class Runs:
                 raise self._error(statement, error) from error
 
     def _error(self, statement: str, error: duckdb.Error) -> ReplayError:
-        """Return what is raised for an error of the database."""
+        """Return the error to raise for an error of the database."""
         if not all(Path(file).exists() for file in self._files):
             return NotRead(self.path, "its tables were removed since they were opened; open it again")
         if isinstance(error, duckdb.PermissionException):
@@ -170,7 +170,7 @@ class Runs:
         return Refused(statement, str(error))
 
     def _open(self) -> None:
-        """Make the views, and lock everything else out."""
+        """Create the views and lock the settings."""
         database = self._database
         files = {table.name: self.folder.files(table.name) for table in TABLES}
         self._files = [file for each in files.values() for file in each]

@@ -1,6 +1,6 @@
-"""The tables of a folder of recordings: their columns, and what each means. The one definition: docs are made from it.
+"""The tables of a folder of recordings: their columns and meanings. The documentation is generated from them.
 
-Values of users' own types are JSON, as recordings have them. Times are s since the recording began, by the clock;
+Values of users' own types are JSON, as in recordings. Times are s of the clock since the recording began;
 ``sim_seconds`` is the simulated time of the record's world.
 """
 
@@ -14,38 +14,26 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 VERSION: Final = 1
-"""Of these tables; others are made anew from the recordings."""
+"""Version of these tables; tables of other versions are made again from the recordings."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column.
-
-    Attributes:
-        name: its name.
-        kind: "text", "whole" (64 bits), "number" (64 bits), "yes/no", "moment" (UTC), "texts" (a list), or "map" (from
-            text to text).
-        meaning: in words.
-    """
+    """A column."""
 
     name: str
+    #: "text", "whole" (64 bits), "number" (64 bits), "yes/no", "moment" (UTC), "texts" (a list) or "map" (of texts).
     kind: str
     meaning: str
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table; each has ``run`` as its first column.
+    """A table; each has ``run`` as its first column."""
 
-    Attributes:
-        name: its name, which that of the view is, too.
-        meaning: what one row is.
-        columns: without ``run``.
-    """
-
-    name: str
-    meaning: str
-    columns: tuple[Column, ...]
+    name: str  # also of its view
+    meaning: str  # what one row is
+    columns: tuple[Column, ...]  # without ``run``
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -243,13 +231,13 @@ TABLES: Final = (
 
 
 COLUMNS: Final = {table.name: {name: at for at, name in enumerate(table.names)} for table in TABLES}
-"""Where each column is in a row of its table, without ``run``."""
+"""Index of each column in a row of its table, without ``run``."""
 
 
 @cache
 def arrow_schema(table: Table) -> pa.Schema:
-    """Return a table's columns without ``run`` as Arrow has them; names that repeat are stored once."""
-    import pyarrow as pa  # noqa: PLC0415  the schema is printed without it, too
+    """Return the Arrow schema of a table, without ``run``."""
+    import pyarrow as pa  # noqa: PLC0415  the schema is also printed without it
 
     kinds = {
         "text": pa.string(),

@@ -1,14 +1,14 @@
-"""Statistics over many runs: how often they succeed, of what they fail, and what takes long."""
+"""Statistics over many runs: how often they succeed, why they fail, and what takes long."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import from_json
-from replay.runs.intervals import wilson
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,132 +16,88 @@ if TYPE_CHECKING:
     from replay.runs.folder import Skipped
     from replay.runs.runs import Runs
 
-_MAX_VALUES: Final = 8  # of a parameter that are listed one by one; numbers with more are cut into quarters
+
+_MAX_VALUES: Final = 8  # values of a parameter that are listed one by one; more numbers are split into quarters
 _QUARTERS: Final = 4
 _SLOWEST: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """How many of some runs succeeded.
+    """The success rate of some runs."""
 
-    Attributes:
-        what: which runs, in words.
-        succeeded: how many did.
-        of: how many there are.
-    """
-
-    what: str
+    what: str  # which runs, in words
     succeeded: int
     of: int
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % interval of the share."""
+        """The 95 % interval of the rate."""
         return wilson(self.succeeded, self.of)
 
 
 @dataclass(frozen=True, slots=True)
 class FailureCause:
-    """Runs that failed of the same.
+    """The runs that failed for the same cause."""
 
-    Attributes:
-        cause: in words, without numbers.
-        count: how many.
-        share: of all failures.
-        first: name of the first one's file.
-        step: where its failure began; None if that isn't known.
-        message: of that one's failure.
-        runs: names of all.
-        steps: where the failures of these began.
-    """
-
-    cause: str
+    cause: str  # without numbers
     count: int
-    share: float
-    first: str
-    step: int | None
-    message: str
-    runs: tuple[str, ...]
-    steps: tuple[int | None, ...]
+    share: float  # of all failures
+    first: str  # name of the first run
+    step: int | None  # at which the first failure began, if known
+    message: str  # of the first failure
+    runs: tuple[str, ...]  # names of all
+    steps: tuple[int | None, ...]  # at which their failures began
 
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """What took long.
+    """A query, motion or task that took long."""
 
-    Attributes:
-        what: a query, motion or task, with its objects.
-        count: how often it ran.
-        total: s in all runs.
-        median: s.
-        longest: s.
-        run: name of the recording of the longest.
-        step: of it.
-    """
-
-    what: str
-    count: int
-    total: float
-    median: float
-    longest: float
-    run: str
-    step: int
+    what: str  # its name and objects
+    count: int  # how often it ran
+    total: float  # s in all runs
+    median: float  # s
+    longest: float  # s
+    run: str  # name of the recording with the longest
+    step: int  # of the longest
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Statistics of a folder of recordings.
-
-    Attributes:
-        folder: the folder.
-        plan: name of the plan.
-        runs: names of its recordings.
-        others: recordings of other plans, which are left out, by the plans' names.
-        skipped: files that can't be read, or were left out else.
-        success: of the runs that weren't interrupted.
-        outcomes: how many runs ended how.
-        parameters: success by the values of each parameter that has several.
-        causes: of failures, the commonest first.
-        queries: that took longest in all.
-        motions: that took longest in all.
-        tasks: others that took longest in all.
-        seconds: median, and longest, of a run, s.
-        records: of all runs.
-        size: of all files, bytes.
-    """
+    """Statistics of a folder of recordings."""
 
     folder: str
     plan: str
-    runs: tuple[str, ...]
-    others: tuple[tuple[str, int], ...]
-    skipped: tuple[Skipped, ...]
-    success: Share
-    outcomes: tuple[tuple[str, int], ...]
-    parameters: tuple[tuple[str, tuple[Share, ...]], ...]
-    causes: tuple[FailureCause, ...]
-    queries: tuple[Slow, ...]
-    motions: tuple[Slow, ...]
-    tasks: tuple[Slow, ...]
-    seconds: tuple[float, float]
-    records: int
-    size: int
+    runs: tuple[str, ...]  # names of its recordings
+    others: tuple[tuple[str, int], ...]  # number of recordings of each other plan, which are left out
+    skipped: tuple[Skipped, ...]  # files that are left out
+    success: Share  # of the runs that weren't interrupted
+    outcomes: tuple[tuple[str, int], ...]  # number of runs by outcome
+    parameters: tuple[tuple[str, tuple[Share, ...]], ...]  # success by the values of each parameter with several values
+    causes: tuple[FailureCause, ...]  # of failures, the most frequent first
+    queries: tuple[Slow, ...]  # by total time
+    motions: tuple[Slow, ...]  # by total time
+    tasks: tuple[Slow, ...]  # other tasks, by total time
+    seconds: tuple[float, float]  # median and longest duration of a run, s
+    records: int  # of all runs
+    size: int  # of all files, bytes
 
 
 def plan_of(runs: Runs, name: str | None = None) -> tuple[str, tuple[tuple[str, int], ...]]:
-    """Return the plan that most runs are of, or the one that is asked for, and how many runs are of each other one."""
+    """Return the requested plan, by default the most frequent one, and the number of runs of each other plan."""
     counts = runs.sql("SELECT plan, count(*) FROM runs GROUP BY plan ORDER BY count(*) DESC, plan").rows()
     chosen = name if name is not None else counts[0][0] if counts else ""
     return chosen, tuple((plan, count) for plan, count in counts if plan != chosen)
 
 
 def names_of(runs: Runs, plan: str) -> tuple[str, ...]:
-    """Return the names of a plan's recordings, in order."""
+    """Return the names of a plan's recordings in order."""
     return tuple(name for (name,) in runs.sql("SELECT run FROM runs WHERE plan = ? ORDER BY run", [plan]).rows())
 
 
 def statistics(runs: Runs, plan: str | None = None) -> Statistics:
-    """Return the statistics of a plan's runs, by default of the plan that most are of."""
+    """Return the statistics of a plan's runs, by default of the most frequent plan."""
     chosen, others = plan_of(runs, plan)
     rows = runs.sql(
         "SELECT run, outcome, succeeded, parameters, cause, cause_step, message FROM runs WHERE plan = ? ORDER BY run",
@@ -175,10 +131,10 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
 
 
 def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureCause, ...]:
-    """Return the causes of failures, the commonest first.
+    """Return the causes of failures, the most frequent first.
 
     Args:
-        failed: of each run: its name, the cause, the step at which that began, and the failure's message.
+        failed: of each run its name, the cause, the step at which that began, and the failure's message.
     """
     found: dict[str, list[tuple[str, int | None, str]]] = {}
     for run, cause, step, message in failed:
@@ -208,8 +164,13 @@ def _by_parameter(ended: Sequence[tuple[bool, dict[str, str]]]) -> tuple[tuple[s
 
 
 def _shares(of: Sequence[tuple[str, bool]]) -> tuple[Share, ...]:
-    """Return success by values; those of a number that has many are cut into quarters of the runs."""
-    values = sorted({text for text, _ in of}, key=_sorting)
+    """Return success by value; many numbers are split into quarters of the runs."""
+
+    def order(text: str) -> tuple[bool, float, str]:
+        value = from_json(text)
+        return (False, float(value), "") if isinstance(value, int | float) else (True, 0.0, text)
+
+    values = sorted({text for text, _ in of}, key=order)
     numbers = [from_json(text) for text in values]
     if len(values) <= _MAX_VALUES:
         return tuple(_share(str(from_json(text)), [ok for value, ok in of if value == text]) for text in values)
@@ -225,11 +186,6 @@ def _share(what: str, succeeded: Sequence[bool]) -> Share:
     return Share(what, sum(succeeded), len(succeeded))
 
 
-def _sorting(text: str) -> tuple[bool, float, str]:
-    value = from_json(text)
-    return (False, float(value), "") if isinstance(value, int | float) else (True, 0.0, text)
-
-
 def _slowest(runs: Runs, table: str, name: str, condition: str, plan: str) -> tuple[Slow, ...]:
     rows = runs.sql(
         f"SELECT t.{name}, count(*), sum(t.seconds), median(t.seconds), max(t.seconds), arg_max(t.run, t.seconds), "  # noqa: S608  the names are ours
@@ -238,3 +194,28 @@ def _slowest(runs: Runs, table: str, name: str, condition: str, plan: str) -> tu
         [plan],
     )
     return tuple(Slow(*row) for row in rows.rows())
+
+
+_Z: Final = 1.959963984540054  # of 95 %
+
+
+def wilson(count: int, of: int, z: float = _Z) -> tuple[float, float]:
+    """Return the 95 % interval of a rate (Wilson 1927, "Probable inference"); 0 to 1 without runs.
+
+    Unlike the normal approximation, it holds for few runs and for rates near 0 and 1.
+    """
+    if of == 0:
+        return 0.0, 1.0
+    share, spread = count / of, z * z / of
+    middle = (share + spread / 2) / (1 + spread)
+    half = z / (1 + spread) * math.sqrt(share * (1 - share) / of + spread / (4 * of))
+    low, high = max(0.0, middle - half), min(1.0, middle + half)
+    return (0.0 if count == 0 else low), (1.0 if count == of else high)
+
+
+def difference(a: int, of_a: int, b: int, of_b: int) -> tuple[float, float]:
+    """Return the 95 % interval of the difference of two rates (Newcombe 1998, method 10, from Wilson's intervals)."""
+    first, second = (a / of_a if of_a else 0.0), (b / of_b if of_b else 0.0)
+    (low_a, high_a), (low_b, high_b) = wilson(a, of_a), wilson(b, of_b)
+    apart = first - second
+    return apart - math.hypot(first - low_a, high_b - second), apart + math.hypot(high_a - first, second - low_b)

@@ -1,7 +1,7 @@
-"""What a robot's camera sees in a run, drawn from its recording, as the videos of a LeRobotDataset v3.0.
+"""The videos of a LeRobotDataset v3.0: the view of a robot's camera in each run, drawn from its recording.
 
-Episodes follow one another in MP4 files of AV1, each with frames at the data set's own pace; every second frame is a
-whole one, as training reads single frames from anywhere. A frame is drawn only if something has changed since the last.
+Episodes follow one another in AV1 files (MP4), at the frame rate of the data set. Every second frame is a key frame, as
+training reads single frames. A frame is drawn only if something has changed since the last one.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class Videos:
     """Writes the videos of a data set. A context manager.
 
     Args:
-        folder: the data set's.
+        folder: the folder of the data set.
         runs: the folder of recordings.
-        robot: whose camera it is.
-        draw: draws what the camera sees.
+        robot: the robot with the camera.
+        draw: draws the camera's pictures.
     """
 
     def __init__(self, folder: Path, runs: Runs, robot: str, draw: Draw) -> None:
@@ -52,7 +52,7 @@ class Videos:
         self._frames = 0  # in the file
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
-        self._counts = np.zeros((3, 256), np.int64)  # of all episodes: how often each channel has each value
+        self._counts = np.zeros((3, 256), np.int64)  # how often each channel has each value, in all episodes
         self._name, self._options = next((name, o) for name, o in _CODECS.items() if name in av.codecs_available)
 
     def __enter__(self) -> Self:
@@ -68,10 +68,10 @@ class Videos:
 
         Args:
             run: name of the recording.
-            moments: when the frames are, in s of simulated time.
+            moments: times of the frames, s of simulated time.
 
         Raises:
-            ReplayError: the robot has no camera, or what it sees isn't on record.
+            ReplayError: the robot has no camera, or its view isn't recorded.
         """
         if self._container is None or self._path.stat().st_size > VIDEO_SIZE * 1e6:
             self._close()
@@ -96,7 +96,7 @@ class Videos:
         }
 
     def feature(self) -> dict[str, Any]:
-        """Return what the data set says of its videos."""
+        """Return the data set's description of its videos."""
         width, height = _SIZE
         info = {
             "video.height": height,
@@ -111,7 +111,7 @@ class Videos:
         return {"dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"], "info": info}
 
     def statistics(self, frames: int) -> dict[str, Any]:
-        """Return what LeRobot normalises all episodes' pictures by."""
+        """Return the statistics by which LeRobot normalises the pictures of all episodes."""
         return statistics(self._counts, frames)
 
     @property
@@ -120,7 +120,7 @@ class Videos:
         return self._folder / VIDEO_PATH.format(video_key=VIDEO, chunk_index=chunk, file_index=file)
 
     def _pictures(self, run: str, moments: np.ndarray) -> Iterator[NDArray[np.uint8]]:
-        """Yield what the camera sees at some moments of a run."""
+        """Yield the camera's pictures at some moments of a run."""
         (world,) = self._runs.sql(
             "SELECT arg_max(world, step) FROM mutations WHERE run = ? AND command = 'set_robot' AND body = ?",
             [run, self._robot],
@@ -145,7 +145,7 @@ class Videos:
     def _open(self) -> None:
         self._file += 1
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        os.environ.setdefault("SVT_LOG", "1")  # else the codec prints how it is configured
+        os.environ.setdefault("SVT_LOG", "1")  # else the codec prints its configuration
         self._container = av.open(str(self._path), "w")
         stream = cast("VideoStream", self._container.add_stream(self._name, rate=FPS, options=self._options))
         stream.width, stream.height = _SIZE
@@ -159,17 +159,17 @@ class Videos:
 
     def _close(self) -> None:
         if self._container is not None:
-            self._encode(None)  # what the codec has held back
+            self._encode(None)  # flush the codec
             self._container.close()
             self._container = None
 
 
 def statistics(counts: NDArray[np.int64], frames: int) -> dict[str, Any]:
-    """Return what LeRobot normalises pictures by, of each channel, with values from 0 to 1.
+    """Return the statistics by which LeRobot normalises pictures, for each channel, with values from 0 to 1.
 
     Args:
         counts: how often each channel has each value from 0 to 255.
-        frames: how many pictures that is of.
+        frames: number of pictures.
     """
     values, of = np.arange(256) / 255, counts.sum(1, keepdims=True)
     mean = (counts * values).sum(1, keepdims=True) / of

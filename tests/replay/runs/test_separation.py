@@ -17,10 +17,9 @@ from pycram.language import failure_handling
 from pycram.reasoning.choosing import choosing
 from recorder import record
 from replay.cli.main import main
-from replay.runs.chance import Chance, evidence
-from replay.runs.intervals import difference, wilson
 from replay.runs.runs import Runs
-from replay.runs.separation import separate
+from replay.runs.separation import Chance, evidence, separate
+from replay.runs.statistics import difference, wilson
 from tests.measures import seeded
 from tests.replay.runs import errands
 from tests.replay.runs.conftest import COUNT
