@@ -1,12 +1,12 @@
-"""Compares two recordings: the first record where they diverge, and the difference at their ends.
+"""Compares two recordings: the first record that differs, and the difference of the states at their ends.
 
-Records are aligned by the path of their task and their index among that task's records, not by their numbers: branches
-of concurrent blocks may be scheduled differently in each run. What depends on the run only (clocks, durations, ids,
-threads) is not compared, and worlds and fluents are paired whose names differ. Both recordings are streamed.
+Records are aligned by the path of their task and their index among that task's records, not by their step: concurrent
+branches may be scheduled differently in each run. Clocks, durations, ids and threads aren't compared. Both recordings
+are streamed.
 
-A world that the plan didn't name has the process' next number, as ``world_3``, and so has a fluent: numbers of several
-runs that were recorded in one process are consecutive. Worlds are paired by name; numbered ones, and the rest, in the
-order of their opening. Fluents are paired by their number since the first that is seen.
+A process numbers the worlds and fluents that a plan doesn't name (``world_3``), across all of its runs. Worlds are
+paired by name; numbered worlds, and the remaining ones, in the order of opening. Fluents are paired by their offset
+from the first numbered fluent.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plai
 
 @dataclass(frozen=True, slots=True)
 class Divergence:
-    """The first record where two runs diverge."""
+    """The first record that differs between two runs."""
 
     first: Record | None  # None: only the second run has it
     second: Record | None  # None: only the first run has it
@@ -119,9 +119,9 @@ def _first(
     waiting: Sequence[Mapping[_Key, Record]],
     explaining: Sequence[bool],
 ) -> Divergence | None:
-    """Return what comes first: a pair that differs, or a record that only one run has.
+    """Return the earlier of a pair that differs and a record that only one run has.
 
-    A record that tells how something was chosen doesn't count if the other run has none.
+    Records of how something was chosen are ignored if the other run has none.
     """
     candidates: list[_Diverged] = [] if diverged is None else [diverged]
     for side, unmatched in enumerate(waiting):
@@ -143,7 +143,7 @@ def _steps(diverged: _Diverged) -> list[int]:
 
 
 def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_Key, Record]]:
-    """Yield the records with what they are aligned by; knows no more than the tasks that run."""
+    """Yield the records with their alignment keys; only running tasks are kept in memory."""
     paths: dict[int, int] = {}  # by id of the task
     counts: dict[int, int] = {}  # records by path
     parts: dict[int, dict[tuple[str, str], int]] = {}  # by path: how many tasks of each kind and name are in it
@@ -170,12 +170,12 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
 
 
 def _explaining(path: int) -> int:
-    """Return the path of records that tell how a task chose something."""
+    """Return the path of records of how a task chose something."""
     return hash((path, "explaining"))
 
 
 def _explains(record: Record) -> bool:
-    """Return whether a record tells how something was chosen, or what was requested of a designator."""
+    """Return whether a record explains a choice, or is a request of a designator."""
     return isinstance(record, Query) and (is_choice(record) or record.name in _REQUESTS)
 
 
@@ -202,7 +202,7 @@ def differing(
 
 
 def _bare(record: Record) -> Record:
-    """Return a record without what differs from run to run."""
+    """Return a record without fields that differ from run to run."""
     bare = type(record)()
     bare.CopyFrom(record)  # type: ignore[arg-type]
     for field in _INCIDENTAL:
@@ -221,7 +221,7 @@ def _bare(record: Record) -> Record:
 
 
 def _without_files(result: Plain) -> Plain:
-    """Return what a task returned without the files of projections' recordings, which are named after the run's."""
+    """Return a task's result without names of projections' recordings, which are derived from the run's name."""
     if isinstance(result, list):
         return [_without_files(each) for each in result]
     if isinstance(result, dict):
@@ -249,7 +249,7 @@ _WAITS: Final = frozenset({"wait", "whenever"})  # kinds of tasks that are named
 
 
 class PairedNames:
-    """Turns names of a second run into those of the first.
+    """Translates names of the second run into names of the first.
 
     Attributes:
         worlds: names of the first run's worlds by those of the second's; equal ones are left out.
@@ -261,7 +261,7 @@ class PairedNames:
         self._offsets: list[int | None] = [None, None]  # numbers of the first fluents that are seen, by run
 
     def note(self, run: int, record: Record) -> None:
-        """Look at a record of a run, 0 or 1, before it is compared: fluents count from the first that is seen."""
+        """Note a record of run 0 or 1 before its comparison: the first numbered fluent sets the offset."""
         if self._offsets[run] is None and (
             isinstance(record, Fluent) or (isinstance(record, Task) and record.kind in _WAITS)
         ):
@@ -270,7 +270,7 @@ class PairedNames:
 
     @property
     def any(self) -> bool:
-        """Whether any name differs, as far as is known by now."""
+        """Whether any name is known to differ so far."""
         return bool(self.worlds) or self._shift != 0
 
     @property
@@ -279,7 +279,7 @@ class PairedNames:
         return before - after if before is not None and after is not None else 0
 
     def text(self, text: str) -> str:
-        """Return a text of the second run with the names of the first."""
+        """Return a text of the second run, translated."""
         return _NUMBERED.sub(self._renamed, text)
 
     def _renamed(self, match: re.Match[str]) -> str:
@@ -288,7 +288,7 @@ class PairedNames:
         return f"fluent_{int(match[2]) + self._shift}"
 
     def data(self, value: Plain, key: str = "") -> Plain:
-        """Return data of a record of the second run with the names of the first."""
+        """Return data of a record of the second run, translated."""
         if isinstance(value, dict):
             return {self.text(name): self.data(item, name) for name, item in value.items()}
         if isinstance(value, list):
@@ -299,7 +299,7 @@ class PairedNames:
 
 
 def _pairs(first: list[str], second: list[str]) -> Iterable[tuple[str, str]]:
-    """Yield names of the second run's worlds with the first's of another name that they are compared with."""
+    """Yield pairs of names of worlds, second run first, for counterparts with different names."""
     numbered = [[name for name in names if _NUMBERED.fullmatch(name)] for names in (first, second)]
     yield from zip(numbered[1], numbered[0], strict=False)
     paired = [set(names[: min(map(len, numbered))]) for names in numbered]

@@ -85,11 +85,7 @@ class Difference:
 def difference(before: State, after: State, names: Mapping[str, str] = MappingProxyType({})) -> Difference:
     """Compare two states, which may be of two recordings.
 
-    Args:
-        before: the first.
-        after: the second.
-        names: names of worlds in the first by those of the worlds in the second that are compared with them, where they
-            differ.
+    ``names`` maps names of worlds in the second to those of their counterparts in the first, if these differ.
     """
     first = {world.title: world for world in before.worlds.values() if world.open}
     second = {

@@ -1,4 +1,4 @@
-"""The scene of a failure: the robot, and all that the failed task was about or its message names, at that moment."""
+"""The scene of a failure: the robot and the bodies of the failed task or message, in words, at that moment."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class InvolvedBody:
     joints: Mapping[str, float] = field(default_factory=dict)  # of those that the failure names, rad or m
 
     def lines(self) -> Iterator[str]:
-        """Yield it in words; of a fixed body its named links and joints, as the pose of its base tells nothing."""
+        """Yield it in words; of a fixed body the named links and joints, as the pose of its base isn't informative."""
         body = self.body
         if self.is_robot or not body.fixed_base or not (self.links or self.joints):
             yield self._line()
@@ -72,7 +72,7 @@ class InvolvedBody:
 
 @dataclass(frozen=True, slots=True)
 class FailedBranch:
-    """Another part of the same block in which a failure began, too."""
+    """Another failed part of the same block."""
 
     task: Node
     line: Line | None  # of the plan, that asked for it
@@ -98,7 +98,7 @@ def facing(body: Body) -> str:
 
 
 def bodies(case: FailureCase, names: Iterable[str] = ()) -> Iterator[InvolvedBody]:
-    """Yield the robot and the bodies that a failure is about; of a fixed one the links and joints that it names."""
+    """Yield the robot and the bodies of a failure; of fixed bodies the links and joints that it names."""
     world, robot = case.world, case.robot
     if world is None:
         return
@@ -125,7 +125,7 @@ def bodies(case: FailureCase, names: Iterable[str] = ()) -> Iterator[InvolvedBod
 
 
 def _parts(case: FailureCase) -> Iterator[tuple[str, str, Pose | None]]:
-    """Yield the links, with poses, and the joints, without, that a failure names, and whose they are."""
+    """Yield the links (with poses) and joints (with None) that a failure names, after the names of their bodies."""
     if case.world is None:
         return
     ends = [(pair.get(body, ""), pair.get(link, "")) for pair in case.pairs for body, link in _ENDS]
@@ -157,7 +157,7 @@ def branches(case: FailureCase) -> Iterator[FailedBranch]:
 
 
 def _origins(task: Node) -> Iterator[Node]:
-    """Yield the tasks in which a failure began: of a block those of all its parts, else the one that it ended with."""
+    """Yield the tasks in which a failure began: for a block in each of its parts, else the one that was raised."""
     failed = [child for child in task.children if child.failed]
     if task.kind != "block":
         failed = [child for child in failed if any(each is child for each in task.origin.around())]

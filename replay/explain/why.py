@@ -1,7 +1,7 @@
 """Why a plan failed: what failed and where in the plan, what was attempted, the queries it relied on, what had changed.
 
-Everything here is read from the recording; nothing is guessed. The answers to the plan's queries are set beside what
-has moved since. Of an action that failed the explanation has what it tried: its choices, projections of them, places.
+Everything is read from the recording; nothing is guessed. The answers to the plan's queries come with the objects that
+have moved since. For a failed action, its choices, their projections and the places it considered are included.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Why:
 
     @property
     def is_python_error(self) -> bool:
-        """Whether the plan's code itself is wrong, rather than the world not being as it should be."""
+        """Whether the error is in the plan's code rather than in the state of the world."""
         return self.task is None and self.failure is not None and hasattr(builtins, self.failure.type)
 
     @property
@@ -282,9 +282,9 @@ def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> 
 def _queries(
     log: RecordReader, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
 ) -> tuple[list[Query], int]:
-    """Return the last queries about some bodies or of some tasks, each question once, and how many are left out.
+    """Return the last queries about some bodies or of some tasks, each question once, and the number left out.
 
-    What process modules chose isn't among them: plans don't rely on it.
+    Choices of process modules aren't included, as plans don't rely on them.
     """
     asked: set[int] = set()  # hashes, as there may be very many
     queries: list[Query] = []
@@ -305,7 +305,7 @@ def _queries(
 
 
 def _with_changes(log: RecordReader, query: Query, world: World | None) -> RelevantQuery:
-    """Return a query with what has changed of its bodies until the failure in a world."""
+    """Return a query with the changes of its bodies until the failure."""
     then = state_at(log, query.seq).worlds.get(query.world)
     if then is None or world is None:
         return RelevantQuery(query)
@@ -358,7 +358,7 @@ class TriedAction:
     last: str  # the choice that could not be made in the end, and why; "" if there was no more to choose from
 
     def lines(self) -> Iterator[str]:
-        """Yield the choices of an action, what came of each, and why there was no other."""
+        """Yield the choices of the action with their outcomes, and why there were no more."""
         left_out = len(self.attempts) - 2 * _LISTED
         for number, attempt in enumerate(self.attempts):
             if left_out > 0 and number == _LISTED:
@@ -383,7 +383,7 @@ class TriedAction:
 
 
 def tried(log: RecordReader, failed: Node) -> TriedAction | None:
-    """Return what the outermost failed action tried that a failed task is a part of; None if it is part of none."""
+    """Return what the outermost failed action around a failed task tried; None if there is none."""
     actions = [task for task in failed.around() if task.kind == "action" and task.failed]
     if not actions:
         return None

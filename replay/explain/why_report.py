@@ -223,7 +223,7 @@ def _where(why: Why) -> Iterator[str]:
 
 
 def _exceptions_lead_to_task(why: Why) -> bool:
-    """Return whether the lines of the exceptions lead to the task; those of a failed block end where the block does."""
+    """Return whether the tracebacks lead to the task; the traceback of a failed block ends at the block."""
     lines = [line for error in why.exceptions for line in error.lines]
     return any(
         line.file == call_site.file and call_site.function in ("", line.function)
@@ -355,7 +355,7 @@ def _since(since: ChangesSince) -> Iterator[str]:
 
 
 def _commands(why: Why, path: str) -> Iterator[str]:
-    """Yield commands that look closer at what a failure was about; ``path`` is quoted for a shell."""
+    """Yield commands for a closer look; ``path`` is quoted for a shell."""
     world = "" if why.world is None or why.is_default else f" --world {shlex.quote(why.world.name)}"
     if why.queries:
         yield f"pycram-replay show {path} {why.queries[-1].query.seq}"

@@ -1,6 +1,6 @@
-"""Finds the record that last changed a body or a joint, and its causes.
+"""Finds the record that last changed a body or a joint, with its tasks and lines of the plan.
 
-What is carried moves with its carrier: then the record is the carrier's, and the one that attached it is returned too.
+A carried body moves with its carrier: then the record is the carrier's, and the attaching record is returned too.
 """
 
 from __future__ import annotations
@@ -63,9 +63,9 @@ class Blame:
 
 
 def blame(log: RecordReader, target: str, at: int | None = None, world: str | None = None) -> Blame:
-    """Return what last changed a body, or as ``BODY.JOINT`` a joint, until a step.
+    """Return the last change of a body, or a joint (``BODY.JOINT``), until a step.
 
-    By default that is the last one before worlds were closed, in the world opened last of those that have the body.
+    By default: until worlds were closed, in the world with such a body that was opened last.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -165,7 +165,7 @@ class _Search:
         self._world, self._body, self._joint = subject.world, subject.body, subject.joint
 
     def run(self, step: int) -> Blame:
-        """Return the last change; and if that was physics, what happened to it before."""
+        """Return the last change; if that was by physics, with the change before it."""
         records = self._changes(step)
         for last in records:
             change = self._explained(last)
@@ -208,7 +208,7 @@ class _Search:
         return {part: list(values) for part, values in pose.items() if values}
 
     def _changes(self, step: int) -> Iterator[Mutation | Keyframe]:
-        """Yield records that changed it, the last one first, down to its loading or the first record that knows it."""
+        """Yield the records that changed it, last first, down to its loading or the first keyframe with it."""
         lifetime = self._log.lifetime_at(self._world, step)
         if lifetime is None:
             return

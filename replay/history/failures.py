@@ -1,13 +1,14 @@
 """The failures of a recording, of tasks and of threads of the plan's own; and the root cause.
 
-Tasks are collected in one pass; of those that succeeded only motions, and the last of each kind, are kept. Of very many
-the earliest are forgotten, so that a recording of any length is explained in the same memory.
+Tasks are collected in one pass. Of successful tasks only motions, and the last of each kind, are kept; of very many
+tasks only the last ones, so that memory is bounded.
 
-The root cause is the one failure that explains how a plan ended; ``why``, the step ``failure`` and trees use it. A plan
-that failed did so with an exception: it began in the task that raised it, or that raised the nearest of its
-causes; else in the plan's own code. One that was interrupted ended where the interrupt came, whatever failed before.
-If the plan succeeded, the same holds for an uncaught exception of a thread of its own. Else, or where the recording was
-cut, it is the last failure that no task around it recovered from, or the last.
+The root cause is the one failure that explains how a plan ended; ``why``, the step ``failure`` and trees use it:
+
+- The plan failed: the task that raised its exception, or the nearest cause of that; else the plan's own code.
+- It was interrupted: the point of the interrupt, whatever failed before.
+- It succeeded, but a thread of its own failed: as if the plan had failed with that exception.
+- Otherwise, or if the recording was cut: the last failure that no task around it recovered from, or else the last.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _MAX_KEPT: Final = 5_000  # failures, and motions: a node with its records takes
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """What failed, what is unfinished and what succeeded; as parts tasks have those that failed or have not ended."""
+    """Failed, unfinished and successful tasks; as parts they have only failed and unfinished tasks."""
 
     origins: tuple[Node, ...]  # the tasks in which failures began, in the order of their ends; the last ones
     running: tuple[Node, ...]  # the tasks that have not ended, in the order of their starts
@@ -52,7 +53,7 @@ class Failures:
 
 
 def failures(log: RecordReader, stop: int | None = None) -> Failures:
-    """Return what failed in a recording before a step, or at all."""
+    """Return the failures of a recording, or of its part before a step."""
     running: dict[int, Node] = {}
     successes: dict[tuple[str, str], Node] = {}
     origins: deque[Node] = deque()
@@ -92,7 +93,7 @@ def _keep(origins: deque[Node], task: Node) -> int:
 
 
 def failed_threads(log: RecordReader) -> tuple[Run, ...]:
-    """Return the records of threads of the plan's own that ended with a failure while it went on."""
+    """Return the records of the plan's own threads that failed while the plan went on."""
     if log.counts().get("run", 0) <= _RUN_RECORDS:
         return ()
     return tuple(record for record in log.records(Run) if record.phase == Run.THREAD_FAILED)
@@ -112,7 +113,7 @@ class RootCause:
 
 
 def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:
-    """Return where a recording's plan broke; None if nothing failed."""
+    """Return the root cause; None if nothing failed."""
     failed = failed if failed is not None else failures(log)
     end = uncaught_failure(log)
     if end is None:
@@ -134,7 +135,7 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
 
 
 def uncaught_failure(log: RecordReader) -> Run | None:
-    """Return the record of an uncaught failure: of the plan's end, else of the last thread that failed."""
+    """Return the record of the uncaught failure of the plan, else of its last failed thread."""
     end = log[-1]
     if isinstance(end, Run) and end.HasField("failure"):
         return end
@@ -144,8 +145,8 @@ def uncaught_failure(log: RecordReader) -> Run | None:
 def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
     """Return the task that raised the failure or else its nearest cause, and the index of that exception.
 
-    What was raised earlier had been handled, even if Python's traceback still has it. Of all that failed in a block it
-    is the task whose error became the block's, whichever ended last.
+    Earlier exceptions were handled, even if they are in Python's traceback. Of several failed tasks in a block it is
+    the one whose error became the block's error.
     """
     for number in range(len(exceptions) - 1, -1, -1):
         error = exceptions[number].type, exceptions[number].message

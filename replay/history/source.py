@@ -31,7 +31,7 @@ class Line:
 
 
 class PlanSource:
-    """The attached source files of a recording; those that share a name are ambiguous and left out."""
+    """The attached source files of a recording, without those whose names are ambiguous."""
 
     def __init__(self, log: RecordReader) -> None:
         """Read nothing yet."""
@@ -42,7 +42,7 @@ class PlanSource:
         self._texts: dict[str, str] = {}
 
     def line(self, file: str, number: int) -> Line | None:
-        """Return a line by its file's path when the plan ran, and its number from 1; 0 is none."""
+        """Return a line by the path of its file at run time and its number; None for number 0."""
         if not file or number < 1:
             return None
         text = self.text(file)
@@ -52,7 +52,7 @@ class PlanSource:
         return Line(file, number, _function(text, number), lines[number - 1].strip())
 
     def call_stack(self, record: Record) -> tuple[Line, ...]:
-        """Return the plan's lines that led to a task, a change or the like, outermost first; none if it has none."""
+        """Return the plan's lines that led to a record, outermost first; empty if unknown."""
         if isinstance(record, Run | Keyframe | Envelope):
             return ()
         line = self.line(record.source_file, record.source_line)
@@ -76,7 +76,7 @@ class PlanSource:
 
     @property
     def files(self) -> dict[str, str]:
-        """The attachments' names by those of the files, of files that don't share a name."""
+        """The names of attachments by names of files."""
         return dict(self._keys)
 
     def has(self, file: str) -> bool:
@@ -85,12 +85,12 @@ class PlanSource:
 
 
 def name_of(path: str) -> str:
-    """Return the file's own name, of a path of any system."""
+    """Return the last part of a path of any operating system."""
     return PurePosixPath(path.replace("\\", "/")).name
 
 
 def is_file(path: str, name: str) -> bool:
-    """Return whether a path is what a name means: the file's own name, or the end of its path."""
+    """Return whether a path ends with a name, which may have folders."""
     searched = PurePosixPath(name.replace("\\", "/")).parts
     return bool(searched) and PurePosixPath(path.replace("\\", "/")).parts[-len(searched) :] == searched
 

@@ -56,7 +56,7 @@ def step_of(log: RecordReader, name: int | str) -> int:
 
 
 def moment_of(name: int | str) -> float | None:
-    """Return the simulated time, s, that a name of a step is; None if it is none."""
+    """Return the simulated time, s, that names a step; None for other names."""
     text = str(name).strip()
     try:
         moment = float(text[:-1]) if text.endswith("s") else math.nan

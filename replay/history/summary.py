@@ -1,4 +1,4 @@
-"""A recording in short: what ran, when, for how long, and how it ended. Only both ends of a long one are read."""
+"""A summary of a recording: what ran, when, for how long, and how it ended. Long recordings are read at both ends."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class WorldClock:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """A recording in short."""
+    """A summary of a recording."""
 
     plan: str
     started: datetime  # wall-clock time of the first record

@@ -1,4 +1,4 @@
-"""The tasks of a recording: those that a record is part of, and the tree of all, as :mod:`recorder.tasks` has it."""
+"""The tasks around a record, and the tree of all tasks, as in :mod:`recorder.tasks`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CausingTask:
 
 @dataclass(frozen=True, slots=True)
 class CausingTasks:
-    """The causes of a record."""
+    """The tasks around a record, and the lines of the plan that led to it."""
 
     #: the tasks that it is part of, innermost first; none if the plan itself did it, outside of any task
     tasks: tuple[CausingTask, ...]
@@ -43,7 +43,7 @@ class CausingTasks:
 
 
 def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
-    """Return the causes of a record; a task's record is part of that task."""
+    """Return the tasks around a record; the record of a task is part of that task."""
     source = PlanSource(log)
     tasks = []
     number = record.task
@@ -61,7 +61,7 @@ _UNPACKED: Final = 20_000  # tasks; each takes some 3 kB, packed ones less than 
 
 
 def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterator[Query]:
-    """Yield the choices of a failed task's motion, and of the motions that it is made of."""
+    """Yield the choices of a failed task's motion and of its parts."""
     motion = failed.motion
     ids = {node.id for _, node in motion.walk()}
     end = motion.last_step + 1

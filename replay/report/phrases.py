@@ -1,4 +1,4 @@
-"""The phrases of all texts: values, numbers, tasks, lines of the plan, changes, records, queries and their reasons."""
+"""Phrases of all texts: values, numbers, tasks, lines of the plan, changes, records, answers of queries."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling",
 
 
 def value(recorded: Plain) -> str:
-    """Return a user's value: bodies by name, numbers to the millimetre."""
+    """Return a recorded value: bodies by name, numbers with three decimals."""
     if isinstance(recorded, dict):
         if set(recorded) == {"object", "world"}:
             return str(recorded["object"])
@@ -48,18 +48,18 @@ def value(recorded: Plain) -> str:
 
 
 def short(text: str) -> str:
-    """Return a text, cut where it is too long for a line."""
+    """Return a text, cut to the width of a line."""
     return text if len(text) <= _WIDTH else text[: _WIDTH - 3] + "..."
 
 
 def one_line(text: str) -> str:
-    """Return the first line of a text, and whether there are more."""
+    """Return the first line of a text, with "..." if there are more."""
     first, _, more = text.strip().partition("\n")
     return f"{first} ..." if more else first
 
 
 def names(items: Sequence[str]) -> str:
-    """Return names in a row, the first few."""
+    """Return the first few names as "a, b and 3 more"."""
     shown = list(items[:_MAX_NAMES])
     if len(items) > _MAX_NAMES:
         shown.append(f"{len(items) - _MAX_NAMES} more")
@@ -81,12 +81,12 @@ def apart(before: float, after: float) -> tuple[str, str]:
 
 
 def vector(values: Sequence[float]) -> str:
-    """Return a position or the like."""
+    """Return a vector, such as a position."""
     return "[" + ", ".join(number(part) for part in values) + "]"
 
 
 def vectors(before: Sequence[float], after: Sequence[float]) -> tuple[str, str]:
-    """Return two positions or the like, with as many digits as distinguish them."""
+    """Return two vectors with as many digits as distinguish them."""
     pairs = [apart(a, b) for a, b in zip(before, after, strict=True)]
     return f"[{', '.join(a for a, _ in pairs)}]", f"[{', '.join(b for _, b in pairs)}]"
 
@@ -118,19 +118,19 @@ def seconds(duration_ns: int) -> str:
 
 
 def path(file: str) -> str:
-    """Return a file's path: from the folder that one is in, if it is below that."""
+    """Return a file's path, relative to the current folder if it is in there."""
     with suppress(ValueError, OSError):  # it is elsewhere; the folder is gone
         return str(PurePath(file).relative_to(Path.cwd()))
     return file
 
 
 def place(line: Line) -> str:
-    """Return where a line of the plan is, as file:line."""
+    """Return the place of a line of the plan as file:line."""
     return f"{path(line.file)}:{line.number}"
 
 
 def at(line: Line | None) -> str:
-    """Return where a line of the plan is, as the end of a clause; "" if it isn't known."""
+    """Return ", at file:line" for the end of a clause; "" if the line isn't known."""
     return f", at {place(line)}" if line is not None else ""
 
 
@@ -141,7 +141,7 @@ def location(line: Line) -> str:
 
 
 def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> Iterator[str]:
-    """Yield the lines of a call stack, innermost first, down to those that were printed with another one."""
+    """Yield a call stack, innermost line first, without the outer lines that were printed with another one."""
     common = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, earlier, strict=False)) for earlier in printed)
     shared = max((len(list(pairs)) for pairs in common), default=0)
     printed.append(stack)
@@ -154,13 +154,13 @@ def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> It
 
 
 def call(name: str, parameters: Mapping[str, Plain]) -> str:
-    """Return a task or query with what it was given."""
+    """Return a task or query with its parameters."""
     arguments = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
     return f"{name}({arguments})" if arguments else name
 
 
 def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
-    """Return a task, with its kind if the name doesn't imply it; a process module's parameters are its motion's."""
+    """Return a task with its parameters, and its kind if the name doesn't imply it."""
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
     if kind == "timeout":
@@ -172,12 +172,12 @@ def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
 
 
 def node(task_: Node) -> str:
-    """Return a task with what it was given."""
+    """Return a task with its parameters."""
     return task(task_.kind, task_.name, task_.parameters)
 
 
 def error(task_: Node) -> str:
-    """Return what a task failed with, in a line; its status if it has no error."""
+    """Return the error of a task in a line; its status if it has none."""
     return one_line(task_.error[1] or task_.error[0]) if task_.error is not None else task_.status.word
 
 
@@ -187,7 +187,7 @@ def failure(failed: Failure) -> str:
 
 
 def refused(refusal: Refusal) -> str:
-    """Return the call that was refused."""
+    """Return the refused call."""
     return call(refusal.name, argument_values(refusal.arguments))
 
 
@@ -220,7 +220,7 @@ _CHANGES: Final[Mapping[str, str]] = {
 
 
 def change(name: str, how: str, mover: str = "") -> str:
-    """Return a change of something; ``mover`` carried it, or moved it along."""
+    """Return the change of a body or joint; ``mover`` carried it, or moved it along."""
     if how in ("gravity", "joints"):
         return "gravity was set" if how == "gravity" else f"joints of {name} moved"
     word = {"carried": "by", "along": "with"}.get(how) if mover else None
@@ -269,12 +269,12 @@ def record_line(record: Record) -> str:
 
 
 def question(query: Query) -> str:
-    """Return what a query asked."""
+    """Return a query with its arguments."""
     return call(query.name, argument_values(query.arguments))
 
 
 def answer(query: Query) -> str:
-    """Return its answer: yes, no, the objects found, or how it failed; and whether a fork gave it."""
+    """Return the answer: yes, no, the objects found, or the failure; and whether a fork gave it."""
     if query.HasField("failure"):
         return failure(query.failure)
     if query.by_fork:
@@ -290,7 +290,7 @@ def _answer(text: str) -> str:
 
 
 def reasons(query: Query) -> str:
-    """Return what its answer rests on, and why other candidates wouldn't do; of one alone the evidence tells."""
+    """Return the evidence for an answer, and why other candidates were rejected."""
     evidence = argument_values(query.evidence)
     found = []
     for key, item in evidence.items():
@@ -358,7 +358,7 @@ def _links(links: Plain, _: _Evidence) -> str:
 
 
 def _measure(text: str, factor: float) -> Callable[[Plain, _Evidence], str]:
-    """Return the phrase of an amount: ``text`` has it, times the factor."""
+    """Return a phrase for an amount, which ``text`` formats after it is multiplied by the factor."""
     return lambda amount, _: text.format(amount * factor) if isinstance(amount, int | float) else ""
 
 

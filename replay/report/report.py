@@ -1,7 +1,7 @@
-"""A result is rendered here: as JSON data, and as sections of lines.
+"""Renders results as JSON data, and as sections of lines.
 
-A verb gives :func:`data` one rule for each class whose JSON has other keys than the class has fields; all else is
-rendered alike everywhere. The keys are part of the command's interface.
+Records, tasks, lines of the plan and dataclasses have one form everywhere. A module registers a rule with :func:`data`
+for a class whose JSON keys aren't its fields. The keys are part of the commands' interface.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @singledispatch
 def data(value: object) -> object:
-    """Return a value as JSON data: records, tasks, lines of the plan, and what is made of them."""
+    """Return a value as JSON data."""
     if is_dataclass(value) and not isinstance(value, type):
         return fields_data(value)
     if isinstance(value, tuple | list):
@@ -32,7 +32,7 @@ def data(value: object) -> object:
 
 
 def fields_data(value: object, **keys: str) -> dict[str, object]:
-    """Return the fields of a dataclass, in their order; ``keys`` are those that are called otherwise."""
+    """Return the fields of a dataclass in order; ``keys`` renames fields."""
     return {
         keys.get(each.name, each.name): data(getattr(value, each.name))
         for each in fields(value)  # type: ignore[arg-type]  # it is one
@@ -63,13 +63,13 @@ def _(line: Line) -> dict[str, object]:
 
 
 def call_stack(stack: Sequence[Line]) -> dict[str, object]:
-    """Return the plan's lines that led to something."""
+    """Return a call stack: the innermost line, and its callers."""
     lines = [data(line) for line in stack]
     return {"line": lines[-1] if lines else None, "callers": lines[:-1]}
 
 
 def section(title: str, body: Iterable[str]) -> Iterator[str]:
-    """Yield a section of a text, after an empty line; nothing if it would be empty."""
+    """Yield a title and its indented lines, after an empty line; nothing if there are no lines."""
     for number, line in enumerate(body):
         if not number:
             yield from ("", title)

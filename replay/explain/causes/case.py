@@ -1,4 +1,4 @@
-"""A case: one failure, and what the finders of causes look at to explain it."""
+"""A failure with all that the finders of causes need: its task, world, hands, records and lines of the plan."""
 
 from __future__ import annotations
 
@@ -56,19 +56,19 @@ class FailureCase:
 
     @cached_property
     def motion(self) -> Node | None:
-        """The motion that failed; None if the failure began in none, or in the plan's own code within it."""
+        """The failed motion; None if the failure began outside of motions, or in the plan's code within one."""
         if self.task is None or self.task.kind not in _WITH_MOTIONS or self.task.motion.kind != "motion":
             return None
         return self.task.motion
 
     @cached_property
     def began(self) -> int:
-        """The step at which what failed began."""
+        """The step at which the failed motion began; without one, the step of the failure."""
         return self.motion.started.seq if self.motion is not None else self.step
 
     @cached_property
     def given(self) -> Mapping[str, Plain]:
-        """What the motion was given, with what was inferred; empty without a motion."""
+        """The parameters of the motion, with the inferred ones; empty without a motion."""
         if self.motion is None or self.task is None:
             return {}
         inner = self.task.parameters if self.task.kind == "process-module" else {}
@@ -76,24 +76,24 @@ class FailureCase:
 
     @cached_property
     def data(self) -> Mapping[str, Plain]:
-        """The fields of what was raised."""
+        """The fields of the failure."""
         return argument_values(self.failure.data)
 
     @cached_property
     def pairs(self) -> tuple[Mapping[str, str], ...]:
-        """The links that would have met: ``mover``, ``link``, ``body``, ``body_link``, ``gripper``."""
+        """The links that would have collided: ``mover``, ``link``, ``body``, ``body_link``, ``gripper``."""
         recorded = self.data.get("pairs")
         pairs = [pair for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
         return tuple({key: value for key, value in pair.items() if isinstance(value, str)} for pair in pairs)
 
     @cached_property
     def subjects(self) -> tuple[str, ...]:
-        """Names of the objects that the motion was about."""
+        """Names of the objects in the motion's parameters."""
         return tuple(dict.fromkeys(objects_in(list(self.given.values()))))
 
     @cached_property
     def mentioned(self) -> tuple[str, ...]:
-        """Names of all bodies that the failed motion, or the failure's data or message, is about."""
+        """Names of all bodies in the motion's parameters, and in the failure's fields and message."""
         names = [*self.subjects, *_names_in(self.data)]
         if self.world is not None:
             words = re.findall(r"[\w.-]+", self.failure.message)
@@ -170,28 +170,28 @@ class FailureCase:
     # --- records -----------------------------------------------------------------------------------------------------
 
     def motions(self, *names: str) -> Iterator[Node]:
-        """Yield the motions of some names in this world that had ended when what failed began, the last one first."""
+        """Yield this world's motions with one of the names that ended before the failed motion began, last first."""
         for motion in reversed(self.failed.motions):
             earlier = motion.last_step < self.began and motion is not self.motion
             if earlier and motion.name in names and self.is_here(motion.started):
                 yield motion
 
     def is_here(self, record: Task | Refusal | Mutation) -> bool:
-        """Return whether something was in the world that the failure is about, not in an earlier one of its name."""
+        """Return whether a record belongs to the world of the failure, not to an earlier one of the same name."""
         if self.world is None:
             return True
         lifetime = self.log.lifetime_at(record.world, record.seq)
         return (record.world, lifetime.number if lifetime is not None else 0) == (self.world.name, self.world.lifetime)
 
     def blame(self, target: str) -> Blame | None:
-        """Return what last changed a body, or as ``BODY.JOINT`` a joint; None if that isn't on record."""
+        """Return the last change of a body, or a joint (``BODY.JOINT``); None if it isn't on record."""
         try:
             return blame(self.log, target, self.step, self.world.name if self.world is not None else None)
         except NoSuchName:
             return None
 
     def changed(self, target: str) -> CausingChange | None:
-        """Return the last change of a body or joint; None if it is as it was before the first motion."""
+        """Return the last change of a body or joint; None if it hasn't changed since before the first motion."""
         last = self.blame(target)
         if last is None:
             return None
@@ -212,7 +212,7 @@ class FailureCase:
         joint: str = "",
         size: tuple[float, float] = (0.0, 0.0),
     ) -> CausingChange:
-        """Return a record as a change of a body."""
+        """Return a record as the change of a body, with its task, handler and line."""
         because = causing_tasks(self.log, record)
         tasks = [each.started for each in because.tasks]
         task = next((each for each in tasks if each.kind in ("motion", HANDLER)), tasks[0] if tasks else None)
@@ -229,13 +229,13 @@ class FailureCase:
     # --- lines of the plan -------------------------------------------------------------------------------------------
 
     def line_of(self, record: Task | Mutation | Refusal) -> Line | None:
-        """Return the plan's line that asked for something; None if that isn't known."""
+        """Return the plan's line that caused a record; None if it isn't known."""
         return self.line(self.source.call_stack(record))
 
     def line(self, stack: Sequence[Line]) -> Line | None:
-        """Return the innermost line of a call stack that led to one motion only, else to those of one name only.
+        """Return the innermost line of a call stack that caused only one motion, else only motions of one name.
 
-        The lines of helpers, which perform this and that, tell nothing.
+        Lines of general helper functions aren't informative.
         """
         performed = [(line, self._performed[line.file, line.number]) for line in reversed(stack)]
         one = [line for line, motions in performed if len(motions) <= 1]
@@ -354,18 +354,18 @@ def _arms(description: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def about(task: Node, *, body: str = "", arm: str = "") -> bool:
-    """Return whether a motion is about an object, with an arm."""
+    """Return whether a motion has an object, and an arm, as its parameters."""
     given = values(task)
     own = str(given.get("arm") or given.get("gripper") or "")
     return (not body or body in objects_in(list(given.values()))) and (not arm or not own or own == arm)
 
 
 def values(task: Node) -> dict[str, Plain]:
-    """Return what a motion was given, with what was inferred if it was resolved."""
+    """Return the parameters of a motion; with the inferred ones if it was resolved."""
     inferred = [part.parameters for part in task.children if part.kind == "process-module"]
     return task.parameters | (inferred[0] if inferred else {}) | task.solution
 
 
 def result(task: Node) -> Plain:
-    """Return what a task returned."""
+    """Return the result of a task."""
     return from_json(task.finished.result_json or "null") if task.finished is not None else None

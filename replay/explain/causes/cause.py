@@ -1,4 +1,4 @@
-"""A cause of a failure. Each kind has a file of its own, with its data, its finder and its words.
+"""A cause of a failure: the base class of all kinds, which have their data, finder and words in one file.
 
 The names of ``kind`` and of the fields are those of ``why --json`` (docs/why.md): they don't change.
 """
@@ -92,7 +92,7 @@ class CausingChange:
 
 
 def since(change: CausingChange | None, verb: str = "") -> str:
-    """Return since when something is so, and by what; "" if it always was."""
+    """Return since which step something is so, and who did it; "" if it always was."""
     if change is None:
         return ""
     return f", {f'{verb} at' if verb else 'since'} step {change.step}{change.originator}"

@@ -1,4 +1,4 @@
-"""What was gone: removed, or out of the hand that should have held it; or in a hand that should have been free."""
+"""An object was removed, or a hand didn't hold the object that it should, or wasn't free of another one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SEARCHED: Final = 5_000  # changes before the failure
 
 @dataclass(frozen=True, slots=True)
 class Gone(Cause):
-    """What the plan used, or the last of the kind that it looked for, had been removed."""
+    """The object that the plan used, or the last of the type that it looked for, had been removed."""
 
     kind = "removed"
     body: str
@@ -33,7 +33,7 @@ class Gone(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Gone]:
-        """Yield the object that the plan used, or the last of the kind that it looked for, if it had been removed."""
+        """Yield the removal of the object that the plan used, or of the last one of the type that it looked for."""
         name, removal = _removal(case)
         if removal is None:
             return
@@ -64,7 +64,7 @@ class HandState(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[HandState]:
-        """Yield why a hand was empty that should hold the motion's object, or wasn't free of another."""
+        """Yield why a hand didn't hold the motion's object, or still held another one."""
         arm = str(case.given.get("arm") or "")
         for lack in lacking(case):
             if lack.precondition not in ("held", "hand-free") or (lack.precondition == "hand-free" and case.pairs):
@@ -98,9 +98,9 @@ class HandState(Cause):
 
 
 def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
-    """Return the name of what the failure is about, and the record that removed it; None if none did.
+    """Return the name of the object that the failure is about, and the record that removed it, or None.
 
-    Of what a hand should hold, only a removal out of a hand counts.
+    The removal of an object that a hand should hold counts only if a hand held it then.
     """
     kind, sought = case.failure.type, case.data.get("name")
     for lack in lacking(case):
@@ -120,7 +120,7 @@ def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
 
 
 def removal_of(case: FailureCase, name: str, start: int = 0) -> Mutation | None:
-    """Return the last record, from a step on, that removed an object of a name; None if there is none."""
+    """Return the last record since a step that removed the object with a name; None if there is none."""
     for record in case.log.backwards(case.step, Mutation, naming=name):
         if record.seq < start:
             break

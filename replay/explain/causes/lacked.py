@@ -1,10 +1,9 @@
-"""What a failed motion lacked, as an earlier motion had failed, or something was refused, and the plan went on.
+"""A failed motion lacked a precondition: an earlier motion failed, or a request was refused, and the plan went on.
 
-Of what a failed motion lacked, the last motion that should have brought it about had failed, or was cancelled: with the
-same object, the same arm, the same joint. Or it was skipped, for want of what a perception would have found. A later
-success of such a motion ends that, as does any other change that did it, or something else, to the same: a plan that
-attached the object itself and let go of it then failed for that. A refusal counts until what it asked for is done after
-all, or something else is done to the same.
+The last motion that should have established the precondition failed, was cancelled, or was skipped as a perception had
+found nothing. "Last" is by object, arm and joint. It isn't a cause if a later motion succeeded, or if any other change
+was made to the same object or joint. A refused request is a cause until the request is fulfilled, or something else is
+done to the same object or joint.
 """
 
 from __future__ import annotations
@@ -73,7 +72,7 @@ _REFUSED: Final = _LACKED | {
 
 @dataclass(frozen=True, slots=True)
 class Swallowed(Cause):
-    """An earlier task failed, or was cancelled, the plan went on, and so a later one lacked what it needs."""
+    """An earlier task failed or was cancelled, the plan went on, and a later task lacked its effect."""
 
     kind = "swallowed-failure"
     #: What it lacked: "held" (the arm holds the object), "hand-free" (the arm holds nothing), "clear" (the object isn't
@@ -90,7 +89,7 @@ class Swallowed(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Swallowed]:
-        """Yield the failures for want of which the case's motion, or line, failed."""
+        """Yield the failures whose missing effects made the motion, or the plan's line, fail."""
         for lack in lacking(case):
             last = next((motion for motion in case.motions(*lack.motions) if lack.fits(motion)), None)
             if last is not None and last.status in _UNSUCCESSFUL and not _was_done_since(case, lack, last):
@@ -119,7 +118,7 @@ class Swallowed(Cause):
 
 @dataclass(frozen=True, slots=True)
 class RefusedRequest(Cause):
-    """A request of the plan was refused, the plan went on, and so a later motion lacked its effect."""
+    """A request of the plan was refused, the plan went on, and a later motion lacked its effect."""
 
     kind = "refused"
     #: What it lacked: "held", "hand-free", "clear", "joint-moved" and "result" as of :class:`Swallowed`; "moved" (the
@@ -133,7 +132,7 @@ class RefusedRequest(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[RefusedRequest]:
-        """Yield the refusals for want of which the case's motion, or line, failed; the last of each subject."""
+        """Yield the refusals whose missing effects made the motion or line fail; the last one for each subject."""
         if not case.log.counts().get("refusal"):
             return
         found: set[tuple[str, str]] = set()
@@ -171,7 +170,7 @@ def _lacked(text: str, subject: str, arm: str = "") -> str:
 
 @dataclass(frozen=True, slots=True)
 class Lacking:
-    """What a motion lacked."""
+    """A precondition that a motion lacked."""
 
     precondition: str  # as in :class:`Swallowed`
     subject: str  # the object or joint; "" for none
@@ -182,7 +181,7 @@ class Lacking:
     joints: tuple[str, ...] = ()  # that should have been moved
 
     def done_by(self, record: Mutation) -> bool:
-        """Return whether a change did it, or something else, to the same: what was before then explains nothing."""
+        """Return whether a change affected the same object or joint: then earlier failures explain nothing."""
         if self.precondition in ("held", "hand-free"):
             return record.HasField("attach_body") and self.subject in [each.body for each in record.effect.attached]
         if self.joints:
@@ -192,7 +191,7 @@ class Lacking:
 
 
 def lacking(case: FailureCase) -> Iterator[Lacking]:
-    """Yield what a failed motion lacked."""
+    """Yield the preconditions that a failed motion lacked."""
     if case.motion is None or case.world is None or case.robot is None:
         return
     by_hands = list(_hands(case, case.motion.name))
@@ -236,7 +235,7 @@ def _freed(case: FailureCase, held: Attachment) -> Lacking:
 
 
 def _clear(case: FailureCase) -> Iterator[Lacking]:
-    """Yield what should have been out of the way, by the links that would have met or what hides the object."""
+    """Yield what should have been out of the way: colliding links, and bodies that hide the object."""
     if case.world is None or case.robot is None or ("rest" in case.data and case.data["rest"] is not None):
         return
     known: set[tuple[str, str]] = set()
@@ -257,7 +256,7 @@ def _clear(case: FailureCase) -> Iterator[Lacking]:
 
 
 def _taken_out(case: FailureCase) -> Iterator[Lacking]:
-    """Yield the drawers and doors that should have been moved to get at what lies in them."""
+    """Yield the drawers and doors that should have been opened, as they contain the object."""
     names = _shut_in(case)
     for task in case.motions("accessing") if names else ():
         given = values(task)
@@ -272,7 +271,7 @@ def _taken_out(case: FailureCase) -> Iterator[Lacking]:
 
 
 def _accessed(case: FailureCase, given: Mapping[str, Plain]) -> tuple[str, str]:
-    """Return what an accessing was to move: furniture, and its joint; if there is none of that name, the handle's."""
+    """Return the furniture and joint of an accessing; for an unknown joint that of the handle."""
     owner, joint = next(objects_in(given.get("part-of")), ""), str(given.get("drawer-joint") or "")
     body = case.world.bodies.get(owner) if case.world is not None else None
     if body is not None and joint not in body.joints:
@@ -281,12 +280,12 @@ def _accessed(case: FailureCase, given: Mapping[str, Plain]) -> tuple[str, str]:
 
 
 def _shut_in(case: FailureCase) -> list[str]:
-    """Return the objects that couldn't be got at, which may be for what they lie in."""
+    """Return the objects that couldn't be reached, grasped or seen, perhaps as they are in something closed."""
     return _wanted(case) if case.failure.type in _SHUT_IN else []
 
 
 def _lies_in(case: FailureCase, name: str, owner: str, joint: str) -> bool:
-    """Return whether an object is within what a joint of another body moves, by the boxes of its links."""
+    """Return whether an object is in the boxes of the links that a joint of another body moves."""
     assets = case.state.assets
     if case.world is None or assets is None or owner not in case.world.bodies or not joint:
         return False
@@ -322,7 +321,7 @@ def _joint_moved(case: FailureCase, name: str, link: str) -> Iterator[Lacking]:
 
 
 def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
-    """Yield what the robot should have put down, or folded away."""
+    """Yield what the robot should have put down, and the arm that it should have folded."""
     held = case.world.carrier(mover) if case.world is not None else None
     if held is not None and mover not in case.subjects:
         yield _freed(case, held)
@@ -339,7 +338,7 @@ def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
 
 
 def _at_pose(case: FailureCase) -> Iterator[Lacking]:
-    """Yield that the robot should have been elsewhere, if it would be nearer there to what it can't reach."""
+    """Yield that the robot should have been elsewhere, if that is nearer to the target."""
     target = case.data.get("target")
     if isinstance(target, list) and len(target) == 3:
         goal = [float(str(part)) for part in target[:2]]
@@ -390,7 +389,7 @@ def _swallowing(
 
 
 def _also(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
-    """Return the other motions, with any arm, that would have done as well and failed, since one succeeded."""
+    """Return the failed alternatives with any arm since the last success."""
     found: list[Node] = []
     for motion in case.motions(*lack.motions) if lack.arm else ():
         if not about(motion, body=lack.subject):
@@ -405,10 +404,9 @@ def _also(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
 def _next_step(
     case: FailureCase, end: int, around: Collection[int], thread: str, stack: Sequence[Line]
 ) -> tuple[int, Line | None]:
-    """Return the first step with which a part of the plan went on after another, and its line; else 0 and None.
+    """Return the first step of the plan after a step in some tasks, and its line; 0 and None if there is none.
 
-    ``around`` are the ids of the tasks that are that part, 0 for the plan itself; ``stack`` are the plan's lines after
-    which it went on.
+    ``around`` are the ids of the tasks, 0 for the plan itself; ``stack`` is the call stack of the step before.
     """
     for record in case.log.records((Task, Mutation), end + 1, min(case.began + 1, end + _GOES_ON)):
         if not isinstance(record, Task | Mutation) or (isinstance(record, Task) and record.phase == Task.FINISHED):
@@ -424,7 +422,7 @@ def _next_step(
 
 
 def _results(case: FailureCase) -> Iterator[Swallowed]:
-    """Yield the failures that left without a value, or empty, what the failed line reads."""
+    """Yield the failures that left a variable without a value, or empty, that the failed line reads."""
     setting = _setting(case) if _lacks_value(case) else iter(())
     if case.failure.type in _EMPTY:  # several things may have been put into it
         found = list(islice(setting, _MAX_SETTING))
@@ -440,7 +438,7 @@ def _results(case: FailureCase) -> Iterator[Swallowed]:
 
 
 def _setting(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
-    """Yield the earlier motions whose lines set variables that the failed line reads, the last first, and these."""
+    """Yield earlier motions, last first, whose lines set variables that the failed line reads, with these."""
     for motion in reversed(case.failed.motions):
         if motion.last_step < case.step and motion is not case.motion:
             names = _values_from(case, case.source.call_stack(motion.started))
@@ -449,7 +447,7 @@ def _setting(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
 
 
 def _lacks_value(case: FailureCase) -> bool:
-    """Return whether a line of the plan failed for want of a value."""
+    """Return whether a line of the plan failed as a value was missing."""
     failed, message = case.failure.type, case.failure.message
     if failed in _EMPTY or failed in ("NameError", "UnboundLocalError"):
         return True
@@ -459,7 +457,7 @@ def _lacks_value(case: FailureCase) -> bool:
 
 
 def _values_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
-    """Return the variables that some lines of the plan set, and those that failed read."""
+    """Return the variables that some lines of the plan set and the failed lines read."""
     stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
     lines = (*stack, *(line for error in case.traced for line in error.lines))
     places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
@@ -472,7 +470,7 @@ def _values_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
 
 
 def _skipped(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | None:
-    """Return the failed perception of what a motion lacked, the variable, and the line that skipped what uses it."""
+    """Return the failed perception of a lacking object, its variable, and the line that skipped the use of that."""
     body = case.world.bodies.get(lack.subject) if case.world is not None else None
     if body is None:
         return None
@@ -489,7 +487,7 @@ def _skipped(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | None:
 
 
 def _heads(case: FailureCase, line: Line, function: str, name: str) -> Iterator[tuple[Line, int]]:
-    """Yield the lines after one that decide by a variable what is done with it, and the last line of each body."""
+    """Yield the later ``for``, ``while`` and ``if`` lines that read a variable, with the last line of each body."""
     for node in syntax_nodes(case.source.text(line.file)):
         if not isinstance(node, ast.For | ast.While | ast.If) or node.lineno <= line.number:
             continue
@@ -508,7 +506,7 @@ def _names_below(node: ast.AST) -> set[str]:
 
 
 def _ran(case: FailureCase, motion: Node, head: Line, last: int) -> bool:
-    """Return whether a record since a motion came from a line below a head, or that can't be told."""
+    """Return whether the body of a head line ran after a motion; True if there are too many records to know."""
     records = list(islice(case.log.records((Task, Mutation, Query), motion.last_step + 1, case.began), _GOES_ON))
     if len(records) == _GOES_ON:
         return True
@@ -531,7 +529,7 @@ def _refusal(case: FailureCase, refusal: Refusal, precondition: str, subject: st
 
 
 def _missed(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
-    """Yield what the failure lacked of what a refusal would have done: the precondition and its subject."""
+    """Yield the lacking preconditions, with their subjects, that a refused request would have established."""
     given = argument_values(refusal.arguments)
     subject = next(objects_in(given.get("object")), "")
     lacks = {(each.precondition, each.subject) for each in lacking(case)}
@@ -561,7 +559,7 @@ def _missed(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
 def _refused_joints(
     case: FailureCase, subject: str, refusal: Refusal, given: Mapping[str, Plain]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the joints that would have been moved, if the failure depends on these."""
+    """Yield the joints that a refused request would have moved, if the failure depends on them."""
     names = set(_joints_meant(refusal, given))
     if case.robot is not None and subject == case.robot.name:
         parts = ["torso", "head"] if case.failure.type in _SEEN else ["torso"]
@@ -575,7 +573,7 @@ def _refused_joints(
 
 
 def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]:
-    """Yield the joints that would have been moved; of a misspelt one the name that the refusal suggests first."""
+    """Yield the joints of a refused request; for a misspelt name the first suggestion of the refusal."""
     positions = given.get("positions")
     error = argument_values(refusal.failure.data) if refusal.failure.type == "UnknownName" else {}
     near = error.get("nearest")
@@ -585,7 +583,7 @@ def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]
 
 
 def _was_asked_again(case: FailureCase, refusal: Refusal) -> bool:
-    """Return whether the same was done between a refusal and the failure, or the plan moved the object otherwise."""
+    """Return whether the request was fulfilled after its refusal, or the object was moved otherwise."""
     given = argument_values(refusal.arguments)
     subject, joints = next(objects_in(given.get("object")), ""), set(_joints_meant(refusal, given))
     for record in case.log.records(Mutation, refusal.seq + 1, case.began) if subject else ():

@@ -1,7 +1,7 @@
-"""What the plan, or the robot, relied on that was true before, and the changes that made it false.
+"""An answer, a perception or a belief was true before, and isn't any more; with the changes that made it false.
 
-A query that was answered yes, or a perception that succeeded, contradicts what failed later: then something that the
-answer depended on has changed. Changes that physics made are explained by :mod:`replay.explain.causes.physics`.
+If an answer or a perception contradicts the later failure, something that it depends on has changed. Changes by physics
+are explained in :mod:`replay.explain.causes.physics`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _AWAY: Final = 0.02  # m; less is settling
 
 @dataclass(frozen=True, slots=True)
 class NoLonger(Cause):
-    """What the plan relied on was true when it asked, and wasn't any more."""
+    """An answer or perception that the plan relied on was true, and isn't any more."""
 
     kind = "no-longer-true"
     asked: Query | Node  # the query that was answered yes, or the task that succeeded
@@ -67,7 +67,7 @@ class NoLonger(Cause):
             yield NoLonger((seq, *(change.step for change in changes), case.step), asked, changes)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether misbeliefs explain what a look has told."""
+        """Return whether misbeliefs explain the outdated perception."""
         believed = {each.body for each in found if isinstance(each, Misbelief)}
         return isinstance(self.asked, Node) and believed.issuperset(change.body for change in self.changes)
 
@@ -82,7 +82,7 @@ class NoLonger(Cause):
 
 @dataclass(frozen=True, slots=True)
 class Misbelief(Cause):
-    """The robot believed an object elsewhere than it was."""
+    """The robot believed that an object was elsewhere."""
 
     kind = "misbelief"
     body: str
@@ -94,7 +94,7 @@ class Misbelief(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Misbelief]:
-        """Yield the beliefs about what a failure is about that were wrong when what failed began."""
+        """Yield the wrong beliefs about objects of the failure when the failed motion began."""
         world = case.before
         if case.failure.type not in _BELIEVED or world is None:
             return
@@ -122,7 +122,7 @@ class Misbelief(Cause):
 
 
 def _contradicted(case: FailureCase) -> Query | None:
-    """Return the last query whose answer contradicts the failure, or what the plan judged by when it raised it."""
+    """Return the last query whose answer contradicts the failure, or the answer on which the plan raised it."""
     judged = [each for each in answers(case) if isinstance(each, Query)] if case.motion is None else []
     no = next((query for query in reversed(judged) if from_json(query.answer_json) is False), None)
     question = _question(no) if no is not None else None
@@ -150,7 +150,7 @@ def _question(query: Query) -> tuple[object, ...]:
 
 
 def _perceived(case: FailureCase) -> Node | None:
-    """Return the last detecting that succeeded and found what couldn't be taken, or seen again."""
+    """Return the last successful detecting of an object that then couldn't be taken, or seen again."""
     names = set(case.subjects or case.mentioned)
     for motion in case.motions("detecting", "world-state-detecting"):
         if motion.status is State.SUCCEEDED and names.intersection(objects_in(result(motion))):
@@ -159,7 +159,7 @@ def _perceived(case: FailureCase) -> Node | None:
 
 
 def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
-    """Yield what has changed since an answer, of what it depended on."""
+    """Yield the changes since an answer of the things on which it depends."""
     step = asked.seq if isinstance(asked, Query) else asked.last_step
     then = state_at(case.log, step).worlds.get(case.world.name) if case.world is not None else None
     if then is None or case.world is None:
@@ -197,7 +197,7 @@ def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingCha
 
 
 def _moved_in_hand(case: FailureCase) -> Iterator[NoLonger]:
-    """Yield the pick-ups of what the robot holds, if the plan itself has moved it since then, far off its hand."""
+    """Yield the pick-ups of held objects that the plan itself has moved far off the hand since then."""
     if case.motion is None or case.before is None or case.robot is None:
         return
     moved = {pair.get("mover") for pair in case.pairs} | set(case.subjects if case.motion.name == "place" else ())
@@ -224,7 +224,7 @@ def _moves(case: FailureCase, name: str, start: int) -> Iterator[CausingChange]:
 
 
 def _relevant_joints(robot: Body, query: str) -> tuple[str, ...]:
-    """Return the joints that an answer depends on, beside those that the query tries itself."""
+    """Return the joints on which an answer depends, except for those that the query varies itself."""
     head = joints_of(robot, "head") if query in ("visible", "occluding") else ()
     return (*joints_of(robot, "torso"), *head)
 

@@ -1,4 +1,4 @@
-"""What the robot couldn't get at: it was too far away, something was in the way, or no candidate would do."""
+"""The target was out of reach, something was in the way, or every candidate was rejected."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explai
 
 @dataclass(frozen=True, slots=True)
 class ObstructingBody(Cause):
-    """Something was in the way, or hid what was looked for."""
+    """A body was in the way, or hid the object that was looked for."""
 
     kind = "in-the-way"
     body: str
@@ -36,7 +36,7 @@ class ObstructingBody(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[ObstructingBody]:
-        """Yield what the robot, or what it holds, would have touched, and what hid an object."""
+        """Yield the bodies that the robot or a held object would have touched, and those that hid an object."""
         if case.world is None:
             return
         for pair in case.pairs:
@@ -55,7 +55,7 @@ class ObstructingBody(Cause):
                     yield _obstacle(case, name, "", "")
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether physics moved it there."""
+        """Return whether physics moved the body there."""
         return any(isinstance(each, Physics) and each.body == self.body for each in found)
 
     def _words(self) -> Iterator[str]:
@@ -66,7 +66,7 @@ class ObstructingBody(Cause):
 
 @dataclass(frozen=True, slots=True)
 class UnreachedTarget(Cause):
-    """The arm doesn't get there from where the robot stands."""
+    """The arm can't reach the target from the robot's pose."""
 
     kind = "out-of-reach"
     arm: str
@@ -78,7 +78,7 @@ class UnreachedTarget(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[UnreachedTarget]:
-        """Yield how far away it was, and what put the robot, its torso and the object there."""
+        """Yield the distance of the target, and the last changes of the robot, its torso and the object."""
         if case.failure.type not in ("Unreachable", "HandleUnreachable") or case.robot is None or case.motion is None:
             return
         body = next((name for name in case.subjects if case.free_body(name) is not None), "")
@@ -102,7 +102,7 @@ class UnreachedTarget(Cause):
         )
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether it was within reach before."""
+        """Return whether a change since an earlier success, or a swallowed failure, explains it."""
         return any(isinstance(each, _DEEPER) for each in found)
 
     def _words(self) -> Iterator[str]:
@@ -115,7 +115,7 @@ class UnreachedTarget(Cause):
 
 @dataclass(frozen=True, slots=True)
 class NoCandidate(Cause):
-    """Of the ways to do it, as grasps or postures, none would do."""
+    """All candidates, such as grasps or postures, were rejected."""
 
     kind = "no-candidate"
     asked: Query  # the choice, with its candidates and why each was rejected
@@ -123,7 +123,7 @@ class NoCandidate(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoCandidate]:
-        """Yield the last choice of the failed motion, if none of what was considered would do."""
+        """Yield the last choice of the failed motion, if it rejected all candidates."""
         if case.task is None or case.motion is None:
             return
         last = next(reversed(list(choices(case.log, case.task, case.step + 1))), None)
@@ -133,7 +133,7 @@ class NoCandidate(Cause):
                 yield NoCandidate((last.seq, case.step), last, count)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether it would have done before; of one candidate alone the message says why not."""
+        """Return whether another cause explains it; a single candidate is explained by the message."""
         return len(found) > 1 if self.count == 1 else any(isinstance(each, _DEEPER) for each in found)
 
     def _words(self) -> Iterator[str]:

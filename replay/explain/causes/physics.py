@@ -1,8 +1,7 @@
-"""Objects that fell, tipped or moved in simulation after they had been where the plan wanted them, and what let them.
+"""An object fell, tipped or moved in simulation from where the plan wanted it; with the changes that let it move.
 
-What counts is how an object moved since the plan changed it itself, or since the last success that was about it, if
-that is later. What let it is that change, if the object never was at rest after it, or else what the plan changed near
-it between its rest and its move.
+The motion of an object counts since the plan's last change of it, or since the last success with it, if that is later.
+If the object wasn't at rest after that change, the change let it move; else the plan's changes near it since its rest.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ _SPINNING: Final = 1.0  # rad/s, likewise
 
 @dataclass(frozen=True, slots=True)
 class Physics(Cause):
-    """An object fell, tipped or moved in simulation after it had been where the plan wanted it."""
+    """An object fell, tipped or moved in simulation from where the plan wanted it."""
 
     kind = "physics"
     body: str
@@ -64,7 +63,7 @@ class Physics(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Physics]:
-        """Yield which of the objects that a failure mentions physics had moved."""
+        """Yield the objects of the failure that physics moved."""
         for name in case.mentioned:
             if case.free_body(name) is not None and case.world is not None and case.world.carrier(name) is None:
                 fate = _Fate(case, name)
@@ -98,7 +97,7 @@ class Physics(Cause):
 
 
 class _Fate:
-    """What became of an object since the plan's last own change of it.
+    """The motion of an object in simulation since the plan's last change of it.
 
     ``base`` is the record of that change, ``since`` its step, or that of the last success about the object, if that is
     later; ``moves`` are the later stretches of simulation that moved the object.
@@ -129,7 +128,7 @@ class _Fate:
         self.moves = [record for record in self.moves if record.seq > self.since]
 
     def explained(self) -> Iterator[Physics]:
-        """Yield how it moved, and what let it, if it is more than settling."""
+        """Yield the motion and the changes that let it happen, if it is more than settling."""
         before, after = self._pose(self.since), self._pose(self._case.step)
         if before is None or after is None or not self.moves:
             return
@@ -167,7 +166,7 @@ class _Fate:
         )
 
     def _lets(self, first: Mutation) -> tuple[CausingChange, ...]:
-        """Return the changes that may have let it move in a stretch of simulation."""
+        """Return the changes that may have let the object move in a stretch of simulation."""
         assert self.base is not None  # noqa: S101  for mypy
         case, start, candidates = self._case, self.base.seq, []
         for record in case.log.backwards(first.seq - 1, Mutation):
@@ -190,7 +189,7 @@ class _Fate:
         return tuple(candidates[:_MAX_LETS][::-1])
 
     def _support(self, first: Mutation) -> str:
-        """Return what it stood on, if that was moved or removed since it was at rest; "" otherwise."""
+        """Return the support of the object, if that was moved or removed since its rest; "" otherwise."""
         own = self._pose(self.since)
         world = state_at(self._case.log, self.since).worlds.get(self._world)
         if own is None or world is None:
@@ -205,12 +204,12 @@ class _Fate:
         return min(below, key=lambda name: own[0][2] - world.bodies[name].position[2], default="")
 
     def _is_moving(self, record: Mutation) -> bool:
-        """Whether it still moves at the end of a stretch of simulation."""
+        """Return whether the object still moves at the end of a stretch of simulation."""
         state = next((each for each in record.effect.bodies if each.body == self._name), None)
         return state is not None and math.hypot(*state.velocity) > _MOVED
 
     def _near(self, record: Mutation) -> CausingChange | None:
-        """Return a change of something near it, that may have supported or pushed it."""
+        """Return the change of a body near the object, which may have supported or pushed it."""
         case, command = self._case, record.WhichOneof("command")
         if command == "set_gravity":
             return case.change(record, "", "gravity")
@@ -232,7 +231,7 @@ class _Fate:
         return None
 
     def _moved_link_near(self, bodies: Sequence[tuple[State, Body]], own: Pose) -> bool:
-        """Whether one of the links that a change moved is near it, before or after."""
+        """Return whether a link that a change moved is near the object, before or after."""
         try:
             poses = [
                 {link: geometry.multiply(body.pose, pose) for link, pose in links.items()}
@@ -245,7 +244,7 @@ class _Fate:
         return any(math.dist(each[link][0], own[0]) < _PUSHED for link in moved for each in poses)
 
     def _velocity(self, released: int, first: Mutation) -> tuple[float, float]:
-        """Return the speed and spin with which it was let go of: those then, else those soon after."""
+        """Return the speed and spin of the object when it was released, or soon after."""
         body = self._body(state_at(self._case.log, released), self._name)
         velocities = [body.velocity] if body is not None else []
         for sample in first.effect.samples[:1]:

@@ -1,4 +1,4 @@
-"""Failures of the plan's own code: its ``raise`` lines, also in branches, and its mistakes."""
+"""The plan's own code raised the failure, or made a mistake."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")
 
 @dataclass(frozen=True, slots=True)
 class Raised(Cause):
-    """The plan's own code raised the failure, or made the mistake that Python or PyCRAM refused."""
+    """The plan's own code raised the failure, or made a mistake that Python or PyCRAM rejected."""
 
     kind = "raised"
     type: str  # of what was raised
@@ -52,7 +52,7 @@ class Raised(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Raised]:
-        """Yield the plan's line that raised it, or raised it from another failure, unless a motion's module did."""
+        """Yield the plan's line that raised the failure, or translated it; not if a motion's module raised it."""
         yield from _made_of_it(case)
         error = next(reversed(case.traced), None)
         asked = case.source.call_stack(case.motion.started) if case.motion is not None else ()
@@ -95,7 +95,7 @@ def _is_raise(line: Line) -> bool:
 
 
 def _made_of_it(case: FailureCase) -> Iterator[Raised]:
-    """Yield the plan's line that raised another error where it handled the task's failure."""
+    """Yield the plan's line that raised another error while it handled the task's failure."""
     last = next(reversed(case.exceptions), None)
     end = case.task.motion.finished if case.task is not None else None
     failure = (case.failure.type, case.failure.message)
@@ -107,12 +107,12 @@ def _made_of_it(case: FailureCase) -> Iterator[Raised]:
 
 
 def is_mistake(case: FailureCase) -> bool:
-    """Return whether Python or PyCRAM refused what some code did, whatever the world was like."""
+    """Return whether Python or PyCRAM rejected some code, independently of the world."""
     return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
 
 
 def _refusal_of(case: FailureCase) -> Iterator[int]:
-    """Yield the step of the refusal that the failure is, if it is one."""
+    """Yield the step of the refusal that raised the failure, if there is one."""
     for refusal in case.log.backwards(case.step, Refusal) if case.log.counts().get("refusal") else ():
         if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
             yield refusal.seq
@@ -120,7 +120,7 @@ def _refusal_of(case: FailureCase) -> Iterator[int]:
 
 
 def _failed_before(case: FailureCase) -> Iterator[Task]:
-    """Yield the end of the last motion of the same task before the failure, if it failed and the plan went on."""
+    """Yield the end of the last motion of the same task before the failure, if that motion failed."""
     scope = None if case.task is None else case.task.id
     ended = [
         motion
@@ -133,7 +133,7 @@ def _failed_before(case: FailureCase) -> Iterator[Task]:
 
 
 def _watched(case: FailureCase) -> Iterator[Fluent]:
-    """Yield the last change of the fluents that a ``whenever`` reacts to, if it is one."""
+    """Yield the last change of the fluents of a failed ``whenever``."""
     if case.task is None or case.task.kind != "whenever":
         return
     for record in islice(case.log.backwards(case.step, Fluent), _SEARCHED):

@@ -1,4 +1,4 @@
-"""What a part of a plan waited for, or did, when its time was up or it was interrupted; and who could have helped."""
+"""A deadline was missed, or the plan was interrupted: what it waited for or did then, and what could have helped."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MAX_NAMED: Final = 3  # parts of a plan
 
 @dataclass(frozen=True, slots=True)
 class Fulfiller:
-    """What could have made a fluent true."""
+    """A line or task of the plan that could have made a fluent true."""
 
     line: Line | None  # of the plan, that sets it; None if only a record tells
     task: Node | None  # that ran the line, or should have
@@ -69,7 +69,7 @@ class Fulfiller:
 
 @dataclass(frozen=True, slots=True)
 class PendingTask:
-    """What a part of a plan was doing when it was stopped."""
+    """A task that was under way when its part of the plan was stopped."""
 
     task: Node  # a wait for a fluent, a motion, or another task
     began: bool  # False: a motion that waited for its turn, or for parts of the robot
@@ -86,7 +86,7 @@ class PendingTask:
         return f"{'in' if self.began else 'waiting for the turn of'} {phrases.node(self.task)}"
 
     def steps(self) -> Iterator[int]:
-        """Yield the steps on which it rests."""
+        """Yield the steps of its records."""
         yield self.task.started.seq
         yield from self.changed
         for each in self.fulfillers:
@@ -97,7 +97,7 @@ class PendingTask:
                 yield each.refused.seq
 
     def details(self) -> Iterator[str]:
-        """Yield what it waited for: the values, and who could have fulfilled it."""
+        """Yield what it waited for: fluents with their values and what sets them, or running motions."""
         if self.task.kind == "wait":
             values = ", ".join(f"{name} = {phrases.value(value)}" for name, value in self.values.items())
             steps = phrases.names([str(step) for step in self.changed])
@@ -122,7 +122,7 @@ def _doing(pending: Sequence[PendingTask]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedLine:
-    """Simulated time that a line of the plan took."""
+    """The simulated time that a line of the plan took."""
 
     line: Line | None
     seconds: float  # of simulated time
@@ -148,7 +148,7 @@ class Timeout(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Timeout]:
-        """Yield what missed a deadline: that of a timeout, or of a wait by whose outcome the plan judged."""
+        """Yield the missed deadline of a timeout, or of a wait whose outcome made the plan raise the failure."""
         if case.task is not None and case.task.kind == "timeout" and case.failure.type == "TimedOut":
             tree = _tree(case, case.task.last_step + 1)
             scope = tree.nodes[case.task.id]
@@ -182,7 +182,7 @@ class Timeout(Cause):
 
 @dataclass(frozen=True, slots=True)
 class Interruption(Cause):
-    """Somebody, or something else, ended the plan: that is no failure of it."""
+    """The plan was interrupted, or its process ended; that isn't a failure of the plan."""
 
     kind = "interrupted"
     by: str  # "Ctrl-C", "SIGTERM"; "" if the process ended without closing its recording
@@ -191,7 +191,7 @@ class Interruption(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Interruption]:
-        """Yield by what a plan was interrupted, and while it did what."""
+        """Yield what interrupted a plan, and the tasks that were under way."""
         end = case.log[-1]
         closed = isinstance(end, Run) and end.phase == Run.FINISHED
         if case.failure.type != (INTERRUPT if closed else ""):  # what failed before is another case
@@ -215,7 +215,7 @@ class Interruption(Cause):
 
 
 def _interrupted(tree: Tree) -> list[Node]:
-    """Return the innermost tasks that were interrupted, or cancelled by that."""
+    """Return the innermost tasks that were interrupted, or cancelled due to that."""
     hit = [node for _, node in tree.walk() if node.error is not None and node.error[0] == INTERRUPT]
     found: list[Node] = []
     for node in hit:
@@ -226,7 +226,7 @@ def _interrupted(tree: Tree) -> list[Node]:
 
 
 def _tree(case: FailureCase, stop: int) -> Tree:
-    """Return the tasks before a step; of very many the last ones."""
+    """Return the tasks before a step; of very many only the last ones."""
     tree = Tree(limit=_MAX_TASKS)
     for record in case.log.records(Task, stop=stop):
         tree.apply(record)
@@ -244,7 +244,7 @@ def _stopped(tree: Tree, root: Node | None = None) -> list[Node]:
 
 
 def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTask:
-    """Return what a task was doing at a step; the tree has what ran beside it."""
+    """Return what a task was doing at a step; the tree has the concurrent tasks."""
     line = case.line_of(node.asked or node.started)
     motion = node.motion if node.motion.kind == "motion" else node
     if node.kind == "wait":
@@ -276,7 +276,7 @@ def _values(
 
 
 def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step: int) -> Iterator[Fulfiller]:
-    """Yield what sets the fluents: by the plan's source, else by records."""
+    """Yield what sets the fluents, by the plan's source, else by records."""
     found = False
     last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
     for name in leaves:
@@ -302,7 +302,7 @@ def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step
 
 
 def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
-    """Return the last motion that failed about what the name of a fluent that follows the world names."""
+    """Return the last failed motion with an object or parameter that a fluent's name contains."""
     words = set(name.replace("(", " ").replace(")", " ").split())
     for motion in reversed(case.failed.motions):
         if motion.last_step <= step and motion.failed:
@@ -314,7 +314,7 @@ def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
 
 @lru_cache(maxsize=64)
 def _setters(text: str, name: str) -> tuple[int, ...]:
-    """Return the numbers of the lines that set the fluent that is made with a name, by the variable that it is in."""
+    """Return the numbers of the lines that set the fluent with a name, via the variable that holds it."""
     nodes = syntax_nodes(text)
     variables = set()
     for node in nodes:
@@ -333,7 +333,7 @@ def _last(node: ast.expr) -> str:
 
 
 def _task_of(tree: Tree, function: str, step: int) -> Node | None:
-    """Return the last branch that runs a function of the plan, by its name."""
+    """Return the last branch with the name of a function of the plan."""
     named = [node for _, node in tree.walk() if node.kind == "branch" and node.name.rpartition(".")[2] == function]
     return next((node for node in reversed(named) if node.created.wall_ns and node.started.seq <= step), None)
 
@@ -362,7 +362,7 @@ def _is_in(number: int, task: Node) -> bool:
 
 
 def _ended(scope: Node) -> Iterator[Node]:
-    """Yield what was done within a scope, also in blocks that were not."""
+    """Yield the tasks that ended within a scope, also within blocks that did not."""
     for node in scope.children:
         if node.status in (State.SUCCEEDED, State.FAILED):
             yield node
