@@ -13,7 +13,7 @@ from contextlib import suppress
 from types import FunctionType
 from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
 
-from pycram.foundation.error_families import UsageError
+from pycram.foundation.errors import UsageError
 from recorder import records
 from recorder.tracing import journal, span
 from recorder.tracing.call_stack import is_of_plan

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeAlias, cast, overload
 
-from pycram.foundation.error_chain import chained, raise_unchanged
+from pycram.foundation.errors import chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure
 from pycram.language.branch import Branch, Result, name_of, run
 from pycram.language.failures import BlockClosed, BranchesFailed, OutlivesTimeout, Retry, RunsEarly, leaves_uncleaned

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pycram.foundation.error_chain import chained, raise_unchanged
+from pycram.foundation.errors import chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure
 from pycram.language.branch import name_of, run
 from pycram.language.failures import NotCleanedUp, Retry

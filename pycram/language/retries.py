@@ -38,7 +38,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from pycram.foundation.error_chain import chained, raise_unchanged
+from pycram.foundation.errors import chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.language.branch import run
 from pycram.language.failures import Retry, leaves_uncleaned

@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
-from pycram.foundation.error_chain import chained
+from pycram.foundation.errors import chained
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.names import qualified_name
 from pycram.foundation.refusals import refusing

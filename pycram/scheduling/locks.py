@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.error_families import UsageError
+from pycram.foundation.errors import UsageError
 from pycram.foundation.refusals import refused
 
 if TYPE_CHECKING:

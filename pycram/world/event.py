@@ -11,7 +11,7 @@ import threading
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
-from pycram.foundation.error_chain import call_all, chained
+from pycram.foundation.errors import call_all, chained
 from pycram.foundation.failures import BadArgument, UnknownName
 from pycram.foundation.names import qualified_name
 from pycram.foundation.refusals import mark_recorded, refusing

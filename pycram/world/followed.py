@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.usage_errors import FollowsTrajectory
+from pycram.foundation.errors import FollowsTrajectory
 from pycram.world import carried
 from pycram.world.joints import with_followers
 from pycram.world.trajectory import BaseFrame, Trajectory

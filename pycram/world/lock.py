@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from pycram.foundation.error_chain import call_all, chained
+from pycram.foundation.errors import call_all, chained
 from pycram.scheduling.locks import Lock
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ import pycram.motions
 import pycram.planning
 import pycram.reasoning
 import pycram.world
-from pycram.foundation.error_families import PlanFailure
+from pycram.foundation.errors import PlanFailure
 from pycram.motions.execution import Execution
 
 if TYPE_CHECKING:

@@ -1,0 +1,364 @@
+"""Errors: what all have in common, the two families, usage errors, and errors that happened together.
+
+A :class:`PlanFailure` says that the world refused: a plan may catch it and try something else. A :class:`UsageError`
+says that the program is wrong: nothing should catch it. Every error keeps its data as attributes, which the recording
+stores beside the message. A plan's own errors may be dataclasses, also frozen ones: the attributes that Python sets
+while an exception propagates (traceback, context) can be set all the same.
+
+How to write one of PyCRAM's own: as a dataclass of its data, with a template for the message::
+
+    @dataclass_error
+    class GraspFailed(PlanFailure):
+        # (docstring)
+        arm: str  # "left" or "right"
+        body: str
+        widths: Sequence[float] = kept_as(floats, default=())  # m, between the fingers
+
+        _template = "{arm} gripper can't take {body}"
+
+- Fields are the constructor's parameters, and the recorded data in the same order. ``kept_as`` copies a given value.
+- Where a template can't say it, override ``_message()``, which returns the message from the fields.
+- Where a field depends on others, set it in ``_complete()``, which runs before the message is made.
+- Where parameters and fields differ, write ``__init__`` instead, and call ``super().__init__(message)``.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field, fields
+from types import MemberDescriptorType
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NoReturn, TypeVar, cast, dataclass_transform
+from weakref import WeakSet
+
+from recorder.suggestions import nearest, suggestion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+    from typing import Self
+
+Given = TypeVar("Given")
+ErrorType = TypeVar("ErrorType", bound=BaseException)
+
+
+class PycramError(Exception):
+    """Base of everything that PyCRAM raises on purpose."""
+
+    _template: ClassVar[str] = ""  # message of a dataclass error, with its fields in braces
+
+    def __new__(cls, *args: object, **kwargs: object) -> Self:
+        """Make an instance that can be raised even if its class refuses assignments."""
+        if cls not in _raisable:
+            _make_raisable(cls)
+        return super().__new__(cls, *args, **kwargs)
+
+    @property
+    def data(self) -> Mapping[str, object]:
+        """The error's fields by name."""
+        slots = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
+        return {name: value for name, value in (slots | vars(self)).items() if not name.startswith("_")}
+
+    def _complete(self) -> None:
+        """Set fields that depend on others."""
+
+    def _message(self) -> str:
+        return self._template.format_map(vars(self))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle and copy it with its fields: the class can't be called with the message alone."""
+        slots = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
+        return _restored, (type(self), self.args, slots, dict(vars(self)))
+
+
+class PlanFailure(PycramError):
+    """The world said no; a plan may handle it."""
+
+
+class UsageError(PycramError):
+    """The program is wrong; plans must not handle it."""
+
+
+def kept_as(convert: Callable[[Given], object], **default: Given | None) -> Given:
+    """Return a field of a dataclass error that keeps what ``convert`` returns (list, dict, ...); None stays None."""
+    return cast("Given", field(**default, metadata={"convert": convert}))  # type: ignore[call-overload]  # at most default
+
+
+def floats(values: Sequence[float]) -> list[float]:
+    """Return numbers as Python's floats, also those of an array."""
+    return [float(value) for value in values]
+
+
+@dataclass_transform(eq_default=False, field_specifiers=(field, kept_as))
+def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
+    """Make an error a dataclass, with the message that its template or its ``_message()`` has.
+
+    Other code doesn't take it for a dataclass: one that a plan derives from it may be frozen, and has its own fields
+    only. Errors stay equal by identity, and print as exceptions do.
+    """
+    dataclass(eq=False, repr=False, match_args=False)(kind)
+    conversions = {each.name: each.metadata["convert"] for each in fields(cast("Any", kind)) if each.metadata}
+    del kind.__dataclass_fields__, kind.__dataclass_params__  # type: ignore[attr-defined]  # made above
+    set_fields = kind.__init__
+
+    @functools.wraps(set_fields)
+    def init(self: PycramError, *args: object, **kwargs: object) -> None:
+        set_fields(self, *args, **kwargs)
+        for name, convert in conversions.items():
+            value = getattr(self, name)
+            if value is not None:
+                setattr(self, name, convert(value))
+        self._complete()
+        super(PycramError, self).__init__(self._message())
+
+    kind.__init__ = init  # type: ignore[method-assign, assignment]  # of the same parameters
+    return kind
+
+
+def _restored(
+    kind: type[PycramError], args: tuple[object, ...], slots: Mapping[str, object], fields: Mapping[str, object]
+) -> PycramError:
+    """Make an error again that was pickled."""
+    error = kind.__new__(kind, *args)
+    vars(error).update(fields)  # not by assignments: its class may refuse them
+    for name, value in slots.items():
+        getattr(kind, name).__set__(error, value)
+    return error
+
+
+def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:
+    """Yield the slots in which an error holds fields, as dataclasses with ``slots=True`` do."""
+    for base in type(error).__mro__:
+        if issubclass(base, PycramError):
+            for slot in vars(base).values():
+                if isinstance(slot, MemberDescriptorType) and hasattr(error, slot.__name__):
+                    yield slot
+
+
+#: What Python sets on an exception that propagates; context managers, those of contextlib among them, do so too.
+_SET_BY_PYTHON: Final = frozenset({"__cause__", "__context__", "__notes__", "__suppress_context__", "__traceback__"})
+
+_raisable: Final[WeakSet[type[PycramError]]] = WeakSet()
+
+
+def _make_raisable(kind: type[PycramError]) -> None:
+    """Allow what Python sets on exceptions where a class refuses assignments, as frozen dataclasses do.
+
+    A dataclass gets its ``__setattr__`` only after ``__init_subclass__`` has run: hence with the first instance.
+    """
+    for base in kind.__mro__:
+        if issubclass(base, PycramError) and base not in _raisable:
+            _raisable.add(base)
+            if "__setattr__" in vars(base):
+                _allow_python(base)
+
+
+def _allow_python(kind: type[PycramError]) -> None:
+    assign = kind.__setattr__
+
+    @functools.wraps(assign)
+    def set_or_assign(error: PycramError, name: str, value: object) -> None:
+        if name in _SET_BY_PYTHON:
+            BaseException.__setattr__(error, name, value)
+        else:
+            assign(error, name, value)
+
+    kind.__setattr__ = set_or_assign  # type: ignore[method-assign, assignment]  # wraps its own
+
+
+@dataclass_error
+class BadArgument(UsageError, ValueError):
+    """A value that no world could accept (NaN, wrong length, zero quaternion, ...)."""
+
+    argument: str  # name of the parameter
+    value: object
+    expected: str  # what the parameter accepts
+
+    _template = "{argument} = {value!r}: expected {expected}"
+
+
+class JointLimitError(BadArgument):
+    """A joint value outside the limits of the model, in rad or m."""
+
+    def __init__(self, body: str, joint: str, value: float, lower: float, upper: float) -> None:
+        super().__init__(f"joint {joint} of {body}", value, f"a value from {lower:g} to {upper:g}")
+        self.body = body
+        self.joint = joint
+        self.lower = lower
+        self.upper = upper
+
+
+class UnknownName(UsageError, LookupError):
+    """A name that the world, object or registry doesn't have."""
+
+    def __init__(self, kind: str, name: object, owner: str, known: Iterable[str]) -> None:
+        names = list(known)
+        super().__init__(f"{owner} has no {kind} {name!r}; {suggestion(name, names)}")
+        self.kind = kind  # "joint", "link", "object", ...
+        self.name = name
+        self.owner = owner
+        self.nearest = nearest(name, names)  # the most similar names that the owner has
+
+
+class AssetError(UsageError):
+    """A model or mesh file that can't be used."""
+
+    def __init__(self, path: str | Path, cause: str) -> None:
+        super().__init__(f"{path}: {cause}")
+        self.path = str(path)
+        self.cause = cause
+
+
+@dataclass_error
+class AttachmentError(UsageError):
+    """An attachment that can't be made (cycle, itself, another world, already carried)."""
+
+    carrier: str
+    body: str
+    reason: str
+
+    _template = "{carrier} can't carry {body}: {reason}"
+
+
+@dataclass_error
+class ReadOnly(UsageError, AttributeError):
+    """An attribute was assigned that only methods change, as each change is a record."""
+
+    owner: str  # the world or object
+    attribute: str
+    instead: str  # what to do instead
+
+    _template = "{attribute} of {owner} can't be assigned: {instead}"
+
+
+class WorldClosed(UsageError):
+    """An action was tried in a world after its exit, or on an object after its removal."""
+
+    def __init__(self, world: str, action: str, what: str = "the world") -> None:
+        super().__init__(f"can't {action} in {world}: {what} is gone")
+        self.world = world
+        self.action = action
+
+
+@dataclass_error
+class NoWorld(UsageError):
+    """Nothing is current: no world was opened, or all have ended."""
+
+    what: str = "world"  # or "robot"
+
+    def _message(self) -> str:
+        if self.what == "world":
+            return "there is no current world; open one with BulletWorld()"
+        return "the current world has no robot; set BulletWorld.robot"
+
+
+@dataclass_error
+class ChangeRefused(UsageError):
+    """A change of a world was tried inside a reasoning query."""
+
+    change: str
+    query: str
+
+    _template = "{change} was tried inside the query {query}; queries leave no trace"
+
+
+@dataclass_error
+class ObjectsChanged(UsageError):
+    """A state of a world can't be restored, as it was saved with other objects."""
+
+    world: str
+    added: Sequence[str] = kept_as(tuple)  # names of the objects that were loaded since
+    removed: Sequence[str] = kept_as(tuple)  # names of the objects that were removed since
+
+    def _message(self) -> str:
+        changes = ((self.added, "loaded"), (self.removed, "removed"))
+        since = " and ".join(
+            f"{', '.join(names)} {'were' if names[1:] else 'was'} {how}" for names, how in changes if names
+        )
+        return f"a state of {self.world} has the same objects when it is restored, but {since} since it was saved"
+
+
+@dataclass_error
+class FollowsTrajectory(UsageError):
+    """An action can't be done while a body follows a trajectory."""
+
+    action: str
+    body: str
+    number: int  # of the trajectory in its world
+    joints: Sequence[str] = kept_as(tuple, default=())  # names of the joints that it moves; none for the base
+
+    def _message(self) -> str:
+        joints = self.joints
+        listed = ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
+        which = f"{listed or 'the base'} of {self.body}"
+        remedy = f"wait until it has ended, or stop it with stop_trajectory({self.number})"
+        return f"can't {self.action}: trajectory {self.number} moves {which}; {remedy}"
+
+
+@dataclass_error
+class DisplayError(UsageError):
+    """A window was asked for where none can open."""
+
+    reason: str
+
+    _template = 'BulletWorld("GUI") can\'t open its window: {reason}; BulletWorld() runs without one'
+
+
+def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:
+    """Append errors to the context chain of one that is going to be raised; tracebacks then print all of them.
+
+    Args:
+        error: The error to raise, which is returned.
+        others: Errors that happened beside it; those that its chain holds already are left out.
+    """
+    for other in others:
+        last: BaseException = error
+        known = {id(last)}
+        while (earlier := last.__cause__ or last.__context__) is not None and id(earlier) not in known:
+            last = earlier
+            known.add(id(last))
+        if id(other) not in known and _detached(other, known):
+            last.__context__ = other
+            last.__suppress_context__ = False
+    return error
+
+
+def call_all(calls: Iterable[Callable[[], object]]) -> list[Exception]:
+    """Make all calls, also after one that raised, and return the errors."""
+    errors = []
+    for call in calls:
+        try:
+            call()
+        except Exception as error:  # noqa: BLE001  the caller raises it when all are made
+            errors.append(error)
+    return errors
+
+
+def raise_unchanged(error: BaseException) -> NoReturn:
+    """Raise an error with the context that it has, also while another one is being handled."""
+    context = error.__context__
+    try:
+        raise error
+    finally:
+        error.__context__ = context
+
+
+def _detached(error: BaseException, known: set[int]) -> bool:
+    """Cut an error's context chain before the known errors, as appending it to them would close a circle.
+
+    Returns:
+        False if it was raised explicitly from one of them, and so can't be cut off.
+    """
+    seen: set[int] = set()
+    later = error
+    while id(later) not in seen:
+        seen.add(id(later))
+        earlier = later.__cause__ or later.__context__
+        if earlier is None:
+            break
+        if id(earlier) in known:
+            if later.__cause__ is not None:
+                return False
+            later.__context__ = None
+            break
+        later = earlier
+    return True
