@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-_MIN_TURN: Final = math.radians(0.05)  # smaller ones are not mentioned
+_MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -156,7 +156,7 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
             siblings[name] = siblings.get(name, 0) + 1
             paths[record.task] = hash((outer, *name, siblings[name]))
         path = paths.get(record.task, 0)
-        if _explains(record):  # numbered by themselves, as early recordings lack them
+        if _explains(record):  # numbered separately, as early recordings lack them
             path = _explaining(path)
         elif isinstance(record, Mutation | Fluent) and record.by_fork:  # the plan's own are compared with each other
             path = hash((path, "by the fork"))

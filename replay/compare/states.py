@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
 _MAX_LISTED: Final = 8  # joints that are listed one by one
-_MIN_TURN: Final = math.radians(0.05)  # smaller ones are not mentioned
+_MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,7 +75,7 @@ class FailedBranch:
     """Another failed part of the same block."""
 
     task: Node
-    line: Line | None  # of the plan, that asked for it
+    line: Line | None  # the plan's line that requested it
     bodies: tuple[InvolvedBody, ...]  # the robot, and what that failure was about, at its moment
     causes: tuple[Cause, ...]  # of that failure
 

@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 
 
 _MAX_QUERIES: Final = 8
-_FIRST, _LAST = 5, 20  # of many attempts, those for which the robot's state is folded
+_FIRST, _LAST = 5, 20  # number of attempts for which the robot's state is folded
 _LISTED: Final = 3  # choices that are listed, of the first and of the last
 _MAX_IMAGINED: Final = 6
 _MAX_PLACES: Final = 5  # queries for places, the last ones
-_MOVED: Final = 0.001  # m from which on a body counts as moved since a query
+_MOVED: Final = 0.001  # m; a smaller move since a query is ignored
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,9 +80,9 @@ class ChangesSince:
 class Why:
     """The explanation of a failure."""
 
-    run: Summary  # how the whole run ended
-    step: int  # in which it failed
-    failure: Failure | None  # what the plan failed with, or the task; None if nothing failed
+    run: Summary  # of the whole run
+    step: int  # of the failure
+    failure: Failure | None  # of the plan, or of the task; None if nothing failed
     causes: tuple[Cause, ...] = ()  # those that explain most first
     branches: tuple[FailedBranch, ...] = ()  # the other failures that failed the same block
     thread: str = ""  # the plan's own thread that failed while the plan went on; "" if the plan failed
@@ -95,9 +95,9 @@ class Why:
     is_default: bool = True  # it is the world that is meant where none is named
     bodies: tuple[InvolvedBody, ...] = ()  # the robot, and the bodies that the task was about
     removed: tuple[str, ...] = ()  # names of such bodies that were removed before the failure
-    attempts: tuple[FailedAttempt, ...] = ()  # at the same with the same objects, this one last
+    attempts: tuple[FailedAttempt, ...] = ()  # attempts at the same task with the same objects, this one last
     other_failures: int = 0  # number of other tasks that failed before
-    forgotten: int = 0  # number of failures before those, which weren't looked at, as there are too many
+    forgotten: int = 0  # number of earlier failures that were skipped, as there are too many
     choices: tuple[Query, ...] = ()  # with which the failed motion's process module chose what to do
     tried: TriedAction | None = None  # of the action that the task is a part of
     queries: tuple[RelevantQuery, ...] = ()  # that the plan relied on

@@ -167,7 +167,7 @@ def _headline(why: Why) -> Iterator[str]:
     if run.outcome == "failed":
         message, failure = run.failure, why.failure
         if why.exceptions and failure is not None and " " in failure.message and not hasattr(builtins, failure.type):
-            message = failure.message  # which needs no type before it, unlike messages of Python's own errors
+            message = failure.message  # clear without its type, unlike messages of Python's own errors
         yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
         failed = "a task failed."
@@ -268,7 +268,7 @@ def _tasks(why: Why) -> Iterator[str]:
         yield from (f"{'  ' * len(path)}    {line}" for line in rejection_lines(choice))
     if why.task.failure is not None:
         yield from (f"{'  ' * len(path)}{line}" for line in format_failure(why.task.failure).splitlines())
-    attempted = {attempt.task for attempt in why.attempts}  # in a section of their own
+    attempted = {attempt.task for attempt in why.attempts}  # they have a section of their own
     siblings = [
         part
         for part in why.task.outermost_failed.children
@@ -381,7 +381,7 @@ def _asked_again(query: Query) -> str:
     for name, term in question.keywords.items():
         if name in ("threshold", "margin", "grasp", "orientation", "collision_free"):
             break
-        arguments.append(Name(term) if isinstance(term, str) else term)  # queries take either
+        arguments.append(Name(term) if isinstance(term, str) else term)  # queries accept both
     return str(QueryCall(query.name, tuple(arguments)))
 
 

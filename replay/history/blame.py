@@ -35,7 +35,7 @@ class Carried:
 
     held: Attachment  # just before
     step: int | None  # of the record that attached it; None: before the recording began
-    causes: CausingTasks | None  # of that record
+    causes: CausingTasks | None  # of the attaching record
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,11 +214,11 @@ class _Search:
             return
         start = lifetime.start
         for record in self._log.backwards(step, Mutation, naming=self._body):
-            if not lifetime.has(record.seq):  # what was before is another world's
+            if not lifetime.has(record.seq):  # earlier records are of another world
                 break
             if record.world != self._world:
                 continue
-            if self._body in record.effect.removed:  # how it came back is lost
+            if self._body in record.effect.removed:  # the record of its return is lost
                 start = record.seq
                 break
             if self._is_loading(record):

@@ -123,8 +123,10 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
     parsed = parse_traceback(end.failure.traceback, PlanSource(log))
     last = parsed.pop() if parsed else ParsedException("", "", ())  # it is the failure itself: the record has its words
     exceptions = (*parsed, ParsedException(end.failure.type, end.failure.message, last.lines, last.own))
-    earlier = [task for task in failed.origins if task.last_step < end.seq]  # the plan may go on, and fail alike
-    if end.failure.type == INTERRUPT:  # not because of what had failed before
+    earlier = [
+        task for task in failed.origins if task.last_step < end.seq
+    ]  # the plan may fail with the same error later
+    if end.failure.type == INTERRUPT:  # earlier failures aren't the reason
         exceptions = exceptions[-1:]
         earlier = [task for task in earlier if task.error is not None and task.error[0] == INTERRUPT]
     origin = _origin(earlier, exceptions)

@@ -48,7 +48,7 @@ def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
     tasks = []
     number = record.task
     for started in log.backwards(record.seq, Task) if number else ():
-        if started.phase == Task.STARTED and started.task == number:  # whatever a task is part of started before it
+        if started.phase == Task.STARTED and started.task == number:  # parents start before their children
             tasks.append(CausingTask(started, source.call_stack(started)))
             number = started.parent
             if not number:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 100  # characters of a value
 _MAX_NAMES: Final = 4  # that are listed one by one
-_MAX_REASONS: Final = 3  # why others wouldn't do, in a line
+_MAX_REASONS: Final = 3  # why other candidates were rejected, in a line
 _PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling", "attempt"})
 
 

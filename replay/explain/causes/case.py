@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, Body, State, World
 
 _WITH_MOTIONS = ("motion", "process-module")
-HANDLER = "handler"  # kind of the task that is a call of an event's handler
+HANDLER = "handler"  # kind of tasks that are calls of event handlers
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class FailureCase:
 
     log: RecordReader
     step: int  # of the failure
-    failure: Failure  # what was raised
+    failure: Failure  # the exception that was raised
     task: Node | None  # in which it began; None: the plan's own code failed, outside of all tasks
-    failed: Failures  # what failed and succeeded until then
+    failed: Failures  # failed and successful tasks until then
     state: State  # of all worlds then
     world: World | None  # that the failure is about; None if none was open
     exceptions: tuple[ParsedException, ...] = field(default=(), repr=False)  # that led to it, causes first
@@ -219,7 +219,7 @@ class FailureCase:
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
         handler = next((each for each in tasks if each.kind == HANDLER), None)
         if task is not None and task is handler:
-            stack = because.call_stack or stack  # its own line, not that which fired the event
+            stack = because.call_stack or stack  # its own line, not the line that fired the event
         mover = _mover(record)
         other = mover if mover != body and not joint else ""
         by_fork = isinstance(record, Mutation) and record.by_fork

@@ -58,7 +58,7 @@ class CausingChange:
     #: moved itself while a hand held it, and stays in that hand)
     how: str = ""
     task: Task | None = None  # the start of its innermost motion or handler, or else task; None: the plan itself did it
-    line: Line | None = None  # of the plan, that asked for it
+    line: Line | None = None  # the plan's line that requested it
     mover: str = ""  # what the command moved, if that is something else: a body, or ``JOINT of BODY``
     distance: float = 0.0  # m, of a revolute joint rad
     angle: float = 0.0  # rad

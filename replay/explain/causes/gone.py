@@ -58,9 +58,9 @@ class HandState(Cause):
     kind = "hand-state"
     precondition: str  # "held": the arm should have held the object; "hand-free": it should have been free of it
     body: str
-    arm: str  # that was to act
-    holder: str  # who held the object at the failure, as ``CARRIER (LINK)`` or the name of an arm; "" if nobody did
-    change: CausingChange | None  # the record since when that was so; None if it was so from the beginning
+    arm: str  # the arm of the failed motion
+    holder: str  # the holder at the failure: an arm, or ``CARRIER (LINK)``; "" if there was none
+    change: CausingChange | None  # the record since when it was so; None if it always was
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[HandState]:

@@ -38,20 +38,20 @@ _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
 _SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
 _NEARER: Final = 0.05  # m
-_IN: Final = 0.03  # m by which an object's base may be beyond the box of a drawer's parts
+_IN: Final = 0.03  # m by which an object's base may stick out of a drawer's boxes
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
-_MISSING_VALUE: Final = ("DesignatorError", "BadArgument")  # that a plan's None makes, beside Python's own errors
-_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # that a list or the like makes which lacks a value
+_MISSING_VALUE: Final = ("DesignatorError", "BadArgument")  # errors due to a plan's None, besides Python's own
+_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors due to a missing value in a container
 _MAX_ALSO: Final = 3
-_MAX_SETTING: Final = 100  # motions that may have put something into a list
-_GOES_ON: Final = 2000  # records in which a plan goes on after a failure
+_MAX_SETTING: Final = 100  # number of motions that may have filled a list
+_GOES_ON: Final = 2000  # number of records in which the plan's next step is searched
 _POSES: Final = ("set_position", "set_orientation", "set_position_and_orientation")
 _JOINTS: Final = ("set_joint_position", "set_joint_positions")
 _SEEN: Final = ("PerceptionError", "LookingFailed")
 _HANDS: Final = ("held", "hand-free")
-_REFUSALS: Final = 200  # before the failure, that are looked at
-#: What of it all was missed, by the precondition.
+_REFUSALS: Final = 200  # number of refusals before the failure that are searched
+#: Phrases for lacking preconditions.
 _LACKED: Final = {
     "held": "so the {arm} gripper didn't hold {subject}",
     "hand-free": "so the {arm} gripper still held {subject}",
@@ -75,17 +75,17 @@ class Swallowed(Cause):
     """An earlier task failed or was cancelled, the plan went on, and a later task lacked its effect."""
 
     kind = "swallowed-failure"
-    #: What it lacked: "held" (the arm holds the object), "hand-free" (the arm holds nothing), "clear" (the object isn't
-    #: in the way), "joint-moved", "at-pose" (the robot stands where it was sent), "posture" (of the arm),
+    #: The lacking precondition: "held" (the arm holds the object), "hand-free" (the arm holds nothing), "clear" (the
+    #: object isn't in the way), "joint-moved", "at-pose" (the robot stands where it was sent), "posture" (of the arm),
     #: "camera-directed", "result" (of a task, in a variable)
     precondition: str
     subject: str  # the object, joint or variable; "" for none
     arm: str  # "" for none
     failed: Node  # the earlier task
-    line: Line | None  # of the plan, that asked for it
-    went_on: Line | None  # with which the plan went on
-    also: tuple[Node, ...] = ()  # earlier tasks that would have done as well, and failed too, as with the other arm
-    skipped: Line | None = None  # the plan's line that skipped what would have used the variable, as an empty loop does
+    line: Line | None  # the plan's line that requested it
+    went_on: Line | None  # the plan's line that ran next
+    also: tuple[Node, ...] = ()  # failed alternatives, as with the other arm
+    skipped: Line | None = None  # the plan's line that skipped the use of the variable, such as a loop over nothing
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Swallowed]:
@@ -121,13 +121,13 @@ class RefusedRequest(Cause):
     """A request of the plan was refused, the plan went on, and a later motion lacked its effect."""
 
     kind = "refused"
-    #: What it lacked: "held", "hand-free", "clear", "joint-moved" and "result" as of :class:`Swallowed`; "moved" (the
-    #: object or robot is elsewhere), "loaded" (the object exists)
+    #: The lacking precondition: "held", "hand-free", "clear", "joint-moved" and "result" as of :class:`Swallowed`;
+    #: "moved" (the object or robot is elsewhere), "loaded" (the object exists)
     precondition: str
     subject: str  # the object, joint or variable
     asked: Refusal
-    line: Line | None  # of the plan, that asked for it
-    went_on: Line | None  # with which the plan went on
+    line: Line | None  # the plan's line that requested it
+    went_on: Line | None  # the plan's line that ran next
     handler: Task | None = None  # the start of the handler's call that asked for it
 
     @classmethod
@@ -175,7 +175,7 @@ class Lacking:
     precondition: str  # as in :class:`Swallowed`
     subject: str  # the object or joint; "" for none
     arm: str  # "" for none
-    motions: tuple[str, ...]  # names of those that bring it about
+    motions: tuple[str, ...]  # names of motions that establish it
     fits: Callable[[Node], bool]  # whether such a motion is about the same object, joint and arm
     owner: str = ""  # whose joints they are, or the robot that should have been elsewhere; "" else
     joints: tuple[str, ...] = ()  # that should have been moved
@@ -195,7 +195,7 @@ def lacking(case: FailureCase) -> Iterator[Lacking]:
     if case.motion is None or case.world is None or case.robot is None:
         return
     by_hands = list(_hands(case, case.motion.name))
-    if by_hands:  # is checked before anything else
+    if by_hands:  # hands are checked first
         yield from by_hands
         return
     yield from _clear(case)
@@ -209,7 +209,7 @@ def lacking(case: FailureCase) -> Iterator[Lacking]:
 
 def _hands(case: FailureCase, name: str) -> Iterator[Lacking]:
     if case.task is None or case.task.kind != "process-module" or case.before is None:
-        return  # it wasn't even resolved
+        return  # the motion wasn't resolved
     arm = str(case.given.get("arm") or "")
     held = case.held_by(arm)
     body = next(iter(objects_in(case.given.get("object"))), "")
@@ -414,7 +414,7 @@ def _next_step(
         parent = record.parent if isinstance(record, Task) else record.task
         lines = case.source.call_stack(record) if parent in around else ()
         if lines and record.thread == thread:
-            if list(lines) == list(stack):  # in the next round of a loop
+            if list(lines) == list(stack):  # in the next iteration of a loop
                 return record.seq, case.line(lines)
             fresh = (line for line, before in zip(lines, stack, strict=False) if line != before)
             return record.seq, next(fresh, lines[min(len(stack), len(lines) - 1)])
@@ -424,7 +424,7 @@ def _next_step(
 def _results(case: FailureCase) -> Iterator[Swallowed]:
     """Yield the failures that left a variable without a value, or empty, that the failed line reads."""
     setting = _setting(case) if _lacks_value(case) else iter(())
-    if case.failure.type in _EMPTY:  # several things may have been put into it
+    if case.failure.type in _EMPTY:  # several motions may have filled it
         found = list(islice(setting, _MAX_SETTING))
         succeeded = [motion.parameters for motion, _ in found if motion.status not in _UNSUCCESSFUL]
         missing = [each for each in found if each[0].status in _UNSUCCESSFUL and each[0].parameters not in succeeded]
@@ -461,7 +461,7 @@ def _values_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
     stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
     lines = (*stack, *(line for error in case.traced for line in error.lines))
     places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
-    shared = places[0] & places[1]  # of helpers that perform both
+    shared = places[0] & places[1]  # lines of helper functions for both
     read, written = (
         case.names_in([line for line in each if (line.file, line.number) not in shared], context)
         for each, context in ((lines, ast.Load), (setting, ast.Store))
@@ -541,9 +541,9 @@ def _missed(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
     elif refusal.name in ("attach", "detach"):
         held = "held" if refusal.name == "attach" else "hand-free"
         other = next(objects_in(given.get("other")), "")
-        if case.robot is not None and case.robot.name in (subject, other):  # it is the robot's hands that matter
+        if case.robot is not None and case.robot.name in (subject, other):  # only the robot's hands matter
             yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
-    elif is_mistake(case):  # however the world was
+    elif is_mistake(case):  # whatever the state of the world
         names = _values_from(case, case.source.call_stack(refusal)) if _lacks_value(case) else []
         yield from [("result", ", ".join(names))] if names else []
     elif by_hands:

@@ -49,8 +49,8 @@ class NoLonger(Cause):
     """An answer or perception that the plan relied on was true, and isn't any more."""
 
     kind = "no-longer-true"
-    asked: Query | Node  # the query that was answered yes, or the task that succeeded
-    changes: tuple[CausingChange, ...]  # of it since then
+    asked: Query | Node  # the query with its positive answer, or the successful task
+    changes: tuple[CausingChange, ...]  # since then
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoLonger]:
@@ -88,9 +88,9 @@ class Misbelief(Cause):
     body: str
     source: str  # "seen", "told" by the world's state, or "placed", where the robot let go of it
     learned: int  # the step; -1: before the recording
-    position: tuple[float, ...]  # where it believed it, m
-    distance: float  # from there to where it was, m
-    change: CausingChange | None  # what had moved it since; None if that isn't known
+    position: tuple[float, ...]  # of the belief, m
+    distance: float  # between the belief and the object, m
+    change: CausingChange | None  # the last change of the object since; None if unknown
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Misbelief]:
@@ -176,7 +176,7 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
         if after is None or (before is not None and not _has_moved(before, after)):
             continue
         removal = removal_of(case, name, step) if before is not None else None
-        if removal is not None:  # it is another one of its name
+        if removal is not None:  # the body with that name is another one
             yield case.change(removal, name, "removed")
         yield from _last_change(case, name, step)
     before, after = then.bodies.get(robot), case.world.bodies.get(robot)
@@ -191,7 +191,7 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
 def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingChange]:
     change = case.blame(name)
     if change is not None and change.how == "physics" and change.earlier is not None:
-        change = change.earlier  # what physics itself did is another cause
+        change = change.earlier  # changes by physics are another cause
     if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
         yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from recorder.records import Query
 
 
-_DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain why it couldn't
+_DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain this one
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class ObstructingBody(Cause):
     body: str
     link: str  # "" if it has only one, or that isn't known
     mover: str  # the link, or the held object, that would have touched it; "" for the camera's view
-    change: CausingChange | None  # what put it there; None if it was there from the beginning
+    change: CausingChange | None  # the change that put it there; None if it always was
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[ObstructingBody]:
@@ -72,9 +72,9 @@ class UnreachedTarget(Cause):
     arm: str
     body: str  # "" for a target of the plan's
     distance: float  # from the robot's base to it on the ground, m
-    miss: float | None  # how far away the nearest posture stays, m
-    orientation: tuple[float, ...]  # xyzw of the tool that was asked for; none if any would have done
-    changes: tuple[CausingChange, ...]  # what put the robot, its torso, and the object, where they are
+    miss: float | None  # distance of the nearest posture from the target, m
+    orientation: tuple[float, ...]  # requested xyzw of the tool; empty if any was allowed
+    changes: tuple[CausingChange, ...]  # the last changes of the robot, its torso and the object
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[UnreachedTarget]:
@@ -119,7 +119,7 @@ class NoCandidate(Cause):
 
     kind = "no-candidate"
     asked: Query  # the choice, with its candidates and why each was rejected
-    count: int  # how many were considered
+    count: int  # number of candidates
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoCandidate]:

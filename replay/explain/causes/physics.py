@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 _MOVED: Final = 0.05  # m; less is settling
 _TILTED: Final = math.radians(15)
 _FELL: Final = 0.05  # m
-_PART: Final = 0.3  # of its whole move, from which on a stretch of simulation counts as the move's beginning
-_NEAR: Final = 0.6  # m between the bases of objects, one of which may have stood on or leant on the other
-_ABOVE: Final = 0.15  # m between the bases of what stands on each other, on the ground
-_PUSHED: Final = 0.35  # m from a link's frame, from which it may push
-_QUIET: Final = STEPS_PER_SECOND // 10  # steps after which an object that hasn't moved is at rest
+_PART: Final = 0.3  # share of the whole move that counts as its beginning
+_NEAR: Final = 0.6  # m between the bases of objects of which one may have supported the other
+_ABOVE: Final = 0.15  # m on the ground between the bases of objects that stand on each other
+_PUSHED: Final = 0.35  # m from the frame of a link that may push it
+_QUIET: Final = STEPS_PER_SECOND // 10  # steps without motion after which an object is at rest
 _WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
 _MAX_LETS: Final = 3
-_FAST: Final = 0.1  # m/s from which on the speed of what is let go of is given
+_FAST: Final = 0.1  # m/s; lower speeds at the release aren't mentioned
 _SPINNING: Final = 1.0  # rad/s, likewise
 
 
@@ -53,13 +53,13 @@ class Physics(Cause):
     fall: float  # m by which it is lower
     tilt: float  # rad by which it leans more
     moved_at: int  # the step of the simulation in which it began to move
-    line: Line | None  # of the plan, that simulated
+    line: Line | None  # the plan's line that simulated
     since: int  # the step of the success, or of the plan's own change, after which it moved
-    stood_on: str = ""  # what it stood on, and what was moved then; "" if nothing was, or that isn't known
-    lets: tuple[CausingChange, ...] = ()  # that let it move, of which one did; none if nothing but time passed
-    speed: float | None = None  # m/s with which it began to move when it was let go of; None if it wasn't
+    stood_on: str = ""  # its support, if that was moved; "" if not, or unknown
+    lets: tuple[CausingChange, ...] = ()  # candidates for what let it move; none if only time passed
+    speed: float | None = None  # m/s at its release; None if it wasn't released
     spin: float | None = None  # rad/s, likewise
-    hand: str = ""  # the arm that let go of it; "" if none did
+    hand: str = ""  # the arm that released it; "" if none did
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Physics]:

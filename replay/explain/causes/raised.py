@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _MAX_ANSWERS: Final = 3
 _SEARCHED: Final = 1_000  # changes of fluents
-_RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")  # also behind the head of a statement
+_RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")  # also after the head of a compound statement
 #: PyCRAM's usage errors: the plan's line made a mistake, in a motion too.
 USAGE_ERRORS: Final = frozenset(
     (
@@ -42,10 +42,10 @@ class Raised(Cause):
     """The plan's own code raised the failure, or made a mistake that Python or PyCRAM rejected."""
 
     kind = "raised"
-    type: str  # of what was raised
-    line: Line  # of the plan
-    own: bool  # it is a ``raise`` or ``assert`` of the plan's; else that line made a mistake
-    task: Node | None  # the branch or other task in which it did; None outside of all
+    type: str  # of the exception
+    line: Line  # the plan's line
+    own: bool  # the line is a ``raise`` or ``assert``; else it made a mistake
+    task: Node | None  # the branch or other task around the line; None if there is none
     #: The last queries and waits of that task before it, whose answers it may have judged by; before them the end of
     #: the last motion, if that failed; of a ``whenever`` the last change of its fluents.
     answers: tuple[Query | Task | Fluent, ...] = ()

@@ -28,7 +28,7 @@ _MAX_TASKS: Final = 10_000
 _SETTERS: Final = ("set_value", "pulse")
 _SIMULATED_TIME: Final = "simulated"  # the clock of a limit in simulated time
 _MAX_TOOK: Final = 3
-_NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # no name: of the first releases
+_NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # early releases didn't record the name
 _MAX_NAMED: Final = 3  # parts of a plan
 
 
@@ -36,7 +36,7 @@ _MAX_NAMED: Final = 3  # parts of a plan
 class Fulfiller:
     """A line or task of the plan that could have made a fluent true."""
 
-    line: Line | None  # of the plan, that sets it; None if only a record tells
+    line: Line | None  # the plan's line that sets it; None if it is known from a record only
     task: Node | None  # that ran the line, or should have
     step: int | None = None  # of the record by which it set the fluent last; None if it never did
     failed: Node | None = None  # the last motion that failed in that task
@@ -72,10 +72,10 @@ class PendingTask:
     """A task that was under way when its part of the plan was stopped."""
 
     task: Node  # a wait for a fluent, a motion, or another task
-    began: bool  # False: a motion that waited for its turn, or for parts of the robot
-    line: Line | None  # of the plan
-    values: Mapping[str, Plain] = field(default_factory=dict)  # of a wait: those of its fluents then, by name
-    changed: tuple[int, ...] = ()  # of a wait: the last steps in which one of them got a value meanwhile
+    began: bool  # False: it waited for its turn, or for parts of the robot
+    line: Line | None  # the plan's line
+    values: Mapping[str, Plain] = field(default_factory=dict)  # of a wait: values of its fluents at the stop, by name
+    changed: tuple[int, ...] = ()  # of a wait: the last steps that set one of them meanwhile
     fulfillers: tuple[Fulfiller, ...] = ()  # of a wait: what could have fulfilled it
     holders: tuple[Node, ...] = ()  # of a motion that had not begun: the motions that ran then
 
@@ -141,8 +141,8 @@ class Timeout(Cause):
     kind = "timeout"
     seconds: float  # the limit
     clock: str  # "wall" or "simulated"
-    pending: tuple[PendingTask, ...]  # what it was waiting for, or doing, at the deadline
-    line: Line | None  # of the plan, at which it stopped
+    pending: tuple[PendingTask, ...]  # the tasks that were under way at the deadline
+    line: Line | None  # the plan's line at which it stopped
     took: tuple[Node, ...] = ()  # the tasks that ended within the limit, the longest first by its clock
     simulated: tuple[SimulatedLine, ...] = ()  # of a limit in simulated time, the lines that took most of it
 
@@ -186,15 +186,15 @@ class Interruption(Cause):
 
     kind = "interrupted"
     by: str  # "Ctrl-C", "SIGTERM"; "" if the process ended without closing its recording
-    pending: tuple[PendingTask, ...]  # what it was doing
-    line: Line | None  # of the plan, at which it stopped
+    pending: tuple[PendingTask, ...]  # the tasks that were under way
+    line: Line | None  # the plan's line at which it stopped
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Interruption]:
         """Yield what interrupted a plan, and the tasks that were under way."""
         end = case.log[-1]
         closed = isinstance(end, Run) and end.phase == Run.FINISHED
-        if case.failure.type != (INTERRUPT if closed else ""):  # what failed before is another case
+        if case.failure.type != (INTERRUPT if closed else ""):  # earlier failures are another case
             return
         by = _NAMES.get(end.interrupted_by, end.interrupted_by) if isinstance(end, Run) and closed else ""
         tree = _tree(case, len(case.log))
