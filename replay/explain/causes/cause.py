@@ -82,8 +82,7 @@ class CausingChange:
         name = f"{self.body}.{self.joint}" if self.joint else self.body
         has_size = self.distance and math.isfinite(self.distance) and not self.joint
         size = f" by {phrases.length(self.distance)}" if has_size else ""
-        how = self.how if self.how != "hand" else ""
-        return f"{phrases.change(name, how, self.mover)}{size}{self.originator}"
+        return f"{phrases.change(name, self.how, self.mover)}{size}{self.originator}"
 
     @property
     def row(self) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from replay.explain import causes as kinds
+from replay.explain.causes.cause import CausingChange
 from tests.replay.explain.causes.explaining import line_of, words
 
 if TYPE_CHECKING:
@@ -67,3 +68,7 @@ def test_what_let_go_of_an_object_tells_how_it_turned(
     assert threw.spin > 1
     text = words(tmp_path, capsys)
     assert f"it left its hold at step {threw.lets[0].step} while turning at {threw.spin:.0f} rad/s" in text
+
+
+def test_what_was_dragged_by_hand_is_told_as_blame_tells_it() -> None:
+    assert str(CausingChange(7, "milk", how="hand")) == "milk was dragged by hand in the window"
