@@ -1,6 +1,6 @@
-"""Debugs a recorded plan: it runs again, guided by its recording, stops at a step, and goes on from there or back.
+"""Debugs a recorded plan: the plan runs again, guided by its recording, stops at a step, and continues or goes back.
 
-The process with the prompt reads the recording, which answers most: what there is at a step, and to which step a
-command leads. The plan's process is there for what no recording has: frames, variables, expressions. A copy of it (a
-fork) waits at some steps on the way, so that going back is to wake the nearest copy before.
+The prompt's process reads states and the targets of commands from the recording. The plan's process is needed for data
+that no recording has: frames, variables, expressions. Copies of it (forks) wait at some steps on the way. To go back,
+the debugger wakes the nearest copy before the target.
 """

@@ -30,7 +30,7 @@ _FUNCTIONS: Final[Mapping[str, object]] = {
 
 
 class NoQuantity(ReplayError):
-    """An expression that recorded states don't answer: it has other names, say."""
+    """An expression without a value in any recorded state, for example because of an unknown name."""
 
     def __init__(self, expression: str, cause: str) -> None:
         super().__init__(f"{expression}: {cause}")
@@ -38,7 +38,7 @@ class NoQuantity(ReplayError):
 
 
 class ValueChange(NamedTuple):
-    """A step at which an expression got another value."""
+    """A change of an expression's value at a step."""
 
     step: int
     before: object
@@ -100,7 +100,7 @@ def _differ(before: object, after: object) -> bool:
 
 
 class _Names(dict[str, Any]):
-    """What names in an expression mean in some worlds."""
+    """The meaning of names in an expression, by the open worlds."""
 
     def __init__(self, worlds: Mapping[str, _World]) -> None:
         super().__init__(_FUNCTIONS)
@@ -132,7 +132,7 @@ class _World:
 
     @property
     def has_robot(self) -> bool:
-        """Whether it has one."""
+        """Whether the world has a robot."""
         return self._robot in self._world.bodies
 
     @property
@@ -140,7 +140,7 @@ class _World:
         return self._world.robot
 
     def find(self, name: str) -> object:
-        """Return a body, the robot or the name of an arm; None if nothing is called so."""
+        """Return a body, the robot or the name of an arm; None for an unknown name."""
         body = next((each for each in self._world.bodies if _is_called(each, name)), None)
         if body is None and name == "robot" and self.has_robot:
             body = self._robot
@@ -162,7 +162,7 @@ class _World:
         return {} if description is None else description.arms
 
     def holding(self, arm: str | None = None) -> str | None:
-        """Return what the robot holds, as the fluent ``holding`` tells it."""
+        """Return the name of the object that the robot holds, like the fluent ``holding``."""
         links = None
         if arm is not None:
             described = self._arms()[arm]
@@ -185,7 +185,7 @@ class _Body:
 
     @property
     def carrier(self) -> str | None:
-        """What carries it."""
+        """Name of the body that carries it."""
         held = (each.carrier for each in self._world.attachments.values() if each.body == self._name)
         return next(held, None)
 

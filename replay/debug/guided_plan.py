@@ -41,7 +41,7 @@ _FINEST: Final = 4  # steps from a copy to where one goes back to
 
 
 class PlanEnded(ReplayError):
-    """The plan's process has ended by itself, before it came to a step: killed, or by a crash of native code."""
+    """The plan's process ended before it reached a step: it was killed, or native code crashed."""
 
     def __init__(self, printed: str) -> None:
         super().__init__(f"the plan's process has ended{printed and f':{chr(10)}{printed}'}; goto runs it again")
@@ -49,7 +49,7 @@ class PlanEnded(ReplayError):
 
 
 class EndedByInterrupt(Exception):
-    """Ctrl-C, twice: the process that ran was ended."""
+    """Ctrl-C was pressed twice, which ended the running process."""
 
 
 class PlanInterrupted(ReplayError):
@@ -62,7 +62,7 @@ class PlanInterrupted(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Where a plan has stopped."""
+    """The step at which a plan has stopped, and why."""
 
     step: int  # the last recorded step that it has made
     #: "step": it was to come there; "watch": what was watched has changed; "interrupted": by Ctrl-C; "parted": what
@@ -127,7 +127,7 @@ class GuidedPlan:
 
     @property
     def runs(self) -> int:
-        """How often it was run from its start."""
+        """Number of runs from the plan's start."""
         return self._copies.runs
 
     def go(self, step: int, watched: Sequence[WatchedExpression] = (), *, through: bool = False) -> Arrival:
@@ -208,7 +208,7 @@ class GuidedPlan:
 
 
 def _halving(start: int, step: int) -> Iterator[int]:
-    """Yield steps from one to another, each half as far from it as the one before."""
+    """Yield steps on the way to a step, each halving the rest of the way."""
     while step - start >= _FINEST:
         start += (step - start) // 2
         yield start
@@ -219,7 +219,7 @@ def _halving(start: int, step: int) -> Iterator[int]:
 
 @dataclass(eq=False, slots=True)
 class PlanCopy:
-    """A process of the plan that is at a step, or goes on from there."""
+    """A process of the plan that has stopped at a step, or continues from there."""
 
     channel: Channel  # to it
     pid: int  # its number
@@ -255,14 +255,14 @@ class PlanCopies:
             self._open = undoing.pop_all()
 
     def close(self) -> None:
-        """End all of them."""
+        """End all processes."""
         self.end_all()
         self._open.close()
 
     # --- what they do -----------------------------------------------------------------------------------------------
 
     def start(self) -> Message:
-        """Run the plan from its start to its first record; return what :meth:`go_on` does."""
+        """Run the plan from its start to its first record; return the message of where it stopped."""
         self.end_all()
         self.runs += 1
         folder = Path(self._folder) / f"run-{self.runs}"
@@ -280,19 +280,19 @@ class PlanCopies:
             )
             return self._stopped(None)
 
-    def go_on(self, origin: PlanCopy, course: Message) -> Message:
-        """Have a copy go on, or its child if it stays; wait until that has stopped, and return what it tells.
+    def go_on(self, origin: PlanCopy, conditions: Message) -> Message:
+        """Let a copy continue, or its child if the copy stays; return the message of where that stopped.
 
         Raises:
-            PlanEnded: it has ended before.
-            EndedByInterrupt: by Ctrl-C, twice.
+            PlanEnded: it ended before.
+            EndedByInterrupt: Ctrl-C was pressed twice.
         """
         stay = origin in self.waiting or (origin.can_wait and origin.parent is None)
         if stay and origin not in self.waiting:
             self.waiting.append(origin)
         with self._noting_interrupts():
             self.now = None
-            origin.channel.send({"do": "go", "stay": stay, **course})
+            origin.channel.send({"do": "go", "stay": stay, **conditions})
             return self._stopped(None if stay else origin)
 
     def ask(self, question: Message) -> Message:
@@ -320,7 +320,7 @@ class PlanCopies:
 
     @contextmanager
     def _noting_interrupts(self) -> Iterator[None]:
-        """Note Ctrl-C while the block runs, where else it would be raised between a message and its answer."""
+        """Count Ctrl-C while the block runs: KeyboardInterrupt could separate a message from its answer."""
         self._interrupts = 0
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -336,7 +336,7 @@ class PlanCopies:
             signal.signal(signal.SIGINT, before)
 
     def _stopped(self, running: PlanCopy | None) -> Message:
-        """Wait until the process that runs, or the one that comes next, has stopped."""
+        """Wait until the running process, or the next one, has stopped; return its message."""
         passed_on = False  # Ctrl-C, to the process that runs
         while True:
             sources: list[socket.socket | Channel] = [self._listener, *([running.channel] if running else [])]
@@ -368,7 +368,7 @@ class PlanCopies:
                     os.kill(running.pid, PAUSE)
 
     def _next(self, running: PlanCopy | None) -> PlanCopy:
-        """Take the process that a copy has forked, which goes on."""
+        """Accept the process that a copy has forked to continue."""
         if running is not None:  # it tells that it waits, or has told it
             message = _received(running.channel)
             if message is None:
@@ -386,7 +386,7 @@ class PlanCopies:
     # --- their ends -------------------------------------------------------------------------------------------------
 
     def _lost(self, copy: PlanCopy | None) -> NoReturn:
-        """Raise that a process has ended by itself."""
+        """Raise `PlanEnded`."""
         self.now = None
         self.end(copy)
         raise PlanEnded(self._printed())
@@ -396,7 +396,7 @@ class PlanCopies:
         return self._errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
 
     def end(self, copy: PlanCopy | None) -> None:
-        """End a process that has no children; all, if it is the first one."""
+        """End a process without children; if it is the first one, end all."""
         if copy is None or copy.parent is None:
             self.end_all()
             return
@@ -406,7 +406,7 @@ class PlanCopies:
             self.end_all()
 
     def end_all(self) -> None:
-        """End all processes, each before its parent, which waits for its end: none becomes a zombie."""
+        """End all processes, each before its parent, which reaps it."""
         self._ending = True
         for each in reversed([*self.waiting, *([self.now] if self.now and self.now not in self.waiting else [])]):
             if each.parent is not None:
@@ -420,7 +420,7 @@ class PlanCopies:
         self.waiting.clear()
 
     def thin_out(self, step: int) -> None:
-        """End those copies that wait farthest from a step, if there are too many."""
+        """End the copies that wait farthest from a step, if there are too many."""
         while len(self.waiting) > _MAX_WAITING:
             parents = {each.parent for each in (*self.waiting, self.now) if each is not None}
             ends = [each for each in self.waiting if each not in parents and each is not self.now]
@@ -432,7 +432,7 @@ class PlanCopies:
 
 
 def _received(channel: Channel) -> Message | None:
-    """Return the next message but for answers to interrupts that came too late."""
+    """Return the next message; skip answers to interrupts that came too late."""
     while True:
         message = channel.receive()
         if message is None or "interrupt" not in message:

@@ -37,7 +37,7 @@ _LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
 class NoFurther(ReplayError):
-    """There is no step to go to: the recording begins or ends there, or the plan parts from it."""
+    """There is no further step: the recording begins or ends there, or the plan differs from it."""
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(cause)
@@ -46,16 +46,16 @@ class NoFurther(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """Where the plan has stopped, and why there."""
+    """The step at which the plan has stopped, and the breakpoints that stopped it."""
 
     arrival: Arrival  # the step
     met: list[Breakpoint] = field(default_factory=list)  # the breakpoints there
-    #: values before and after of what was watched on the plan's variables, by the watch's number.
+    #: Values before and after of watches on the plan's variables, by the watch's number.
     changes: dict[int, tuple[str, str]] = field(default_factory=dict)
 
 
 class Session:
-    """A guided plan that is debugged."""
+    """A guided plan with breakpoints."""
 
     def __init__(self, log: Recording, plan: GuidedPlan) -> None:
         self.log = log
@@ -65,12 +65,12 @@ class Session:
 
     @cached_property
     def timeline(self) -> Timeline:
-        """What the steps are part of."""
+        """Tasks and source lines of the steps."""
         return Timeline(self.log)
 
     @property
     def step(self) -> int:
-        """Where the plan is."""
+        """The step at which the plan is."""
         return self.plan.step
 
     def set_break(self, place: str, *, temporary: bool = False) -> Breakpoint:
@@ -121,10 +121,10 @@ class Session:
     # --- from step to step ------------------------------------------------------------------------------------------
 
     def forward(self, target: int | None = None) -> Halt:
-        """Go on to a step, by default the last, or to the first breakpoint on the way.
+        """Continue to a step, by default the last, or to the first breakpoint on the way.
 
         Raises:
-            NoFurther: this is the last step that it can come to.
+            NoFurther: this is the last step that the plan can reach.
         """
         if self.step >= self.plan.last:
             raise self._no_further()
@@ -156,7 +156,7 @@ class Session:
         """Go back to where an expression last changed, as for :meth:`set_watch`.
 
         Raises:
-            NoFurther: it didn't before this step.
+            NoFurther: it didn't change before this step.
         """
         watch = self._watch(expression, frame)
         step = last_before(watch.steps, self.step)
@@ -171,10 +171,10 @@ class Session:
         return self._halted(self.plan.go(step), [watch], dict(enumerate(changes.values())))
 
     def go(self, step: int) -> Halt:
-        """Go to a step, whatever is on the way.
+        """Go to a step, past all breakpoints.
 
         Raises:
-            NoFurther: the plan can't come to it.
+            NoFurther: the plan can't reach it.
         """
         if step > self.plan.last:
             raise self._no_further()
@@ -187,9 +187,9 @@ class Session:
     def _last_change(
         self, watched: list[WatchedExpression], after: int, before: int
     ) -> tuple[int, dict[int, tuple[str, str]]]:
-        """Return the last step between two at which what is watched changed, and how, by its place; else the first.
+        """Return the last step between two at which a watched value changed, and the changes by index; else ``after``.
 
-        The plan runs to find out, from the nearest copy that waits, then from the one before.
+        The plan runs to find out, from the nearest waiting copy, then from the one before.
         """
         end = before - 1
         while end > max(after, 0):
@@ -269,21 +269,21 @@ class Timeline:
     # --- where commands lead ----------------------------------------------------------------------------------------
 
     def following(self, step: int) -> int:
-        """Return the next step on the level of a step, or on one around it; the last step if there is none."""
+        """Return the next step on the same level or an outer one; the last step if there is none."""
         around = {self._levels[step], *self._around(self._levels[step])}
         return next((at for at in range(step + 1, self.steps) if self._levels[at] in around), self.steps - 1)
 
     def preceding(self, step: int) -> int:
-        """Return the step before on the level of a step, or on one around it; the first step if there is none."""
+        """Return the previous step on the same level or an outer one; the first step if there is none."""
         around = {self._levels[step], *self._around(self._levels[step])}
         return next((at for at in range(step - 1, -1, -1) if self._levels[at] in around), 0)
 
     def end(self, step: int) -> int:
-        """Return the end of the task that a step is in; the last step if it is in none, or that has no end."""
+        """Return the end of the task that a step is in; the last step if there is no task or no end."""
         return self._ends.get(self._levels[step], self.steps - 1)
 
     def onwards(self, step: int) -> int:
-        """Return the next step at a later line of the same file, on the level of a step; or on one around it."""
+        """Return the next step at a later line of the same file on the same level, or the next on an outer level."""
         site, level = self.site(step), self._levels[step]
         around = {level, *self._around(level)}
         for at in range(step + 1, self.steps):
@@ -314,10 +314,10 @@ class Timeline:
         return {file for file, _ in self._lines}
 
     def line(self, file: str, number: int) -> tuple[int, list[int]]:
-        """Return the first line of a file from one on that led to a record, and the steps at which it was come to.
+        """Return the first line at or after one that led to a record, and the steps at which the plan reached it.
 
-        That is the first record of each execution of the line; of a line that calls a function again and again, without
-        a record of another line between, only the first.
+        Each execution of the line counts once, with its first record. Repeated calls by one line count once if no other
+        line made a record between them.
         """
         numbers = sorted(line for named, line in self._lines if named == file)
         at = bisect_left(numbers, number)
@@ -325,13 +325,13 @@ class Timeline:
 
 
 def first_after(steps: Sequence[int], step: int) -> int | None:
-    """Return the first of some steps, in their order, after one."""
+    """Return the first of some sorted steps after a step."""
     at = bisect_right(steps, step)
     return steps[at] if at < len(steps) else None
 
 
 def last_before(steps: Sequence[int], step: int) -> int | None:
-    """Return the last of some steps, in their order, before one."""
+    """Return the last of some sorted steps before a step."""
     at = bisect_left(steps, step)
     return steps[at - 1] if at else None
 
@@ -345,7 +345,7 @@ def _own_stack(record: Record) -> tuple[Site, ...]:
 
 
 class NoSuchPlace(ReplayError, LookupError):
-    """A breakpoint was asked for where nothing happens in the recording."""
+    """A place for a breakpoint that the recording doesn't have."""
 
     def __init__(self, place: str, cause: str) -> None:
         super().__init__(f"{place}: {cause}")
@@ -354,12 +354,12 @@ class NoSuchPlace(ReplayError, LookupError):
 
 @dataclass(slots=True)
 class Breakpoint:
-    """Where the plan stops."""
+    """A breakpoint, or a watch."""
 
-    number: int  # by which it is called, from 1
-    text: str  # what it is, in words
-    steps: list[int] = field(default_factory=list)  # at which it stops the plan, in their order
-    temporary: bool = False  # whether it ends when it has stopped the plan
+    number: int  # its name, from 1
+    text: str  # description
+    steps: list[int] = field(default_factory=list)  # at which it stops the plan, sorted
+    temporary: bool = False  # whether it is removed after it has stopped the plan
     enabled: bool = True  # whether it stops the plan
     line: tuple[str, int] | None = None  # of a breakpoint at a line of the plan: its file and number
     changes: dict[int, ValueChange] = field(default_factory=dict)  # of a watch: the changes, by their steps
@@ -367,7 +367,7 @@ class Breakpoint:
 
     @property
     def counted(self) -> str:
-        """How often it stops the plan, in words."""
+        """The steps at which it stops the plan, in words."""
         if self.watched is not None:
             return "the plan runs to find out where it changes"
         count = len(self.steps)

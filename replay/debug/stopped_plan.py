@@ -49,7 +49,7 @@ Message: TypeAlias = "dict[str, Any]"
 
 _BLOCK: Final = 1 << 16
 PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have it
-"""Asks a plan that makes no record, and so reads no message, to stop where it is; ignored where nobody handles it."""
+"""Stops a plan that makes no record, and so reads no message; ignored in processes without a handler."""
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # a module's imports and definitions
 _MAX_NAMES: Final = 200  # that complete a text
 _CLOCKS: Final = ("time", "monotonic", "perf_counter")
@@ -67,16 +67,16 @@ class Channel:
         self._received = b""
 
     def fileno(self) -> int:
-        """Return what to wait at for messages."""
+        """Return the socket's descriptor, for select."""
         return self._socket.fileno()
 
     def send(self, message: Message) -> None:
-        """Send a message; to one who is gone, nothing."""
-        with suppress(BrokenPipeError, ConnectionResetError):  # the next receive() tells
+        """Send a message, unless the other end is closed."""
+        with suppress(BrokenPipeError, ConnectionResetError):  # the next receive() returns None
             self._socket.sendall(json.dumps(message).encode() + b"\n")
 
     def receive(self) -> Message | None:
-        """Wait for a message; None if the other end is gone."""
+        """Wait for a message; None if the other end is closed."""
         while b"\n" not in self._received:
             try:
                 part = self._socket.recv(_BLOCK)
@@ -91,12 +91,12 @@ class Channel:
 
     @property
     def pending(self) -> bool:
-        """Whether something has arrived."""
+        """Whether a message has arrived."""
         return self.has_read or bool(select.select([self._socket], (), (), 0)[0])
 
     @property
     def has_read(self) -> bool:
-        """Whether a message was read already, with the one before: the socket doesn't tell."""
+        """Whether a message is in the buffer already, which select doesn't see."""
         return b"\n" in self._received
 
     def close(self) -> None:
@@ -108,13 +108,13 @@ class Channel:
 
 
 class PlanFrame(NamedTuple):
-    """A frame of the plan, and the line that it is at."""
+    """A frame of the plan, and its current line."""
 
     frame: FrameType
     line: int
 
     def facts(self, moved: tuple[str, str] | None) -> dict[str, object]:
-        """Return file, line, function and its first line; the file by the folder that the plan was moved from."""
+        """Return file, line, function and its first line; the file is in the plan's own folder."""
         code = self.frame.f_code
         return {
             "file": code.co_filename.replace(*moved or ("", "")),
@@ -125,7 +125,7 @@ class PlanFrame(NamedTuple):
 
 
 def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool) -> list[PlanFrame]:
-    """Return the plan's frames, innermost first; those of a branch are followed by those of the code that waits for it.
+    """Return the plan's frames, innermost first; after a branch's frames come those of the code that waits for it.
 
     ``parents`` has the id of each task's parent. With ``failing``, frames that an error has left come first.
     """
@@ -187,7 +187,7 @@ def value_of(frame: FrameType, expression: str) -> object:
 
 
 def completions(frame: FrameType, text: str) -> list[str]:
-    """Return what a text may be the beginning of, in a frame."""
+    """Return completions of a text in a frame."""
     completer = rlcompleter.Completer({**frame.f_globals, **frame.f_locals})
     found = (completer.complete(text, number) for number in range(_MAX_NAMES))
     return [each for each in islice(found, _MAX_NAMES) if each is not None]
@@ -204,7 +204,7 @@ def _repr(value: object) -> str:
 
 
 class PausableClock:
-    """Python's clocks without the time in which the plan was stopped: else its deadlines would pass at the prompt."""
+    """Python's clocks without the time in which the plan was stopped: deadlines don't pass at the prompt."""
 
     def __init__(self) -> None:
         self._now_ns = time.monotonic_ns
@@ -218,7 +218,7 @@ class PausableClock:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Stop the clocks while the block runs, also where it goes on in a forked child."""
+        """Stop the clocks while the block runs, also if a forked child leaves it."""
         since = self._now_ns()
         try:
             yield
@@ -239,7 +239,7 @@ def _refuse(error: Exception) -> NoReturn:
 
 
 def _can_be_copied() -> bool:
-    """Whether a copy would do what this process does: threads, and processes that are waited for, it would lack."""
+    """Whether a copy would do the same as this process: it would lack threads and child processes."""
     return not obstacle() and not has_children()
 
 
@@ -252,7 +252,7 @@ class WatchedExpression:
     first: int  # its first line
 
     def value(self, frames: list[PlanFrame]) -> str | None:
-        """Return its value as text; None where no call of the function runs, or it has none there."""
+        """Return its value as text; None if no call of the function runs, or the expression has no value."""
         for each in frames:
             code = each.frame.f_code
             if (code.co_filename, code.co_firstlineno) == (self.file, self.first):
@@ -269,7 +269,7 @@ class StopConditions:
 
     until: int  # step
     checkpoints: frozenset[int] = frozenset()  # steps at which a copy stays
-    watched: tuple[WatchedExpression, ...] = ()  # a change of a value stops the plan
+    watched: tuple[WatchedExpression, ...] = ()  # a change of one of these values stops the plan
     through: bool = False  # whether changes are only noted
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)  # step, index in watched, before, after
 
@@ -311,13 +311,13 @@ class StoppingSink(NullSink):
         self._values: list[str | None] = []
         self._failing = False
         self._step = -1
-        self._frame: FrameType | None = None  # that the record comes from, while the plan is stopped
+        self._frame: FrameType | None = None  # of the record, while the plan is stopped
         self._serving = False
         signal.signal(PAUSE, self._pause)
         self._channel = self._connected(parent=0)
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
-        """Stop at the record's step, if it is where to."""
+        """Stop at the record's step, if it is the target."""
         if self._over:
             return
         if isinstance(record, Task) and record.phase in (Task.STARTED, Task.ASKED):
@@ -332,7 +332,7 @@ class StoppingSink(NullSink):
             self._frame = None
 
     def close(self) -> None:
-        """Stop for good: the plan has ended where its recording goes on."""
+        """Stop for good if the plan ended before its recording."""
         if not self._over:
             self.guided.guide.close()
             self._end()
@@ -340,7 +340,7 @@ class StoppingSink(NullSink):
     def _report(self, equal: int, difference: FirstDifference | None) -> None:
         self._difference = difference
         if difference is None and equal <= self._step + 1:
-            self._over = True  # what comes now isn't in the recording, which was cut
+            self._over = True  # the recording was cut off here
 
     def _end(self) -> None:
         self._over = True
@@ -350,7 +350,7 @@ class StoppingSink(NullSink):
     # --- on its way -------------------------------------------------------------------------------------------------
 
     def _pass(self) -> None:
-        """Go on from a record, or stop and go on later."""
+        """Continue after a record, or stop and continue later."""
         stopping = self._step >= self._conditions.until
         changed = self._noted_changes() if self._conditions.watched else False
         if stopping or (changed and not self._conditions.through) or self._channel.pending:
@@ -359,7 +359,7 @@ class StoppingSink(NullSink):
             self._check_point()
 
     def _pause(self, _: int, frame: FrameType | None) -> None:
-        """Stop between two records, where the plan makes none: it may hang. In the midst of one, that is to come."""
+        """Stop between two records: the plan may hang. During a record, the record's own check stops it."""
         if self._step >= 0 and not (self._over or self._serving or interrupts.is_uninterrupted() or is_held()):
             self._frame = frame
             self._stop("interrupted", between=True)
@@ -379,7 +379,7 @@ class StoppingSink(NullSink):
         return bool(changes)
 
     def _watched_values(self) -> list[str | None]:
-        """Return the values of what is watched; the plan's random numbers stay as they are, and nothing is recorded."""
+        """Return the watched values; keep the plan's random state, and record nothing."""
         stack = self._stack()
         dice = random.getstate()
         with journal.unrecorded():
@@ -404,7 +404,7 @@ class StoppingSink(NullSink):
             self._serve()
 
     def _went_on_in_child(self) -> bool:
-        """Fork; True in the child, which goes on."""
+        """Fork; return True in the child, which continues."""
         parent = os.getpid()
         if forking.fork_continuation():
             return False
@@ -439,7 +439,7 @@ class StoppingSink(NullSink):
         self._serve()
 
     def _serve(self) -> None:
-        """Answer messages; return where the plan goes on."""
+        """Answer messages until the plan is to continue."""
         self._serving = True
         with self._clock.paused():
             while True:
@@ -474,7 +474,7 @@ class StoppingSink(NullSink):
         return self._in_copy(doing[message["do"]])
 
     def _in_copy(self, work: Callable[[], Any]) -> Message:
-        """Do something in a copy of this process, as it may call any code: the plan itself doesn't notice."""
+        """Do something in a forked copy, as it may call any code: the plan's process stays unchanged."""
         if not hasattr(os, "fork"):
             return {"answer": work()}
         child = Child(lambda: json.dumps({"answer": work()}).encode())
@@ -496,7 +496,7 @@ class StoppingSink(NullSink):
 def main(text: str) -> None:
     """Run a plan up to a step as a request in JSON says; :class:`replay.debug.guided_plan.PlanCopies` makes it."""
     request = json.loads(text)
-    gc.freeze()  # to collect garbage is to write to all that is looked through: copies would no longer share it
+    gc.freeze()  # collecting garbage writes to all objects: copies would no longer share their memory
     os.setsid()  # Ctrl-C at the prompt isn't the plan's
     die_with(request.pop("parent"))
     clock = PausableClock()

@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 
 
 _BLOCK: Final = 1 << 20  # bytes that are read at once
+_MAX_LENGTH: Final = 1 << 32  # bytes; what claims to be longer is damaged
+#: Part of the head of each compressed chunk, by which the next one is found after damage.
+_MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
 
 
@@ -227,12 +230,12 @@ class Index:
         starts = []
         stop = 0
         for opcode, start, stop in framed(summary):
-            if opcode != Opcode.CHUNK_INDEX:  # by far the most
-                self._read_summary_record(opcode, ReadDataStream(io.BytesIO(summary[start:stop])))
-            elif stop - start < CHUNK_INDEX.size:
-                raise EOFError
-            else:
+            if opcode == Opcode.CHUNK_INDEX:  # by far the most; read when the chunk is
+                if stop - start < CHUNK_INDEX.size:
+                    raise EOFError
                 starts.append(start)
+            else:
+                self._read_summary_record(opcode, ReadDataStream(io.BytesIO(summary[start:stop])))
         if stop != len(summary):
             raise EOFError
         self.chunks.take_summary(summary, starts)
@@ -287,11 +290,6 @@ class Index:
             self.channels[record.id] = record
 
 
-_MAX_LENGTH: Final = 1 << 32  # bytes; what claims to be longer is damaged
-#: Part of the head of each compressed chunk, by which the next one is found after damage.
-_MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
-
-
 class FileScan:
     """A scan of a file into an index, which can be resumed when the file has grown."""
 
@@ -303,7 +301,7 @@ class FileScan:
         self._decoded = -1  # the chunk whose messages were counted by decoding it
 
     def resume(self) -> bool:
-        """FileScan on from where the last scan ended; return whether there is anything new."""
+        """Continue the scan from where it ended; return whether there is anything new."""
         index = self._index
         before = self._next
         size = index.size = self._file.seek(0, io.SEEK_END)

@@ -70,11 +70,11 @@ _ANSWERS: Final = {
 
 
 class BadChange(ReplayError):
-    """A change of a run that can't be made."""
+    """A change that a fork can't make."""
 
     def __init__(self, change: str, cause: str) -> None:
         super().__init__(f"{change}: {cause}")
-        self.change = change  # as it was given
+        self.change = change  # as given
         self.cause = cause  # what is wrong with it
 
 
@@ -83,15 +83,15 @@ class BadChange(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A value for something of an object, or for a fluent."""
+    """A value for a quantity of an object, or for a fluent."""
 
-    text: str  # as it was given
+    text: str  # as given
     name: str  # of the object; of the fluent
     quantity: str  # "position", "orientation", "color" or a joint of the object; "" for a fluent
     value: Any  # its numbers; of a fluent any value
 
     def make(self, world: str) -> None:
-        """Make it, in a world of this process.
+        """Set the value, in a world of this process.
 
         Raises:
             BadChange: there is no such world or fluent.
@@ -114,7 +114,7 @@ class Setting:
             body.set_joint_position(self.quantity, *self.value)
 
     def _fluent(self) -> Fluent:
-        """Return the fluent of that name; nobody but the plan itself keeps them."""
+        """Return the fluent of that name, found among all objects: only the plan itself refers to it."""
         named: dict[Variable, Fluent] = {}
         for each in gc.get_objects():
             if issubclass(type(each), Fluent):  # isinstance would ask proxies, which may do anything
@@ -173,7 +173,7 @@ def parse_setting(text: str, *, fluent: bool) -> Setting:
     A fluent whose name has a dot, and isn't on record yet, is ``fluent:left.battery=20``.
 
     Raises:
-        BadChange: it is none.
+        BadChange: it isn't a setting.
     """
     left, _, right = (part.strip() for part in text.partition("="))
     name, _, quantity = (left.removeprefix(_FLUENT), "", "") if fluent else left.rpartition(".")
@@ -194,10 +194,10 @@ def parse_setting(text: str, *, fluent: bool) -> Setting:
 
 
 def seed_change(step: int, seed: int) -> Change:
-    """Return another seed as a change after a step.
+    """Return a change of the seed after a step.
 
     Raises:
-        BadChange: it is no seed.
+        BadChange: it isn't a seed.
     """
     if not 0 <= seed <= MAX_SEED:
         raise BadChange(f"seed {seed}", f"a seed is a whole number from 0 to {MAX_SEED}")
@@ -210,7 +210,7 @@ def text_of(change: Change) -> str:
 
 
 def object_of(world: BulletWorld, name: str) -> Object:
-    """Return an object of a world by its name; ``robot`` is the world's robot, if no object is called so."""
+    """Return an object of a world by its name; ``robot`` is the world's robot, unless an object has that name."""
     if name == "robot" and world.robot is not None and not world.get_objects_by_name(name):
         return world.robot
     return world.get_object(name)
@@ -221,24 +221,24 @@ def object_of(world: BulletWorld, name: str) -> Object:
 
 @dataclass(frozen=True, slots=True)
 class GivenAnswer:
-    """An answer for the next query that fits."""
+    """An answer for the next matching query."""
 
-    text: str  # as it was given
+    text: str  # as given
     query: str  # name of the query
     arguments: Mapping[str, Term]  # those that it has to have, by what records call them
     answer: Term  # true or false; names of objects; true or false for each of several
 
     def fits(self, name: str, arguments: Mapping[str, object], world: BulletWorld) -> bool:
-        """Return whether a query is the one that is meant."""
+        """Return whether a query matches."""
         return name == self.query and all(
             key in arguments and _is_same(term, arguments[key], world) for key, term in self.arguments.items()
         )
 
     def replace(self, own: Any, world: BulletWorld) -> Any:
-        """Return it with the evidence of the query's own answer.
+        """Return the answer with the evidence of the query's own answer.
 
         Raises:
-            BadChange: the query answers about another number of things.
+            BadChange: the query has another number of answers.
         """
         if isinstance(own, Verdict):
             return Verdict(self.answer, own.evidence, own.picture, own.considered)
@@ -255,10 +255,10 @@ class GivenAnswer:
 
 
 def parse_answer(text: str) -> GivenAnswer:
-    """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``: of the arguments those that are given count.
+    """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``; only given arguments have to match.
 
     Raises:
-        BadChange: it isn't the call of a query and an answer that it can give.
+        BadChange: it isn't a query with one of its possible answers.
         NoSuchName: there is no such query.
     """
     left, equals, right = text.rpartition("=")
@@ -276,7 +276,7 @@ def parse_answer(text: str) -> GivenAnswer:
 
 
 def _bound(asked: QueryCall, text: str) -> dict[str, Term]:
-    """Return the arguments of a question by what records call them."""
+    """Return the arguments of a question by their names in records."""
     parameters = {recorded: parameter for parameter, recorded in RECORDED_AS.items()}
     keywords = {parameters.get(name, name): term for name, term in asked.keywords.items()}
     try:
@@ -346,10 +346,10 @@ class PendingChanges:
         self._process = process()
         self._making = False
         self._done: Callable[[], None] | None = None
-        self.due: list[Change] = []  # those whose step has passed, and which aren't made yet
+        self.due: list[Change] = []  # changes whose steps have passed, and which aren't made yet
 
     def passed(self, step: int, done: Callable[[], None]) -> None:
-        """Take note that a step's record is made; ``done`` is called when nothing is due any more."""
+        """Make the changes after a step as soon as possible; then call ``done``."""
         for change in self._changes:
             if change.step == step and change.answer:
                 self._answers.given.append(parse_answer(change.answer))
@@ -362,7 +362,7 @@ class PendingChanges:
         interrupts.call_soon(self._try)
 
     def complete(self, record: Record) -> None:
-        """Complete a record that is being made: it tells what whoever forked the run did."""
+        """Mark a record that is due to a change instead of the plan."""
         if isinstance(record, Query):
             self._answers.complete(record)
         elif self._making and isinstance(record, Mutation | records.Fluent) and not record.task and not record.cause:
@@ -370,7 +370,7 @@ class PendingChanges:
             record.by_fork = is_set and threading.current_thread() is threading.main_thread()
 
     def _try(self) -> bool:
-        """Make what is due, if that can be done now; return whether it needn't be tried again."""
+        """Make the changes that are due, if possible now; return whether no other attempt is needed."""
         if process() != self._process:  # a projection: it ends before that
             return True
         if is_held():
@@ -399,9 +399,9 @@ class PendingChanges:
 
 
 class AnswerOracle:
-    """Answers queries: with an answer that a fork is given, or where ``taken`` with the recorded one.
+    """Answers queries with the answers that a fork was given, or with the recorded ones (``taken``).
 
-    ``refuse`` is called with the error of a given answer that the query can't have; it doesn't return.
+    ``refuse`` is called with the error of an impossible given answer; it doesn't return.
     """
 
     def __init__(self, guide: Guide, *, taken: bool, refuse: Callable[[Exception], NoReturn]) -> None:
@@ -409,9 +409,9 @@ class AnswerOracle:
         self._takes = taken
         self._refuse = refuse
         self._process = process()
-        self._beside: dict[int, Query] = {}  # by thread: what the record of its query has beside the answer
-        self.taken = 0  # how many were
-        self.given: list[GivenAnswer] = []  # those that are to be given, in their order
+        self._beside: dict[int, Query] = {}  # by thread: more fields for the record of its query
+        self.taken = 0  # number of recorded answers that were taken
+        self.given: list[GivenAnswer] = []  # answers that are still to be given, in order
 
     def __call__(
         self, question: Asked, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]
@@ -449,13 +449,13 @@ class AnswerOracle:
 
 
 def _is_whole(recorded: Query) -> bool:
-    """Return whether a record has all of a query's own answer."""
+    """Return whether a record has the query's complete own answer."""
     known = recorded.name in ANSWERABLE and _kind(recorded.name) != _OF_MANY
     return known and not recorded.HasField("failure") and not recorded.by_fork
 
 
 def _asks(recorded: Query, question: Asked, world: BulletWorld) -> bool:
-    """Return whether a record is of this very question."""
+    """Return whether a record is of the same question at the same moment."""
     moment = recorded.name, recorded.world, recorded.sim_step
     return moment == (question.name, world.name, world.sim_step) and list(recorded.arguments) == records.arguments(
         question.arguments

@@ -1,8 +1,7 @@
-"""Forks a run: the plan runs again, guided by the recording up to a step, and goes on from there, live.
+"""Forks a run: the plan runs again, guided by the recording up to a step, and continues live from there.
 
-So the plan's variables, blocks and branches are what they were, not only its world. From that step on something may be
-different: the plan itself, as an edited file whose records up to there are the same; the world; the answer of a query;
-the seed.
+So the plan has its variables, blocks and branches again, not only its world. After that step the fork may differ by an
+edited plan whose records up to the step are the same, by changes of the world, by answers of queries, or by the seed.
 """
 
 from __future__ import annotations
@@ -29,18 +28,18 @@ if TYPE_CHECKING:
 
 
 class NotForked(ReplayError):
-    """The plan does something else before the step at which it was to leave the recording."""
+    """The plan differs from the recording before the step of the fork."""
 
     def __init__(self, step: int, difference: FirstDifference) -> None:
         reads = "".join(f"; {each}" for each in reads_before(difference))
         super().__init__(f"it is another run before step {step}: at step {difference.step} {difference.text}{reads}")
-        self.step = step  # where it was to leave
+        self.step = step  # of the fork
         self.difference = difference  # the first record that came out differently
 
 
 @dataclass(frozen=True, slots=True)
 class Fork:
-    """A run that was forked from another one."""
+    """The result of a fork."""
 
     file: Path  # its recording, which is whole: it has the steps before the fork as well
     step: int  # the last one that both have
@@ -66,33 +65,33 @@ def fork(
     recorded_source: bool = False,
     begun: Callable[[], None] = lambda: None,
 ) -> Fork:
-    """Run a plan again to a step of its recording, and on from there into a new recording.
+    """Run a plan again to a step of its recording, and continue from there into a new recording.
 
-    What the plan does outside of its worlds (files, network) up to that step happens again; what it prints up to there
-    is held back, the rest goes to stderr. It has no input.
+    Effects of the plan outside of its worlds (files, network) happen again. Its output up to the step is dropped; later
+    output goes to stderr. It has no input.
 
     Args:
         log: the recording.
-        step: the last step that is the same.
-        file: the new recording; what is there is replaced.
-        plan: another file than the recorded one: an edited plan.
+        step: the last step that both runs have.
+        file: the new recording; an existing file is replaced.
+        plan: an edited plan, instead of the recorded file.
         arguments: other arguments than the recorded ones.
-        settings: what is set after that step, as ``milk.position=1,2,0.9``; see :mod:`replay.retrace.changes`.
-        world: the world of the objects that are set; by default the open one that was opened last.
-        answers: of the next queries after that step that fit, as ``reachable_object(milk)=false``.
-        seed: of random numbers and of the order of branches from that step on.
-        control: whether the plan is run again without the change as well, to its end: what differs in the fork is due
-            to the change if that comes out as recorded.
-        recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
-        begun: called when all is checked, and the plan is about to run.
+        settings: values that are set after that step, as ``milk.position=1,2,0.9``; see :mod:`replay.retrace.changes`.
+        world: the world of the objects that are set; by default the open world that was opened last.
+        answers: for the next matching queries after that step, as ``reachable_object(milk)=false``.
+        seed: of random numbers and of the order of branches after that step.
+        control: whether the plan also runs again unchanged to its end. If that comes out as recorded, all differences
+            of the fork are due to the change.
+        recorded_source: whether the source that is attached to the recording runs, instead of the files on the disk.
+        begun: called after all checks, before the plan runs.
 
     Raises:
-        CantRetrace: the plan isn't there, the recording doesn't tell how it was run, or a window, real time or the
-            system rule out that it does the same; nothing has run.
-        BadChange, NoSuchName: a setting or an answer can't be; nothing has run.
-        NotForked: the plan did something else before that step; there is no new recording.
-        Damaged: steps up to that one are lost; nothing has run.
-        ReplayError: there is no folder for the new recording; nothing has run.
+        CantRetrace: the plan is missing, the recording doesn't have how it was run, or a window, real time or the
+            system prevent the same run. As for the errors below but `NotForked`, nothing has run.
+        BadChange, NoSuchName: a setting or an answer is impossible.
+        NotForked: the plan differs before that step; there is no new recording.
+        Damaged: steps up to that step are lost.
+        ReplayError: the folder of the new recording doesn't exist.
     """
     log.check()  # what is lost is known only then
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
@@ -119,7 +118,7 @@ def fork(
 
 
 def _go_on(process: PlanProcess, step: int, file: Path, changes: Sequence[Change]) -> None:
-    """Run the plan to its end; there is no new recording if it didn't come to the step as it did."""
+    """Run the plan to its end; remove the new recording if the plan differed before the step."""
     try:
         difference = process.run(file=file, changes=changes).difference
         if difference is not None:
@@ -132,7 +131,7 @@ def _go_on(process: PlanProcess, step: int, file: Path, changes: Sequence[Change
 def _changes(
     log: RecordReader, step: int, given: Sequence[str], world: str | None, answers: Sequence[str], seed: int | None
 ) -> list[Change]:
-    """Return the changes of a fork, checked."""
+    """Return the checked changes of a fork."""
     changes = settings_of(log, step, given, world)
     for text in answers:
         parse_answer(text)
@@ -145,14 +144,14 @@ def _changes(
 
 
 def _unchanged(log: RecordReader, arguments: Sequence[str] | None, *, recorded_source: bool) -> PlanProcess:
-    """Return the plan as it was, to its end; the arguments that are given count where the recorded ones lack some."""
+    """Return the unchanged plan; given arguments are used only if some recorded ones are secret."""
     began = log[0]
     lacking = isinstance(began, Run) and any(LEFT_OUT in text for text in began.arguments)
     return PlanProcess(log, None, arguments if lacking else None, recorded_source=recorded_source)
 
 
 def _unasked(forked: RecordReader) -> Iterator[str]:
-    """Yield in words that answers, of this fork or of those before it, weren't asked for."""
+    """Yield a note if queries for given answers of this fork, or of earlier ones, weren't asked."""
     given = sum(record.by_fork for record in forked.records(Query))
     recorded = forked[0]
     wanted = [each for each in recorded.origin.changes if each.answer] if isinstance(recorded, Run) else []
@@ -170,10 +169,10 @@ def resume(
     recorded_source: bool = False,
     begun: Callable[[], None] = lambda: None,
 ) -> Fork:
-    """Have a plan whose process was killed go on where it was: a fork at the last step of its recording.
+    """Continue a plan whose process was killed: a fork at the last step of its recording.
 
     Raises:
-        ReplayError: it wasn't killed: it has ended, or still runs.
+        ReplayError: it has ended, or still runs.
         CantRetrace, NotForked, Damaged: as :func:`fork`.
     """
     if log.closed:

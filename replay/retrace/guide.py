@@ -31,7 +31,7 @@ _Stack: TypeAlias = "tuple[str, ...]"  # the plan's lines that called one anothe
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
-    """How a recording guides a run. Where deadlines and workers struck, the recording says itself."""
+    """How a recording guides a run; when deadlines and workers interrupted the plan is in the recording itself."""
 
     log: str  # the recording's file
     by_program: bool  # whether the plan begins the recording itself
@@ -41,20 +41,20 @@ class Guidance:
     moved: tuple[str, str] | None = None  # the folder with the plan's recorded source, and the plan's own folder
 
     def as_json(self) -> dict[str, object]:
-        """Return it as JSON data."""
+        """Return the guidance as JSON data."""
         facts = {name: getattr(self, name) for name in self.__slots__}
         changes = [{each.name: value for each, value in change.ListFields()} for change in self.changes]
         return {**facts, "changes": changes}
 
     @classmethod
     def of_json(cls, facts: Mapping[str, Any]) -> Guidance:
-        """Return the guidance of JSON data."""
+        """Return the guidance from JSON data."""
         return cls(**{**facts, "changes": tuple(Change(**each) for each in facts["changes"])})
 
 
 @dataclass(frozen=True, slots=True)
 class FirstDifference:
-    """The first record that came out differently."""
+    """The first record that differs."""
 
     step: int  # in the recording; its length where the plan goes on after its end
     text: str  # one sentence, in the plan's words
@@ -119,7 +119,7 @@ class Guide(NullSink):
             self._end(None)
 
     def upcoming(self) -> Record | None:
-        """Return the record that has to come next; None if none has, or what comes next is lost."""
+        """Return the record that has to come next; None at the end, or if it is lost."""
         if self._ended:
             return None
         with self._reading:
@@ -128,9 +128,9 @@ class Guide(NullSink):
             return self._ahead if self._ahead is not None and self._ahead.seq == self.equal else None
 
     def foreseen(self, look: int) -> Collection[int] | None:
-        """Return what struck at a look of the recorded run; None after the comparison has ended.
+        """Return what interrupted the recorded run at a poll of its outer events; None after the comparison has ended.
 
-        All are read ahead, as the record with a strike comes after it.
+        All are read ahead: a record of an interruption comes after it.
         """
         if self._ended:
             return None
@@ -147,7 +147,7 @@ class Guide(NullSink):
             return record or next(self._recorded, None)
 
     def close(self) -> None:
-        """Report that the plan has ended, where the recording goes on."""
+        """Report the difference if the plan ended before its recording."""
         if not self._ended:
             recorded = self._next()
             if recorded is None or recorded.seq != self.equal:
@@ -189,7 +189,7 @@ def _words(record: Record) -> str:
 
 
 def _stack(record: Record, tasks: dict[int, _Stack]) -> _Stack:
-    """Return the plan's lines that led to a record, or else to its task, and keep those of the tasks that run."""
+    """Return the plan's lines that led to a record, or else to its task; remember those of running tasks."""
     file, line = getattr(record, "source_file", ""), getattr(record, "source_line", 0)
     stack = tasks.get(record.task, ())
     if file and line:
@@ -213,7 +213,7 @@ def _at(stack: _Stack) -> str:
 
 
 class GuidedSink(NullSink):
-    """Completes each record of a guided run, writes it to several sinks, and says then that its step has passed.
+    """Completes each record of a guided run, writes it to several sinks, and then reports that its step has passed.
 
     Sinks are closed in reverse order. If the plan was ``moved`` (see :class:`Guidance`), records name its own folder.
     """

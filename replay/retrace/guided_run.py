@@ -98,10 +98,9 @@ class GuidedRun:
     def run(
         self, plan: str, arguments: Sequence[str], sink_of: Callable[[Run], Sink], file: Path = Path(os.devnull)
     ) -> None:
-        """Run a plan as a program, whatever it ends with.
+        """Run a plan as a program, and return however it ends.
 
-        ``sink_of`` returns the sink (see :meth:`sink`) when the plan begins the recording again, which would go to a
-        file.
+        When the plan begins the recording again, which would go to the file, ``sink_of`` returns its sink.
         """
         owner, began, by_program, guided = process(), self.began, self.guidance.by_program, False
 
@@ -132,7 +131,7 @@ class GuidedRun:
 
 
 def _run_program(plan: str) -> None:
-    """Run a file as Python does, whatever name it was called by: runpy would name it by its path."""
+    """Run a file like Python itself: runpy would name the module by its path."""
     module = ModuleType("__main__")
     module.__file__ = plan
     sys.modules["__main__"] = module
@@ -140,7 +139,7 @@ def _run_program(plan: str) -> None:
 
 
 def main(text: str) -> None:
-    """Run a plan again as a request says, given as JSON; see :meth:`replay.retrace.plan_process.PlanProcess.run`."""
+    """Run a plan again, as a request in JSON says; see :meth:`replay.retrace.plan_process.PlanProcess.run`."""
     request = json.loads(text)
     die_with(request.pop("parent"))
     guidance = Guidance.of_json(request.pop("guidance"))
@@ -192,7 +191,7 @@ class _ReportedRun:
             os._exit(0)
 
     def _leave(self) -> None:
-        """Leave the recording after its last step that is compared and the changes that follow it."""
+        """Leave the recording after the last step that is compared, and its changes."""
         if self._equal is None or self._sent:
             return
         self._send(difference=None)

@@ -38,7 +38,7 @@ _CACHE: Final = "__pycache__"  # has the compiled files of the disk
 
 
 class CantRetrace(ReplayError):
-    """What a recording tells of its run isn't enough to run it again, or the plan can't be run here."""
+    """The recording lacks something to run the plan again, or the plan can't be run here."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)
@@ -59,13 +59,13 @@ class PlanProcess:
 
     Args:
         log: the recording.
-        plan: another file than the recorded one.
-        arguments: other arguments than the recorded ones.
-        until: the last step that is compared; by default all are.
-        recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
+        plan: a file that runs instead of the recorded one.
+        arguments: instead of the recorded ones.
+        until: the last step that is compared; by default the last of all.
+        recorded_source: whether the source that is attached to the recording runs, instead of the files on the disk.
 
     Raises:
-        CantRetrace: the plan isn't there, the recording doesn't tell how it was run, or it wouldn't do the same.
+        CantRetrace: the plan is missing, the recording doesn't have how it was run, or the run couldn't be the same.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class PlanProcess:
         self._stopped = False
 
     def notes(self) -> Iterator[str]:
-        """Yield in words what is different from when the recording was made."""
+        """Yield in words the differences from the conditions of the recorded run."""
         began = self._began
         if self._source is not None:
             yield str(self._source)
@@ -182,14 +182,14 @@ class PlanProcess:
         return GuidedResult(answer["equal"], None if found is None else FirstDifference(**found), answer["taken"])
 
     def stop(self) -> None:
-        """End it, called from another thread than the one that runs it, where :meth:`run` then raises `CantRetrace`."""
+        """End the run from another thread; :meth:`run` then raises `CantRetrace`."""
         self._stopped = True
         if self._running is not None:
             self._running.kill()
 
     @property
     def recorded_files(self) -> Mapping[Path, bytes]:
-        """The recorded source by its files' paths, if it is to run."""
+        """The recorded source by its files' paths; empty if the files on the disk run."""
         return {} if self._source is None else self._source.texts
 
     def guidance(
@@ -209,7 +209,7 @@ class PlanProcess:
         descriptors: Collection[int] = (),
         **facts: object,
     ) -> subprocess.Popen[bytes]:
-        """Start a module as a process in which the plan can do the same again; it has no input, and shows nothing.
+        """Start a module as a process in which the plan can run the same again, without input and visible output.
 
         The folder is for the recordings of its projections, and for the recorded source if that is to run; ``errors``
         gets its stderr. It inherits open files by their descriptors. Its main function gets the facts as well.
@@ -243,14 +243,14 @@ class PlanProcess:
         )
 
     def _recorded_changes(self, *, changed: bool) -> Iterator[Change]:
-        """Yield the changes of the recorded run, where it is a fork; of a changed one up to the last step only."""
+        """Yield the changes of the recorded run, if it is a fork; of an edited plan only those up to the last step."""
         for change in self._began.origin.changes:
             if not (changed or self._edited) or self._until is None or change.step <= self._until:
                 yield change
 
 
 def last_own_step(log: RecordReader) -> int:
-    """Return the last step that a plan comes to by itself: Ctrl-C, and what that ended, came from outside."""
+    """Return the last step that a plan reaches by itself: Ctrl-C and its effects come from outside."""
     step = len(log) - 1
     end = log[step]
     if isinstance(end, Run) and end.interrupted_by:
@@ -265,7 +265,7 @@ def _is_end(record: Record) -> bool:
 
 
 def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
-    """Refuse what a person or the clock has decided: it wouldn't be the same."""
+    """Refuse worlds with a window or in real time: the run couldn't be the same."""
     for record in log.records(Mutation, 0, len(log) if until is None else until + 1):
         window = record.HasField("open_world") and record.open_world.mode == "GUI"
         if window or (record.HasField("set_realtime") and record.set_realtime.enabled):
@@ -313,11 +313,11 @@ class _RecordedSource:
 
     @property
     def texts(self) -> dict[Path, bytes]:
-        """The attached files by the paths that they had."""
+        """The attached files by their original paths."""
         return {self.program.parent / place: text for place, text in self.files.items()}
 
     def write(self, folder: Path) -> Path:
-        """Write it into a folder, links to everything else beside it, and return the plan's file there."""
+        """Write the source and links to its other files into a folder; return the plan's file there."""
         name = self.program.parent.name
         target = folder / (name if name not in ("", "..") else "plan")  # it was run as ../plan.py
         _lay(self.files, self.program.parent, target)
@@ -332,7 +332,7 @@ class _RecordedSource:
 
 
 def _lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
-    """Write files below a folder, and links to what else the original has there."""
+    """Write files below a folder, and links to all other files that the original has there."""
     target.mkdir(parents=True)
     within: dict[str, dict[Path, bytes]] = {}
     for place, text in texts.items():
@@ -348,7 +348,7 @@ def _lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
 
 
 def _places(log: RecordReader) -> set[Path]:
-    """Return the paths of all files in call stacks."""
+    """Return the paths of all files in recorded call stacks."""
     files: set[str] = set()
     for record in log:
         files.add(getattr(record, "source_file", ""))

@@ -1,4 +1,4 @@
-"""Retraces a recording: runs the plan's code again, and compares what happens with the recording, record by record.
+"""Retraces a recording: runs the plan again, and compares it with the recording, record by record.
 
 The same plan, seed, arguments and working directory give the same records in the same order. So the first difference is
 due to a later change of the plan, of PyCRAM or of the engine, or to what the plan reads of the outside world: clocks,
@@ -62,7 +62,7 @@ class Retracing:
 
     @property
     def identical(self) -> bool:
-        """Whether no record came out differently."""
+        """Whether no record differs."""
         return self.difference is None
 
 
@@ -76,20 +76,20 @@ def retrace(
 ) -> Retracing:
     """Run a recorded plan again in a process of its own, and compare record by record up to the first difference.
 
-    The plan acts as it did then: what it does outside of its worlds (files, network) happens again. It has no input,
-    and what it prints is not shown.
+    The plan has the same effects again, also outside of its worlds (files, network). It has no input, and its output
+    isn't shown.
 
     Args:
         log: the recording.
-        plan: another file than the recorded one.
-        arguments: other arguments than the recorded ones.
-        answers: "asked" to ask reasoning queries again and compare their answers; "recorded" to take these from the
-            recording, which is faster: then it is compared what is asked, and when.
-        recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
+        plan: a file that runs instead of the recorded one.
+        arguments: instead of the recorded ones.
+        answers: "asked" to ask reasoning queries again and compare their answers; "recorded" to take the answers from
+            the recording, which is faster: then only the queries and their moments are compared.
+        recorded_source: whether the source that is attached to the recording runs, instead of the files on the disk.
 
     Raises:
-        CantRetrace: the plan isn't there, the recording doesn't tell how it was run, or a window, real time or the
-            system rule out that it does the same; nothing has run.
+        CantRetrace: the plan is missing, the recording doesn't have how it was run, or a window, real time or the
+            system prevent the same run; nothing has run.
     """
     process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
     return compared(process, log, take_answers=answers == "recorded")
@@ -110,13 +110,13 @@ def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = Fa
 
 
 def likely_reasons(log: RecordReader, difference: FirstDifference) -> Iterator[str]:
-    """Yield in words what of the world outside may be why a record came out differently."""
+    """Yield in words possible causes of a difference in the outside world."""
     yield from reads_before(difference)
     yield from decided_outside(log, difference.step)
 
 
 def reads_before(difference: FirstDifference) -> Iterator[str]:
-    """Yield in words the lines that may be why a record came out differently, nearest first: those that led to it."""
+    """Yield in words the lines before a difference that read the outside world, nearest first."""
     files = set()
     for place in (difference.line, *difference.callers):
         file, _, number = place.rpartition(":")
@@ -129,7 +129,7 @@ def reads_before(difference: FirstDifference) -> Iterator[str]:
 
 
 def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield in words the tasks around a step that the clock or a worker thread ended in an old recording.
+    """Yield in words the tasks around a step of an old recording that the clock or a worker thread ended.
 
     Newer ones tell at which look that was.
     """
@@ -146,7 +146,7 @@ def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
 
 
 def _reads(file: Path) -> Iterator[tuple[int, str, str]]:
-    """Yield line, text and kind of what reads the world outside in a file."""
+    """Yield line, text and source of each read of the outside world in a file."""
     try:
         nodes = syntax_nodes(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -168,7 +168,7 @@ def _reads(file: Path) -> Iterator[tuple[int, str, str]]:
 
 
 def _imported(nodes: tuple[ast.AST, ...]) -> Iterator[tuple[str, str]]:
-    """Yield what a file imports, by the names that it has there."""
+    """Yield the imports of a file: local and full names."""
     for node in nodes:
         if isinstance(node, ast.Import):
             yield from ((each.asname, each.name) for each in node.names if each.asname)
