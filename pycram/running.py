@@ -147,13 +147,13 @@ def _report(error: BaseException) -> int:
 
 
 def tell(text: str) -> None:
-    """Print a message, if anybody reads it: how a plan ended doesn't depend on that."""
+    """Print a message; a closed output doesn't change how the plan ended."""
     with until_closed():
         print(text, file=sys.stderr)
 
 
 def _was_lost(error: BaseException | None) -> bool:
-    """Whether the recording failed, before the plan did or when it was closed after that."""
+    """Return whether the recording failed, before the plan did or when it was closed afterwards."""
     return isinstance(error, RecordingError) or (error is not None and isinstance(error.__context__, RecordingError))
 
 
@@ -167,13 +167,13 @@ def _keep_page(recording: Recording) -> None:
 
 
 def _debug(log: Path, arguments: Sequence[str]) -> None:
-    """Open the debugger, which runs the plan again to its failure: it is above all that runs plans."""
+    """Open the debugger at the failure; in a process of its own, as its package is above this one."""
     given = ["--arguments", *arguments] if arguments else []  # the recording lacks secret ones
     subprocess.run([sys.executable, "-P", "-m", "replay", "debug", str(log), *given], check=False)  # noqa: S603  ours
 
 
 def _wait_for_threads() -> None:
-    """Wait for threads that the plan has left running, as Python does at its end: they are part of the plan."""
+    """Wait for threads that the plan has left running, as Python does: they are part of the plan."""
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and not thread.daemon:
             thread.join()

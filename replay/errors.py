@@ -17,7 +17,7 @@ class ReplayError(PortableError):
 
 
 class NotALog(ReplayError):
-    """The file isn't a recording of PyCRAM, or nothing of it can be read."""
+    """The file isn't a recording of PyCRAM, or is completely unreadable."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
         super().__init__(f"{path}: {cause}")
@@ -26,7 +26,7 @@ class NotALog(ReplayError):
 
 
 class Unreadable(NotALog):
-    """A recording that can't be read at all: too damaged, cut too early, or of an unknown release."""
+    """A recording that is completely unreadable: too damaged, cut off too early, or of an unknown release."""
 
 
 class Damaged(ReplayError):
@@ -40,7 +40,7 @@ class Damaged(ReplayError):
 
 
 class MissingModels(Damaged):
-    """The file of models that recordings of a sweep share isn't beside one of them, or isn't what it was."""
+    """The file of models that recordings of a sweep share is missing beside a recording, or was changed."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
         super().__init__(path, "its models", cause)
@@ -49,7 +49,7 @@ class MissingModels(Damaged):
 
 
 class LogClosed(ReplayError):
-    """A recording was read after it was closed, as after the ``with`` that opened it."""
+    """A recording was read after it was closed, for example after its ``with`` block."""
 
     def __init__(self, path: str | Path) -> None:
         super().__init__(f"{path}: it was closed; read it inside its with block, or open it again")
@@ -66,7 +66,7 @@ class NoSuchStep(ReplayError, LookupError):
 
 
 class NoSuchName(ReplayError, LookupError):
-    """There was no such body, joint, link or world at that step."""
+    """There is no such body, joint, link or world at that step."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
         self.name = name  # what was asked for

@@ -1,6 +1,6 @@
 """The facade over :mod:`replay.file`, :mod:`replay.state`, :mod:`replay.explain` and :mod:`replay.restore`.
 
-It turns names of steps into numbers; the functions below it take numbers only.
+It turns names of steps into numbers; the functions in these packages take numbers only.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Recording(RecordReader):
         return next(iter(self.state_at(step).world(world).believed(what, robot)), None)
 
     def tree(self, step: int | str | None = None) -> Tree:
-        """Return the task tree, as it was after a step if one is given; the classes are those of ``pycram.tasks``."""
+        """Return the task tree, at the end or after a step; its classes are those of ``pycram.tasks``."""
         from replay.history.tasks import tree  # noqa: PLC0415  these take long to import
 
         return tree(self, None if step is None else self.step(step) + 1)

@@ -44,9 +44,9 @@ _POLL_PERIOD: Final = 0.1  # s
 
 
 def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> None:
-    """Writes recordings into one ``.rrd`` file; a file that is there is replaced when all is written.
+    """Write recordings, shown side by side, into one ``.rrd`` file; an existing file is replaced at the end.
 
-    Several are shown side by side. The step ``at`` is looked at first, by default the beginning.
+    The viewer opens at the step ``at``, by default at the beginning.
 
     Raises:
         ReplayError: it can't be written.
@@ -70,7 +70,7 @@ def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> 
 
 @contextlib.contextmanager
 def _without_garbage_collection() -> Iterator[None]:
-    """Rows live until they are sent: the garbage collector would walk over them in vain."""
+    """Turn the garbage collector off: rows live until they are sent, so scanning them is wasted work."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -81,10 +81,9 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 def cached(log: RecordReader, at: int | None = None) -> Path:
-    """The file of a recording for the viewer, kept beside it as ``NAME.mcap.rrd``; made if there is none of ours.
+    """Return a recording's file for the viewer, cached beside it as ``NAME.mcap.rrd``.
 
-    It is a temporary file where beside the recording nothing can be written, and where the step that is looked at
-    first is of another world than the beginning.
+    It is a temporary file if the folder isn't writable, or if the first step shows another world than the beginning.
 
     Raises:
         ReplayError: it can't be written.
@@ -111,7 +110,7 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
 
 
 def _note(log: RecordReader) -> Path | None:
-    """The file that holds the hash of what this software makes of a recording; None where the user has no folder."""
+    """Return the file with the hash of this software's ``.rrd`` of a recording; None without a cache folder."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -134,12 +133,10 @@ def _hash(file: Path) -> str:
 
 
 def temporary_file(name: str) -> Path:
-    """A file in the user's own folder for temporary files.
-
-    Nobody can replace another user's file there, and several users view the same recordings.
+    """Return a path in the user's own folder for temporary files, which no other user can write to.
 
     Raises:
-        ReplayError: there can't be such a folder, or it is somebody else's.
+        ReplayError: the folder can't be created, or is another user's.
     """
     folder = Path(tempfile.gettempdir()) / f"pycram-{os.getuid()}"
     try:
@@ -154,10 +151,10 @@ def temporary_file(name: str) -> Path:
 
 
 def check(url: str | None) -> None:
-    """Checks the address of a viewer; None is any.
+    """Check the address of a viewer; None stands for any.
 
     Raises:
-        ReplayError: it isn't an address, or nothing answers there.
+        ReplayError: it isn't an address, or no viewer answers there.
     """
     if url is None:
         return
@@ -170,7 +167,7 @@ def check(url: str | None) -> None:
 
 
 def _go_to(client: ViewerClient, step: int) -> None:
-    """Sets the viewer's time to a step, as soon as it has loaded something."""
+    """Set the viewer's time to a step, once it has loaded something."""
     pause, until = threading.Event(), time.monotonic() + _LOAD_TIMEOUT
     while True:
         try:
@@ -184,9 +181,9 @@ def _go_to(client: ViewerClient, step: int) -> None:
 
 
 def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, Callable[[int], None]]:
-    """Opens a recording at a step as :func:`show` does; returns the viewer's address, and what has it go to a step.
+    """Open a recording at a step like :func:`show`; return the viewer's address, and a function that goes to a step.
 
-    Of a viewer that was closed since nothing more is heard.
+    If the viewer was closed since, the function does nothing.
 
     Raises:
         ReplayError: no viewer answers there, or none can be started.
@@ -202,9 +199,9 @@ def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, C
 
 
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:
-    """Opens an ``.rrd`` file at a step in a viewer, and returns the viewer's address.
+    """Open an ``.rrd`` file at a step in a viewer, and return the viewer's address.
 
-    That is the one at ``url``, else one that is open on this machine, else a new one, which outlives this process.
+    The viewer is the one at ``url``, else one that is open on this machine, else a new one, which stays open.
 
     Raises:
         ReplayError: no viewer answers there, or none can be started.
@@ -242,7 +239,7 @@ _NONSENSE: Final = (
 
 
 def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int | None = None) -> None:
-    """Sends recordings to a viewer, several side by side; the step ``at`` is looked at first.
+    """Send recordings to a viewer, several side by side, which opens at the step ``at``.
 
     Raises:
         Damaged: a record makes no sense.
@@ -258,10 +255,7 @@ def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int 
 
 
 def front_world(log: RecordReader, at: int | None = None) -> str:
-    """The world that is looked at: that of a step, by default the first that the plan acts in; "" if none.
-
-    Steps without a world of their own are of that of the step before.
-    """
+    """Return the world in front: that of a step, or of the step before it; else the first that the plan acts in."""
     if at is not None:
         world = next((record.world for record in log.backwards(min(at, len(log) - 1)) if record.world), "")
         if world:
@@ -270,7 +264,7 @@ def front_world(log: RecordReader, at: int | None = None) -> str:
 
 
 def _roots(logs: Sequence[RecordReader]) -> list[str]:
-    """Root entities of recordings that are shown side by side: names of their files, if these are different."""
+    """Return the root entities of recordings that are shown side by side: names of their files, if these differ."""
     if len(logs) == 1:
         return [_NO_ROOT]
     names = [log.path.stem for log in logs]
@@ -287,7 +281,7 @@ def _lay_out(
 
 
 def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Mapping[str, Vector]:
-    """Sends a recording, and returns the centres of its worlds in m."""
+    """Send a recording, and return the centres of its worlds in m."""
     translator = Translator(stream, root)
     for name in log.assets:
         with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording remembers it

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class Assets(Mapping[str, bytes]):
-    """Contents by name, ``<sha256>/<file name>``; each is read when it is asked for."""
+    """Contents by name, ``<sha256>/<file name>``; each is read on demand."""
 
     def __init__(self, path: Path, index: Index) -> None:
         self._path = path
@@ -57,7 +57,7 @@ class Assets(Mapping[str, bytes]):
         return data
 
     def attachment(self, name: str) -> Attachment:
-        """Return a file with what the recorder said of it; raises as :meth:`__getitem__`."""
+        """Return a file with its time and media type; raises as :meth:`__getitem__`."""
         try:
             content = self._content(name)
             found: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
@@ -83,18 +83,18 @@ class Assets(Mapping[str, bytes]):
         return self.shared.read(name)
 
     def check(self) -> None:
-        """Read all that the recording holds itself; :attr:`damaged` then tells what isn't as it was attached."""
+        """Read all of the recording's own files; damaged ones are in :attr:`damaged` then."""
         for name in self._index.attachments:
             with suppress(Damaged):
                 self.attachment(name)
 
     def missing(self, *, look: bool = False) -> str:
-        """Return why files are missing that the recording shares, in words; "" if none are, or nobody has looked."""
+        """Return why shared files are missing; "" if none are, or if the shared file was never needed."""
         self._looked = self._looked or look
         return self.shared.cause if self.shared is not None and self._looked else ""
 
     def close(self) -> None:
-        """Close the shared file, which is opened again when it is needed: a fork has one of its own."""
+        """Close the shared file; it is opened again on demand, so a fork gets its own."""
         if self.shared is not None:
             self.shared.close()
 
@@ -112,7 +112,7 @@ class Assets(Mapping[str, bytes]):
         return sum(1 for _ in self)
 
     def urdf(self, name: str) -> Urdf:
-        """Return an attached model, ``<sha256>/<file name>``, parsed; once for all who ask.
+        """Return an attached model, ``<sha256>/<file name>``, parsed once.
 
         Raises:
             NoSuchName: the recording doesn't have it.
@@ -133,7 +133,7 @@ _FLAGS: Final = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONB
 
 
 class SharedFile:
-    """The file that a recording names; opened when it is needed first.
+    """The file of models that a recording names; opened on demand.
 
     Args:
         recording: the recording.
@@ -150,7 +150,7 @@ class SharedFile:
 
     @property
     def cause(self) -> str:
-        """Why it can't be read; "" if it can."""
+        """Why the file can't be read; "" if it can."""
         if self._cause is None:
             try:
                 self._index = Index(self._opened())
@@ -163,17 +163,17 @@ class SharedFile:
 
     @property
     def files(self) -> Mapping[str, Extent]:
-        """The files in it by their names; none if it can't be read."""
+        """Its attachments by name; none if the file can't be read."""
         return {} if self.cause or self._index is None else self._index.attachments
 
     def read(self, name: str) -> bytes:
-        """Return the MCAP record of a file in it."""
+        """Return the MCAP record of an attachment."""
         if self._index is None:
             raise KeyError(name)
         return self._index.read(self._index.attachments[name])
 
     def close(self) -> None:
-        """Close it; it would be opened again."""
+        """Close the file; it is opened again on demand."""
         if self._index is not None:
             self._index.close()
         self._index = self._cause = None
@@ -196,6 +196,6 @@ class SharedFile:
 
 
 def shared_by(recording: Path, index: Index) -> SharedFile | None:
-    """Return the file of models that a recording names; None if it holds all itself."""
+    """Return the file of models that a recording names; None if the recording has all its files."""
     stated = index.metadata.get(METADATA)
     return None if stated is None else SharedFile(recording, stated)

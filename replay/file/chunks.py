@@ -56,7 +56,7 @@ _PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
 
 @dataclass(slots=True)
 class _Entries:
-    """The records of a chunk: channels, payloads, and those that were decoded by their index; the chunk's bytes."""
+    """The records of a chunk: channels, payloads, decoded records by index; bytes of the chunk."""
 
     channels: list[int] = field(default_factory=list)
     payloads: list[bytes] = field(default_factory=list)
@@ -106,7 +106,7 @@ class Chunks:
         return self._index.chunks.channel_maps()
 
     def refresh(self, number: int) -> None:
-        """Forget what was read of a chunk and those behind it."""
+        """Drop the caches of a chunk and of those after it."""
         for cache in (self._cache, self._spans, self.damaged):
             for key in [cached for cached in cache if cached >= number]:
                 del cache[key]
@@ -120,7 +120,7 @@ class Chunks:
     # --- contents of a chunk ----------------------------------------------------------------------------------------
 
     def channels(self, number: int) -> list[tuple[type[Record], Owner | None]]:
-        """Return for each channel of a chunk its type of record and its world; None if it doesn't name exactly one."""
+        """Return type of record and lifetime of each channel of a chunk; None for channels of several worlds."""
         chunk = self._index.chunks[number]
         ids = self._kinds if chunk.channels is None else chunk.ids()
         return [(self._kinds[channel], self._owners[channel]) for channel in ids if channel in self._kinds]
@@ -136,7 +136,7 @@ class Chunks:
     ) -> Iterator[Record]:
         """Yield the records of a chunk, of some types, of a world, that have a text in one of their fields.
 
-        Nothing but what is asked for is decoded.
+        No others are decoded.
         """
         types = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
         if types is not None and not any(kind in types for kind, _ in self.channels(number)):
@@ -157,7 +157,7 @@ class Chunks:
                 yield record
 
     def whole(self, number: int) -> Iterable[Record]:
-        """Return all records of a chunk, at once: for going through a recording, which doesn't come back to it."""
+        """Return all records of a chunk, uncached: for a pass over the whole recording."""
         entries, decoders = self._load(number), self._decoders
         if entries.size > _CACHED_BYTES:
             return self.records(number)
@@ -169,15 +169,15 @@ class Chunks:
             return list(self.records(number))
 
     def misplaced(self, number: int, record: Record) -> None:
-        """Note that a record of a chunk has a step that can't be."""
+        """Note that a record of a chunk has an impossible step."""
         self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
 
     def share_worlds(self) -> bool:
-        """Return whether worlds share channels, so that records have to be read to know whose they are."""
+        """Return whether worlds share channels, so that only the records themselves name their worlds."""
         return any(self._owners[at] is None for at, kind in self._kinds.items() if kind in (Mutation, Keyframe))
 
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
-        """Yield the mutations, keyframes and looks of a chunk, with the worlds that their channels are for."""
+        """Yield the mutations, keyframes and looks of a chunk, with the lifetimes of their channels."""
         entries = self._load(number)
         for at, channel in enumerate(entries.channels):
             kind = self._kinds[channel]
@@ -189,7 +189,7 @@ class Chunks:
     # --- search for a step -------------------------------------------------------------------------------------------
 
     def span(self, number: int) -> tuple[int, int]:
-        """Return the first and the last step in a chunk; of an unreadable one an empty span after the last one."""
+        """Return the first and the last step in a chunk; of an unreadable one an empty span after the previous one."""
         for at in range(number, -1, -1):
             if at not in self._spans:
                 first = next(self.records(at), None)
@@ -202,7 +202,7 @@ class Chunks:
         return 0, -1
 
     def chunk_of(self, step: int, steps: int) -> int:
-        """Return the number of the chunk that can have a step, of so many: the last one that doesn't begin after it."""
+        """Return the number of the chunk that can have a step: the last one that doesn't begin after it."""
         low, first, high, end = 0, 0, len(self) - 1, steps
         probes = 0
         while low < high:
@@ -222,7 +222,7 @@ class Chunks:
     # --- decoding --------------------------------------------------------------------------------------------------
 
     def _load(self, number: int, text: bytes = b"") -> _Entries:
-        """Return what a chunk has; nothing if a text isn't anywhere in it."""
+        """Return the entries of a chunk; none if a text isn't in it."""
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]
@@ -246,7 +246,7 @@ class Chunks:
         return entries
 
     def _divide(self, contents: bytes, entries: _Entries) -> int:
-        """Divide a chunk into its records; return how many messages it has in all."""
+        """Split a chunk into records; return its number of messages."""
         channels, payloads = entries.channels.append, entries.payloads.append
         unpack, kinds, end = _MESSAGE.unpack_from, self._kinds, len(contents)
         at = others = 0
@@ -283,7 +283,7 @@ class Chunks:
 
 
 def kinds_of(index: Index) -> dict[int, type[Record]]:
-    """Return the types of record by the channels of a file that are ours."""
+    """Return the types of record by channel; other programs' channels are left out."""
     kinds = {}
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
@@ -296,7 +296,7 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
 
 
 def _owner(metadata: Mapping[str, str]) -> Owner | None:
-    """Return the world of a channel and the number of its lifetime; None if it has none."""
+    """Return the world of a channel and the number of its lifetime; None if the channel isn't for one lifetime."""
     lifetime = metadata.get("life", "")
     known = "world" in metadata and lifetime.isdecimal() and len(lifetime) <= _MAX_DIGITS
     return (metadata["world"], int(lifetime)) if known else None
@@ -311,7 +311,7 @@ _NUMBER: Final = 40  # bits of a message's number, below its step
 
 
 class _MessagePlaces:
-    """Where the messages of a file are, as compactly as millions of them need it."""
+    """Positions of the messages of a file, compact enough for millions."""
 
     def __init__(self) -> None:
         self.keys: list[int] = []  # the step of each, and its number in the file
@@ -334,7 +334,7 @@ class _MessagePlaces:
 
 
 class SortedMessages:
-    """The records of a file in the order of their steps."""
+    """The messages of a file, sorted by the steps of their records."""
 
     def __init__(self, index: Index, places: _MessagePlaces) -> None:
         from tempfile import SpooledTemporaryFile  # noqa: PLC0415  slow to import, and seldom needed
@@ -359,10 +359,10 @@ class SortedMessages:
 
     @classmethod
     def of(cls, index: Index, kinds: Mapping[int, type[Record]]) -> SortedMessages | None:
-        """Return the arrangement of a file; None if it needs none: its chunks have all records in their order.
+        """Return the sorted messages of a file; None if its chunks have all records in order.
 
         Args:
-            index: of the file; what is damaged is added to it if there is an arrangement.
+            index: of the file; damage is added to it if the messages are sorted.
             kinds: types of record by channel.
         """
         damage: list[str] = []
@@ -405,7 +405,7 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
 
 
 def _messages(index: Index, damage: list[str]) -> Iterator[tuple[int, int, bytes]]:
-    """Yield all messages, with the numbers of their chunks and where they begin in these, or in the file."""
+    """Yield chunk number, offset in the chunk and bytes of each message; of loose ones -1, and the file's offset."""
     for number in range(len(index.chunks)):
         contents = _contents(index, number, damage) or b""
         try:

@@ -51,17 +51,17 @@ _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
 
 
 class _Budget:
-    """Bytes that the chunks which are read may have in all; an index may name one and the same chunk very often."""
+    """A limit of the bytes of all chunks: a hostile index may name the same chunk many times."""
 
     def __init__(self) -> None:
         self._taken = 0
         self._takers: set[int] = set()
 
     def take(self, taker: int, size: int, most: int, cause: str) -> None:
-        """Take what one needs, once.
+        """Count the bytes of a chunk, once.
 
         Raises:
-            ValueError: all would have more than the most.
+            ValueError: the limit is exceeded.
         """
         if taker not in self._takers:
             if self._taken + size > most:
@@ -123,7 +123,7 @@ class Index:
 
     @property
     def ours(self) -> bool:
-        """Whether PyCRAM wrote the file, as far as is known; then it has all checksums, and steps in their order."""
+        """Whether PyCRAM wrote the file, as far as is known: then it has all checksums, and steps in order."""
         return not self.library or self.library.startswith("pycram")
 
     def check_open(self) -> None:
@@ -132,11 +132,11 @@ class Index:
             raise LogClosed(self._file.name)
 
     def read(self, extent: Extent | ChunkExtent | StatedChunk) -> bytes:
-        """Return the content of a record, less if the file ends in it.
+        """Return the content of a record; less if the file ends within it.
 
         Raises:
             LogClosed: the file was closed.
-            EOFError: it is not in the file.
+            EOFError: it isn't in the file.
         """
         self.check_open()
         offset, length = extent.offset, extent.length
@@ -193,7 +193,7 @@ class Index:
             self.damage = [*self.damage, "its checksum differs from the one that it was closed with"]
 
     def refresh(self) -> bool:
-        """Look for what was written since; return whether there is anything new: never in a file that was closed."""
+        """Scan what was written since; return whether there is anything new. A closed file never has."""
         return not self.closed and self._scan.resume()
 
     def _read_library(self) -> str:
@@ -258,7 +258,7 @@ class Index:
             self._read_stated_metadata(MetadataIndex.read(stream))
 
     def _claim(self, length: int) -> None:
-        """Refuse a summary by which files and metadata have more bytes than the file: it names the same ones often."""
+        """Refuse a summary whose files and metadata have more bytes than the file: it names some many times."""
         self._claimed += length
         if self._claimed > self.size:
             raise EOFError
@@ -349,7 +349,7 @@ class FileScan:
         return intact and footer.summary_start == behind
 
     def _define_from_summary(self, at: int, size: int) -> None:
-        """Read the definitions of channels from the summary, in case the data's are lost; its offsets may be wrong."""
+        """Read definitions of channels that are lost in the data from the summary, whose offsets may be wrong."""
         while at + HEADER <= size:
             opcode, extent = self._head(at)
             at = extent.stop
@@ -369,7 +369,7 @@ class FileScan:
             return True
         if opcode == Opcode.CHUNK and extent.offset + CHUNK_HEAD.size + 32 <= size:
             return not self._is_chunk(extent)
-        # with whole chunks after it, it isn't the end that is cut off
+        # if whole chunks follow, the end isn't cut off
         return self._next_chunk(extent.offset, size) is not None
 
     def _is_chunk(self, extent: Extent) -> bool:
@@ -435,7 +435,7 @@ class FileScan:
         return True
 
     def _define_from(self, number: int) -> dict[int, int] | None:
-        """Read the channels that a chunk defines; return its messages by channel, None if it is damaged."""
+        """Read the channels that a chunk defines; return its messages by channel, or None if it is damaged."""
         counted: defaultdict[int, int] = defaultdict(int)
         try:
             contents = self._index.contents(number)[0]
@@ -462,7 +462,7 @@ class FileScan:
         self._decoded = number
 
     def _next_chunk(self, start: int, size: int) -> int | None:
-        """Return the offset of the first intact chunk at or behind a byte; None if there is none."""
+        """Return the offset of the first intact chunk at or after a byte; None if there is none."""
         at = start
         while at < size:
             self._file.seek(at)

@@ -1,4 +1,4 @@
-"""The lifetimes of worlds: a name is free again when its world has ended, and the next one of that name is another.
+"""The lifetimes of worlds. After a world has ended, another one can have its name.
 
 The recorder gives each lifetime its own channels, so the index has the chunks of each. Where channels don't have it
 (more worlds than a file has channels for, recordings of earlier releases), the changes themselves are read.
@@ -36,7 +36,7 @@ class Lifetime:
 
     @property
     def title(self) -> str:
-        """Its name for people; see :func:`title`."""
+        """Its title; see :func:`title`."""
         return title(self.world, self.number)
 
     def has(self, step: int) -> bool:
@@ -45,7 +45,7 @@ class Lifetime:
 
 
 def title(world: str, number: int) -> str:
-    """Return the title of a world: its name, and its number among those of that name if it isn't the first."""
+    """Return the title of a world: its name, with its number unless it is the first of that name."""
     if number == 1:
         return world
     ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
@@ -65,7 +65,7 @@ def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
 
 
 def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
-    """Return the numbers of the chunks that have changes of each lifetime, of those with keyframes, and with looks."""
+    """Return the numbers of the chunks with changes of each lifetime, with its keyframes, and with its looks."""
     chunks_of: dict[Owner, _Lists] = {}
     shared = chunks.share_worlds()
     last_number: dict[str, int] = {}  # number of the latest lifetime by name of the world
@@ -90,7 +90,7 @@ def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
 
 
 def _owner(record: Record, channel_owner: Owner | None, last_number: dict[str, int]) -> Owner:
-    """Return the world of a record: the one of its channel if that is known, else by counting."""
+    """Return the lifetime of a record: its channel's if that is known, else by counting."""
     lifetime = channel_owner[1] if channel_owner is not None else last_number.get(record.world, 0)
     if not lifetime or (channel_owner is None and _opens(record)):
         lifetime += 1
@@ -103,12 +103,12 @@ def _opens(record: Record) -> bool:
 
 
 def closes_world(record: Record) -> bool:
-    """Return whether a record is the end of a world."""
+    """Return whether a record closes a world."""
     return isinstance(record, Mutation) and record.HasField("close_world")
 
 
 def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[int]]:
-    """Return the lists that a chunk belongs to, by what it has."""
+    """Return the lists that a chunk belongs to."""
     lists = []
     kinds: defaultdict[Owner, set[type[Record]]] = defaultdict(set)
     for kind, owner in marks:
@@ -125,7 +125,7 @@ def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[
 
 
 def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
-    """Return the first steps of lifetimes; 0 where nothing depends on it, to avoid reading."""
+    """Return the first steps of lifetimes; 0 if nothing depends on it, to avoid reading."""
     beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # by chunk
     for owner, (changes, *_) in chunks_of.items():
         beginning[changes[0]].append(owner)
@@ -137,7 +137,7 @@ def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
 
 
 def _first_steps(chunks: Chunks, number: int, owners: Iterable[Owner]) -> Iterator[tuple[Owner, int]]:
-    """Yield the first steps of the lifetimes that begin in a chunk, as far as it can be read."""
+    """Yield the first steps of the lifetimes that begin in a chunk, as far as it is readable."""
     waiting = sorted(owners)
     for record in chunks.records(number, (Mutation, Keyframe)):
         owner = next((each for each in waiting if each[0] == record.world), None)

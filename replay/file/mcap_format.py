@@ -55,7 +55,7 @@ class Extent(NamedTuple):
 
     @property
     def stop(self) -> int:
-        """The offset behind it."""
+        """The offset after it."""
         return self.offset + self.length
 
 
@@ -77,7 +77,7 @@ class ChunkExtent(NamedTuple):
 
 
 class StatedChunk(NamedTuple):
-    """What the index at a file's end states of a chunk."""
+    """An entry for a chunk in the index at a file's end."""
 
     offset: int  # where it begins, with opcode and length
     length: int  # its bytes, with these
@@ -94,7 +94,7 @@ class ChunkTable:
         self._items: list[int | ChunkExtent] = []  # an int is the offset in the summary
 
     def take_summary(self, summary: bytes, starts: Iterable[int]) -> None:
-        """Take all chunks of a file's summary."""
+        """Set the chunks of a file's summary."""
         self._summary = summary
         self._items = list(starts)
 
@@ -111,11 +111,11 @@ class ChunkTable:
         self._items.clear()
 
     def arrange(self, chunks: Iterable[ChunkExtent]) -> None:
-        """Take others in place of all chunks; see :mod:`replay.file.chunks`."""
+        """Replace all chunks; see :class:`replay.file.chunks.SortedMessages`."""
         self._items = list(chunks)
 
     def stated(self, number: int) -> StatedChunk | None:
-        """Return what the summary states of a chunk; None if it isn't from a summary."""
+        """Return the summary's entry for a chunk; None if there is no summary."""
         at = self._items[number]
         if isinstance(at, ChunkExtent):
             return None
@@ -129,7 +129,7 @@ class ChunkTable:
         return StatedChunk(offset, length, head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
 
     def channel_maps(self) -> Iterator[bytes | None]:
-        """Yield what :class:`ChunkExtent` has as ``channels``, of each chunk."""
+        """Yield the ``channels`` of each chunk, as in :class:`ChunkExtent`."""
         summary = self._summary
         for item in self._items:
             if isinstance(item, ChunkExtent):
@@ -237,7 +237,7 @@ def decode(kind: type[Record], payload: bytes) -> Record:
 
 @cache
 def _within(descriptor: Any) -> dict[int, Any]:  # protobuf's two runtimes have two types for it
-    """Return the messages that fields of a message hold, by the fields' numbers."""
+    """Return the message types of a message's fields, by field number."""
     return {field.number: field.message_type for field in descriptor.fields if field.message_type is not None}
 
 
@@ -271,7 +271,7 @@ def _weigh(descriptor: Any, data: bytes, at: int, end: int) -> int:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """Return the number at an offset, and the offset behind it."""
+    """Return the number at an offset, and the offset after it."""
     value = data[at]
     at += 1
     if value < 1 << 7:

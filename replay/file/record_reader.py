@@ -105,7 +105,7 @@ class RecordReader:
         self._index.close()
 
     def after_fork(self) -> None:
-        """Go on reading, in a forked child, from a file position of its own: the parent's would move."""
+        """Reopen the file in a forked child, which would else share the parent's file position."""
         self.assets.close()
         descriptor = self._file.fileno()
         own = os.open(self.path, os.O_RDONLY)
@@ -126,7 +126,7 @@ class RecordReader:
 
     @property
     def closed(self) -> bool:
-        """Whether the recorder closed the file; then nothing will be added."""
+        """Whether the recorder closed the file: nothing will be added."""
         return self._index.closed
 
     @property
@@ -134,7 +134,7 @@ class RecordReader:
         """Whether a recorder is writing the file now.
 
         Raises:
-            LogClosed: this object was closed, so that it can't be known.
+            LogClosed: this object was closed.
         """
         if self._file.closed and not self.closed:
             raise LogClosed(self.path)
@@ -147,12 +147,12 @@ class RecordReader:
 
     @property
     def problems(self) -> str:
-        """What is known to be missing or damaged, in words; empty if nothing is."""
+        """All known losses and damage, in words; empty if there are none."""
         return "; ".join(filter(None, (self.incomplete, self.damage)))
 
     @property
     def incomplete(self) -> str:
-        """That the file was not closed, or lost records before it was repaired, in words; empty if neither is so."""
+        """Why the recording is incomplete, in words: it wasn't closed, or lost records before a repair; else empty."""
         if self.closed:
             lost = ", ".join(map(range_text, self.lost_before))
             return f"steps {lost} were lost before it was repaired" if lost else ""
@@ -163,7 +163,7 @@ class RecordReader:
 
     @property
     def damage(self) -> str:
-        """What is known to be damaged or lost, in words; empty if nothing is."""
+        """All known damage, in words; empty if there is none."""
         problems = ["the index at its end is damaged"] if self.closed and not self._index.whole else []
         problems += self._index.damage
         problems += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
@@ -176,17 +176,17 @@ class RecordReader:
 
     @cached_property
     def newer(self) -> Newer | None:
-        """What this release doesn't know of the recording, if a newer one wrote it."""
+        """The newer release that wrote the recording; None if it isn't newer than this one."""
         return newer_of(self._index)
 
     @property
     def format(self) -> int:
-        """The format of the recording, 0 if it doesn't tell; see :mod:`recorder.records.definition`."""
+        """The format of the recording, 0 if it is unknown; see :mod:`recorder.records.definition`."""
         return format_of(self._index)
 
     @cached_property
     def lifetimes(self) -> tuple[Lifetime, ...]:
-        """The lifetimes of worlds in the order of their opening; a name that is taken again begins another one."""
+        """The lifetimes of worlds, in the order of their opening."""
         return lifetimes_of(self._chunks)
 
     def counts(self) -> dict[str, int]:
@@ -267,7 +267,7 @@ class RecordReader:
                     yield record
 
     def lifetime_at(self, world: str, step: int) -> Lifetime | None:
-        """Return the world that a name meant at a step, or will mean first; None if there is none of that name."""
+        """Return the world that has a name at a step, or the first one to have it later; None if there is none."""
         return next((lifetime for lifetime in self.lifetimes if lifetime.world == world and lifetime.has(step)), None)
 
     @overload
@@ -282,7 +282,7 @@ class RecordReader:
                     yield record
 
     def chunk_of(self, step: int) -> int:
-        """Return the number of the chunk that a step is in, if it is in any."""
+        """Return the number of the chunk that has a step, unless the step is lost."""
         return self._chunks.chunk_of(step, self._steps)
 
     def end_of(self, lifetime: Lifetime) -> Record | None:
@@ -293,7 +293,7 @@ class RecordReader:
         return last
 
     def final_step(self) -> int:
-        """Return the last step before worlds were closed at the end: there is nothing to see after it."""
+        """Return the last step before the worlds were closed at the end."""
         closing = self._steps
         for record in self.backwards(-1, (Mutation, Keyframe)):
             if not closes_world(record):
@@ -339,10 +339,10 @@ class RecordReader:
         return write_sound(file, self._index, self._chunks, self.assets, self.problems, self.missing())
 
     def write_packed(self, file: BinaryIO) -> None:
-        """Write a copy that holds its models itself.
+        """Write a copy with its own models.
 
         Raises:
-            MissingModels: they aren't there.
+            MissingModels: the models are missing.
             ReplayError: the recording isn't sound.
         """
         if cause := self.assets.missing(look=True):
@@ -352,17 +352,14 @@ class RecordReader:
         write_sound(file, self._index, self._chunks, self.assets, None, [])
 
     def missing(self) -> list[range]:
-        """Return the ranges of steps that are missing, also those after the last one if their number is known.
-
-        Those that were lost before the file was repaired are among them.
-        """
+        """Return all ranges of missing steps, also after the last one and from before a repair."""
         gaps = self.lost()
         after = self._lost - sum(map(len, gaps))
         gaps += [range(self._steps, self._steps + after)] if after > 0 else []
         return list(dict.fromkeys([*gaps, *self.lost_before]))
 
     def refresh(self) -> bool:
-        """Look for records that were written since, if the file was not closed; return whether there are any."""
+        """Read records that were written since; return whether there are any."""
         if not self._chunks.grow():
             return False
         self.__dict__.pop("lifetimes", None)
@@ -380,10 +377,10 @@ class RecordReader:
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Open a file if it is MCAP's by its first bytes, or was before it was damaged.
+    """Open a file that is, or before its damage was, an MCAP file by its first bytes.
 
     Raises:
-        NotALog: it isn't there, or is something else.
+        NotALog: it doesn't exist, or is no MCAP file.
         Unreadable: it is empty, or cut off within these bytes.
     """
     try:
@@ -409,11 +406,11 @@ def _check_start(path: Path, file: BinaryIO) -> None:
 
 
 def check_ours(path: Path, index: Index) -> None:
-    """Raise the error for a file that has no channel of a recording.
+    """Raise an error if a file has no channel of a recording.
 
     Raises:
         NotALog: it is another program's.
-        Unreadable: it is of another release, or too damaged to be recognised.
+        Unreadable: another release wrote it, or it is too damaged to be recognised.
     """
     if kinds_of(index):
         return
@@ -443,7 +440,7 @@ def is_locked(file: BinaryIO) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Newer:
-    """A newer release than this one, that wrote a recording."""
+    """A newer release that wrote a recording."""
 
     release: str  # its version
     format: int  # its format; see :mod:`recorder.records.definition`
@@ -471,13 +468,13 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def format_of(index: Index) -> int:
-    """Return the format of a recording; 0 of one that doesn't tell it: they are older."""
+    """Return the format of a recording; 0 for old recordings without it."""
     text = index.metadata.get("pycram", {}).get("format", "")
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MAX_DIGITS else 0
 
 
 def newer_of(index: Index) -> Newer | None:
-    """Return the release that wrote a file if it is newer than this one, by its format or its version."""
+    """Return the release that wrote a file, if it is newer than this one by its format or its version."""
     number = format_of(index)
     release = index.metadata.get("pycram", {}).get("pycram", "")
     if number <= format_number() and not _is_later(release):

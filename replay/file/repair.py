@@ -38,7 +38,7 @@ _MAX_TEXT: Final = 1 << 16  # characters of the list of lost steps that are read
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """What a repaired copy lacks."""
+    """The losses of a repaired copy."""
 
     problems: str  # of the original, in words
     steps: tuple[range, ...]  # ranges of steps that are lost, as far as is known
@@ -121,7 +121,7 @@ def _messages(contents: bytes) -> Iterator[tuple[int, int, int, bytes]]:
 
 
 def _is_sound(message: tuple[int, int, int, bytes], kinds: Mapping[int, type[Record]]) -> bool:
-    """Return whether a message can be decoded, or is none of ours."""
+    """Return whether a message can be decoded, or is another program's."""
     channel, _, _, payload = message
     try:
         _ = decode(kinds[channel], payload) if channel in kinds else None

@@ -1,7 +1,7 @@
 """Asks reasoning queries at any past step, also under changed conditions.
 
-The world of that step is rebuilt unrecorded, objects are moved if wanted, and the query runs there: it is the same code
-that plans call, so at a step where a plan asked, the answer is the plan's.
+The world of that step is rebuilt unrecorded, objects are moved if wanted, and the query runs there. Plans call the same
+code, so at a step where a plan asked, the answer is the plan's.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def ask(
     moves: Sequence[Move] = (),
     moment: float | None = None,
 ) -> QueryAnswer:
-    """Ask a query at a past step, with objects moved before with all that they carry; no recording mentions it.
+    """Ask a query at a past step, unrecorded; objects are moved first, with everything that they carry.
 
     A moment within the next record is as :func:`replay.restore.world.world_at` takes it.
 
@@ -82,8 +82,8 @@ def ask(
     is recorded as this step is asked again, in its world. By default the world is the open one that was opened last.
 
     Raises:
-        BadQuestion: it can't be read, that world has no answer to it, or the step's record is no query.
-        NotRestored: no world was open then.
+        BadQuestion: it can't be parsed, that world has no answer, or the step's record is no query.
+        NotRestored: no world was open at that step.
     """
     if question is None:
         question, world = _recorded(log, step, world)
@@ -119,10 +119,10 @@ def ask(
 
 
 def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCall, str]:
-    """Return the query that is recorded as a step, and its world.
+    """Return the query of a step's record, and its world.
 
     Raises:
-        BadQuestion: there is none that could be asked again, or it was asked in another world.
+        BadQuestion: there is no query that could be asked again, or it was asked in another world.
     """
     record = log[step]
     if not isinstance(record, Query):
@@ -136,11 +136,11 @@ def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCal
 
 
 def _believed(state: State, step: int, world: str | None, question: QueryCall, moves: Sequence[Move]) -> QueryAnswer:
-    """Return what a robot believed after a step, as the records tell it.
+    """Return what a robot believed after a step, from the records.
 
     Raises:
-        BadQuestion: it asks for something else, or under changed conditions, on which beliefs don't depend.
-        NoSuchName: there is no such object, nor a type.
+        BadQuestion: it has other arguments, or changed conditions, on which beliefs don't depend.
+        NoSuchName: there is no such object or type.
     """
     if moves:
         raise BadQuestion(str(question), "what a robot believed doesn't depend on what is moved now")

@@ -1,6 +1,6 @@
-"""What a recording holds of a world that is to be restored or drawn: its state, its models, its robot's description.
+"""A recorded world for restoring or drawing: its state, its models, its robot's description.
 
-Nothing here needs the physics engine.
+The physics engine isn't needed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def world_state(log: RecordReader, step: int, name: str | None = None, moment: f
     :func:`replay.state.fold.state_at`.
 
     Raises:
-        NotRestored: no such world was open then.
+        NotRestored: no such world was open at that step.
         NoSuchName: there never was a world of that name.
         Damaged: records are lost that could have changed it.
     """
@@ -48,10 +48,10 @@ def world_state(log: RecordReader, step: int, name: str | None = None, moment: f
 
 
 def model_of(log: RecordReader, loaded: LoadBody) -> Model:
-    """Return the model that a body was loaded from, laid out as files in a temporary folder.
+    """Return the model of a body, as files in a temporary folder.
 
     Raises:
-        Damaged: one of its files is missing in the recording, isn't what was attached, or makes no sense.
+        Damaged: one of its files is missing or damaged, or makes no sense.
     """
     names = [f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in loaded.assets]
     if not names:
@@ -69,5 +69,5 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
 
 @cache
 def description_of(text: str) -> RobotDescription | None:
-    """Return a robot's description from its recorded TOML text; None of a body that is no robot."""
+    """Return a robot's description from its recorded TOML text; None for "", of a body that is no robot."""
     return RobotDescription.parse(text, "the recording's robot description") if text else None

@@ -51,7 +51,7 @@ _SURROUNDINGS: Final = 0.7  # m of what is around a small thing that its picture
 
 @dataclass(frozen=True, slots=True)
 class _DrawnBody:
-    """A body with where its links are, in the world."""
+    """A body with the poses of its links in the world."""
 
     body: Body  # its state
     frames: Mapping[str, Pose]  # poses of all its links
@@ -105,17 +105,17 @@ class DrawnWorld:
         target: Sequence[float] | str | Sequence[str] | None = None,
         size: tuple[int, int] = (640, 480),
     ) -> Image.Image:
-        """Return a picture of it.
+        """Return a picture of the world.
 
-        Where no viewpoint shows what the picture is of, furniture and walls before it are cut away. Its ``info`` has
-        the "step", and as "cut" the names of the links that are.
+        If no viewpoint shows the target, furniture and walls in front of it are cut away. The picture's ``info`` has
+        the "step", and the names of links that are cut away as "cut".
 
         Args:
-            camera: a frame of the robot, as "wide_stereo_optical_frame"; with the field of view and the range of the
-                robot's camera if it is that one's.
-            eye: viewpoint, xyz in m; or a side of the robot: one of :data:`SIDES`; by default one with free sight.
-            target: what is in the middle of the picture: a point, xyz in m; an object, or a link as
-                "kitchen.sink_area"; several of them; by default robot and movable objects.
+            camera: a frame of the robot, as "wide_stereo_optical_frame"; the frame of the robot's camera has its field
+                of view and range.
+            eye: viewpoint, xyz in m; or a side of the robot: one of :data:`SIDES`; by default one with a clear view.
+            target: the middle of the picture: a point, xyz in m; an object, or a link as "kitchen.sink_area"; several
+                of these; by default the robot and movable objects.
             size: width and height in pixels, up to 4096 each.
 
         Raises:
@@ -147,9 +147,9 @@ class DrawnWorld:
         return self._draw(free_view(cameras, self._parts, subject), size)
 
     def subjects(self, why: Why) -> list[str] | None:
-        """Return the robot and what a failed task was about, as targets of a picture; None if there are none.
+        """Return the robot and the objects of a failed task, as targets of a picture; None if there are none.
 
-        Of furniture it is the links that the task names, as a drawer's handle.
+        Of furniture these are the links that the task names, as a drawer's handle.
         """
         named = why.task.motion.parameters.values() if why.task is not None else ()
         targets: list[str] = []
@@ -179,7 +179,7 @@ class DrawnWorld:
         return picture
 
     def _subject(self, target: Sequence[float] | str | Sequence[str] | None) -> tuple[PictureSubject, Vector | None]:
-        """Return what has to be seen, and the point to look at if one is given."""
+        """Return the subject, and the point to look at if one is given."""
         names = [target] if isinstance(target, str) else list(target or ())
         if names and all(isinstance(name, str) for name in names):
             return PictureSubject(tuple(self._parts_of(str(name)) for name in names), every=True), None
@@ -189,7 +189,7 @@ class DrawnWorld:
         return PictureSubject(tuple(group for group in groups if group), every=False), point
 
     def _parts_of(self, name: str) -> tuple[int, ...]:
-        """Return the numbers of what is drawn of a body, or of a link ``BODY.LINK``; of a bare link, of its body."""
+        """Return the numbers of the drawn links of a body or of a link ``BODY.LINK``; without shape, its body's."""
         drawn = self._bodies.get(name)
         if drawn is not None:
             return tuple(drawn.parts.values())
@@ -294,7 +294,7 @@ class DrawnLink:
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """The corners (8, 3) of its box in the world, m."""
+        """Corners of its box in the world, m; shape (8, 3)."""
         ends = np.concatenate([self.drawable.shapes.low, self.drawable.shapes.high])
         turned = ends[(_CORNERS, [0, 1, 2])] @ geometry.to_matrix(self.drawable.orientations[0]).T
         corners: NDArray[np.float64] = turned + self.drawable.positions[0]
@@ -306,7 +306,7 @@ _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for numb
 
 @dataclass(frozen=True, slots=True)
 class PictureSubject:
-    """What a picture is of."""
+    """The things that a picture is to show."""
 
     groups: tuple[tuple[int, ...], ...]  # numbers of the parts of each thing
     every: bool  # whether every single one has to be seen; else most of them
@@ -314,7 +314,7 @@ class PictureSubject:
 
 @dataclass(frozen=True, slots=True)
 class CutawayView:
-    """A camera, and what is cut away before it."""
+    """A camera, and the links that are cut away in front of it."""
 
     camera: Camera  # the camera
     cut: frozenset[int] = frozenset()  # numbers of the parts that are cut
@@ -338,7 +338,7 @@ def _draw(
 
 
 def bounds(parts: Sequence[DrawnLink], subject: PictureSubject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return lowest and highest corner of what has to be seen, in m."""
+    """Return the lowest and highest corner of a subject, in m."""
     corners = [parts[number].corners for group in subject.groups for number in group]
     if not corners:  # of what has no shape
         return np.zeros(3), np.ones(3)
@@ -364,7 +364,7 @@ def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | No
 
 
 def free_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Return the first camera from which enough of a subject is seen, else the best; if that is little, with a cut."""
+    """Return the first camera that sees enough of a subject, else the best; if that sees too little, with a cut."""
     cameras = [camera for camera in cameras if not _in_furniture(camera, parts)] or cameras
     best, most = cameras[0], -1.0
     for camera in cameras:
@@ -377,7 +377,7 @@ def free_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: Pi
 
 
 def _in_furniture(camera: Camera, parts: Sequence[DrawnLink]) -> bool:
-    """Return whether a camera is within the box of a fixed part that is no room."""
+    """Return whether a camera is within the box of fixed furniture."""
     for part in parts:
         low, high = part.drawable.shapes.low[0], part.drawable.shapes.high[0]
         if part.fixed and (high - low).min() < _ROOM:
@@ -389,10 +389,7 @@ def _in_furniture(camera: Camera, parts: Sequence[DrawnLink]) -> bool:
 
 
 def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject, most: float = -1.0) -> float:
-    """Return which share of a subject is seen, of what would be if nothing else were there.
-
-    Where that isn't above ``most``, it may be any other share that isn't.
-    """
+    """Return the visible share of a subject, 0 to 1; of shares up to ``most`` the value may be inexact."""
     shares = []
     for group in sorted(subject.groups, key=lambda group: parts[group[0]].drawable.is_robot):  # these cost the most
         share = _Glance(view, parts, group).share
@@ -403,7 +400,7 @@ def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject
 
 
 class _Glance:
-    """One thing alone and among all others, through the window just around it."""
+    """The visible share of one thing, drawn alone and among all others, in the window just around it."""
 
     def __init__(self, view: CutawayView, parts: Sequence[DrawnLink], group: tuple[int, ...]) -> None:
         window = _window(view.camera, np.concatenate([parts[number].corners for number in group]))
@@ -421,7 +418,7 @@ class _Glance:
 
 
 def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
-    """Return the part of the picture that a box around points can be in."""
+    """Return the part of the picture that can show points."""
     x, y, z = camera.to_frame(corners).T
     if (z < camera.near).any():
         return camera.window
@@ -433,7 +430,7 @@ def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
 
 
 def _cut_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Return a view in which what is fixed and hides the subject is cut away: the first that shows enough then."""
+    """Return the first view that shows enough after fixed links in front of the subject are cut away; else the best."""
     best, most = CutawayView(cameras[0]), -1.0
     for camera in cameras:
         view = CutawayView(camera)

@@ -53,11 +53,11 @@ class _Verifier(Verifier):
         self.environment = other_versions(log.metadata, *_ENVIRONMENT_KEYS)
 
     def forget(self) -> None:
-        """Forget all worlds: records are missing."""
+        """Forget all worlds, as records are missing."""
         self._reexecution.forget()
 
     def check(self, record: Keyframe | Mutation) -> Problem | None:
-        """Make a change again and compare it; a world that isn't there begins with its keyframe."""
+        """Make a change again and compare it; a missing world begins with its keyframe."""
         try:
             if isinstance(record, Mutation):
                 return self._repeat(record)
@@ -114,7 +114,7 @@ class _Verifier(Verifier):
         return None
 
     def _follow(self, record: Mutation) -> None:
-        """Put what is in a world where the record leaves it; from then on it isn't compared to the last bit."""
+        """Set a world to the state after the record; from then on it isn't compared to the last bit."""
         world, state = self._reexecution.worlds.get(record.world), self.integrity.world(record.world)
         self._reexecution.late.add(record.world)
         with unrecorded():

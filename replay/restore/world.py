@@ -59,7 +59,7 @@ def world_at(
     with ``exact`` simulated up to its last step of 1/240 s.
 
     Raises:
-        NotRestored: none was open then, or it can't be had exactly.
+        NotRestored: none was open at that step, or an exact one is impossible.
         Damaged: records or files are lost, or make no sense.
         DisplayError: no window can open.
     """
@@ -89,7 +89,7 @@ def _suffix(step: int, within: Sampled | None) -> str:
 def temporary_world(
     log: RecordReader, step: int, world: str | None = None, moment: float | None = None
 ) -> Iterator[BulletWorld]:
-    """Yield a world as it was, for a question: never the current one, in no recording, closed after the block.
+    """Yield a past world for a question: it isn't the current one, unrecorded, and closed after the block.
 
     The arguments and errors are those of :func:`world_at`.
     """
@@ -103,7 +103,7 @@ def temporary_world(
 
 @contextmanager
 def _reporting_damage(log: RecordReader, step: int) -> Iterator[None]:
-    """Raise what the executor refuses as damage of the recording; only a window that can't open is no fault of it."""
+    """Raise the executor's errors as damage of the recording, except that a window can't open."""
     try:
         yield
     except DisplayError:
@@ -169,7 +169,7 @@ def load_body(
 
 
 def _recorded(belief: RecordedBelief) -> records.Belief:
-    """Return a belief as records have it: of what is held, its pose is the hand's."""
+    """Return a belief in the form of records; an object that is held has the hand's pose."""
     held = belief.source == "held"
     return records.Belief(
         robot=belief.robot,
@@ -183,7 +183,7 @@ def _recorded(belief: RecordedBelief) -> records.Belief:
 
 
 def reading(body: Body) -> Snapshot:
-    """Return a body's state as the engine takes it."""
+    """Return a body's state in the engine's form."""
     return Snapshot(body.pose, body.velocity, tuple(body.joints.values()), tuple(body.joint_velocities.values()))
 
 
@@ -228,7 +228,7 @@ class Reexecution:
         self.worlds.clear()
 
     def begin(self, frame: Keyframe) -> None:
-        """Rebuild a world from its keyframe, if it isn't there."""
+        """Rebuild a world from its keyframe, unless it exists."""
         if frame.world not in self.worlds:
             state = fold([frame]).worlds[frame.world]
             with journal.unrecorded():
@@ -276,7 +276,7 @@ class Reexecution:
 
 
 def _check_clock(log: RecordReader, world: BulletWorld, record: Mutation) -> None:
-    """Refuse to simulate another time than a world's clock tells: it could be years."""
+    """Refuse a simulation that contradicts the world's clock: it could be years."""
     if world.sim_step + record.simulate.steps != record.sim_step:
         cause = (
             f"it simulates {record.simulate.steps} steps from step {world.sim_step} on, and ends at {record.sim_step}"
@@ -285,7 +285,7 @@ def _check_clock(log: RecordReader, world: BulletWorld, record: Mutation) -> Non
 
 
 def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: bool) -> None:
-    """Take over what says nothing of how a change is made; overlaps only where the recording's release records them."""
+    """Copy the fields that don't depend on how the change is made; overlaps only if the recording has them."""
     if record.HasField("open_world"):
         repeated.open_world.mode = record.open_world.mode  # a window changes nothing
     if record.HasField("load_body") and not with_overlaps and not record.load_body.overlaps:
@@ -295,7 +295,7 @@ def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: b
 
 
 def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return a world that is open after a step, with all that the engine knew: its future is the original's.
+    """Return a world that is open after a step, with the engine's complete state: its future is the original's.
 
     Raises:
         NotRestored: the world began before the recording.
