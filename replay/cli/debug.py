@@ -62,7 +62,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         for note in plan.notes:
             print_message(f"note: {note}")
         if step > plan.last:
-            print_message(f"the plan comes to step {plan.last}: {plan.parted}")
+            print_message(f"the plan reaches only step {plan.last}: {plan.parted}")
         prompt = Prompt(session)
         prompt.begin(min(step, plan.last))
         prompt.run()

@@ -195,7 +195,7 @@ class Prompt(LinePrompt):
         if arrival.reason == "interrupted":
             print("--KeyboardInterrupt--")
         if arrival.text:
-            self.print_error(f"the plan parts from its recording after step {step}: {arrival.text}")
+            self.print_error(f"the plan differs from its recording after step {step}: {arrival.text}")
         self.stack = self.session.plan.ask("where")
         self.frame = self._frame_of(halt)
         self._listed = 0
@@ -337,13 +337,13 @@ class Prompt(LinePrompt):
     def do_shell(self, text: str) -> None:
         """! EXPR: its value, also where it begins as a command does; a statement can't be executed.
 
-        The plan is guided by its recording, from which it would part.
+        The plan is guided by its recording, from which it would differ.
         """
         if text and not _is_statement(text):
             self._evaluate(text, pretty=False)
             return
         self.print_error(
-            "a statement can't be executed: the plan is guided by its recording, from which it would part; "
+            "a statement can't be executed: the plan is guided by its recording, from which it would differ; "
             "fork NAME --plan FILE goes on from here with an edited plan"
         )
 

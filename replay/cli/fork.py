@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.retrace.fork import Fork
 
-AGAIN = "what it does outside of its worlds (files, network) happens again"
+AGAIN = "its effects outside of its worlds (files, network) happen again"
 
 
 def add(parser: argparse.ArgumentParser) -> None:

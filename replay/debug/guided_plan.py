@@ -56,7 +56,7 @@ class PlanInterrupted(ReplayError):
     """Ctrl-C ended the plan's process; the plan is where it was before, or at its start."""
 
     def __init__(self, step: int) -> None:
-        super().__init__(f"the plan came to no other step; it is at {f'step {step} again' if step >= 0 else 'none'}")
+        super().__init__(f"the plan reached no other step; it is at {f'step {step} again' if step >= 0 else 'none'}")
         self.step = step  # where that is; -1: it came to no step at all
 
 

@@ -182,7 +182,9 @@ class Session:
 
     def _no_further(self) -> NoFurther:
         last, parted = self.plan.last, self.plan.parted
-        return NoFurther(self.step, f"the plan comes to step {last}: {parted}" if parted else "the recording ends here")
+        return NoFurther(
+            self.step, f"the plan reaches only step {last}: {parted}" if parted else "the recording ends here"
+        )
 
     def _last_change(
         self, watched: list[WatchedExpression], after: int, before: int
@@ -407,7 +409,7 @@ def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -
         if re.fullmatch(r"-?[\d.]+s?|last|task:.*", place):
             raise
         known = {*timeline.kinds.values(), *(path[-1] for path in timeline.paths.values())}
-        raise NoSuchPlace(place, f"no step, and no task is called so; {suggestion(place, known)}") from error
+        raise NoSuchPlace(place, f"there is no such step or task; {suggestion(place, known)}") from error
 
 
 def _some(place: str, steps: list[int], otherwise: str) -> list[int]:
@@ -423,9 +425,9 @@ def _at_line(timeline: Timeline, number: int, name: str, line: int) -> Breakpoin
         raise NoSuchPlace(f"{name}:{line}", f"no line of such a file led to a record; the plan's files are {known}")
     if len(files) > 1:
         known = ", ".join(sorted(files))
-        raise NoSuchPlace(f"{name}:{line}", f"several of the plan's files are called so: {known}")
+        raise NoSuchPlace(f"{name}:{line}", f"several of the plan's files have that name: {known}")
     at, steps = timeline.line(files[0], line)
     if not at:
-        raise NoSuchPlace(f"{name}:{line}", "neither it nor a later line of that file led to a record")
+        raise NoSuchPlace(f"{name}:{line}", "no record comes from this line or a later one of that file")
     moved = "" if at == line else f" (line {line} leads to no record)"
     return Breakpoint(number, f"{name_of(files[0])}:{at}{moved}", steps, line=(files[0], at))

@@ -485,7 +485,7 @@ class StoppingSink(NullSink):
                 return {"interrupted": True}
             child.read()
         if not child.received:
-            return {"error": f"that can't be looked at: the copy of the plan in which it was done {child.how}"}
+            return {"error": f"the value can't be computed: the copy of the plan that computed it {child.how}"}
         answer: Message = json.loads(child.received)
         return answer
 

@@ -32,7 +32,7 @@ class NotForked(ReplayError):
 
     def __init__(self, step: int, difference: FirstDifference) -> None:
         reads = "".join(f"; {each}" for each in reads_before(difference))
-        super().__init__(f"it is another run before step {step}: at step {difference.step} {difference.text}{reads}")
+        super().__init__(f"the plan differs before step {step}: at step {difference.step} {difference.text}{reads}")
         self.step = step  # of the fork
         self.difference = difference  # the first record that came out differently
 
@@ -176,7 +176,7 @@ def resume(
         CantRetrace, NotForked, Damaged: as :func:`fork`.
     """
     if log.closed:
-        raise ReplayError(f"{log.path}: this run has come to its end; fork runs it again from a step")
+        raise ReplayError(f"{log.path}: this run has ended; fork runs it again from a step")
     if log.live:
-        raise ReplayError(f"{log.path}: this run still goes on")
+        raise ReplayError(f"{log.path}: this run is still running")
     return fork(log, len(log) - 1, file, plan=plan, arguments=arguments, recorded_source=recorded_source, begun=begun)

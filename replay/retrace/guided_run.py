@@ -167,7 +167,9 @@ class _ReportedRun:
         self._guided.guide.close()
         if self._guided.changes.due:
             change = self._guided.changes.due[0]
-            self._refuse(BadChange(text_of(change), f"the plan ended before that could be after step {change.step}"))
+            self._refuse(
+                BadChange(text_of(change), f"the plan ended before this change could be made after step {change.step}")
+            )
 
     def _sink_of(self, run: Run) -> Sink:
         recorded, began, guidance = self._guided.recorded, self._guided.began, self._guided.guidance

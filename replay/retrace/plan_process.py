@@ -83,7 +83,7 @@ class PlanProcess:
         if not isinstance(began, Run) or not (began.directory or plan):
             raise CantRetrace(f"{log.path}: an older release made it, which didn't record how the plan was run")
         if recorded_source and plan is not None:
-            raise CantRetrace("either another file of the plan, or its recorded source")
+            raise CantRetrace("give either another file of the plan or --recorded-source, not both")
         self._log = log
         self._began = began
         self._until = until
@@ -101,7 +101,7 @@ class PlanProcess:
             self.program = program.absolute()
         self._arguments = list(began.arguments) if arguments is None else list(arguments)
         if any(LEFT_OUT in each.value_json for each in began.parameters):
-            raise CantRetrace(f"{log.path}: secret parameters were left out of it, so the plan can't have them again")
+            raise CantRetrace(f"{log.path}: its secret parameters weren't recorded, so the plan can't run again")
         if any(LEFT_OUT in text for text in self._arguments):
             raise CantRetrace(f"{log.path}: secret arguments were left out of it; give all with --arguments, last")
         self._folder = Path(began.directory) if Path(began.directory).is_dir() else Path.cwd()
@@ -126,9 +126,10 @@ class PlanProcess:
         if not began.hash_seed.isdecimal():
             yield "no PYTHONHASHSEED is recorded: the order of sets may differ"
         if self._interrupted_after is not None:
-            yield f"the run was interrupted after step {self._interrupted_after}: up to there it can be the same again"
+            last = self._interrupted_after
+            yield f"the run was interrupted after step {last}; only the steps up to there can be the same"
         if str(self._folder) != began.directory:
-            yield f"the working directory {began.directory} isn't there: {self._folder} is taken"
+            yield f"the working directory {began.directory} doesn't exist; {self._folder} is used"
 
     def run(
         self, *, file: Path | None = None, changes: Sequence[Change] = (), take_answers: bool = False
@@ -270,10 +271,8 @@ def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
         window = record.HasField("open_world") and record.open_world.mode == "GUI"
         if window or (record.HasField("set_realtime") and record.set_realtime.enabled):
             what = f"{record.world} has a window" if window else f"{record.world} runs in real time"
-            why = "what a person or the clock does there can't be done again"
-            raise CantRetrace(
-                f"{log.path}: from step {record.seq} on {what}; {why}. A fork before that step can be made"
-            )
+            why = "actions of a person or of the clock can't be repeated"
+            raise CantRetrace(f"{log.path}: from step {record.seq} on {what}; {why}. Fork before that step")
 
 
 def _recorded_program(log: RecordReader, began: Run) -> Path:
@@ -326,7 +325,9 @@ class _RecordedSource:
     def __str__(self) -> str:
         names = ", ".join(sorted(map(str, self.files)))
         outside = (
-            f"; {', '.join(sorted(set(self.left_out)))} and all else come" if self.left_out else "; all else comes"
+            f"; {', '.join(sorted(set(self.left_out)))} and all other files come"
+            if self.left_out
+            else "; all other files come"
         )
         return f"the recorded source runs: {names}{outside} from the disk"
 

@@ -142,7 +142,7 @@ def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
             begun[record.task] = record.seq
         elif record.checkpoint and begun.get(record.task, 0) <= step <= record.seq:
             by = "a worker thread" if record.kind == "in-thread" else "the clock"
-            yield f"{by} ended {record.kind} {record.name} at step {record.seq}: when that comes, no seed knows"
+            yield f"{by} ended {record.kind} {record.name} at step {record.seq}: no seed determines its timing"
 
 
 def _reads(file: Path) -> Iterator[tuple[int, str, str]]:

@@ -49,7 +49,7 @@ ERRORS: tuple[PortableError, ...] = (
     CantRetrace("plan.py: the plan isn't there"),
     BadChange("stable(milk)=maybe", "its answer is true or false"),
     NotForked(12, FirstDifference(7, "the plan ended where step 7 has pressed", "plan.py:3")),
-    NoSuchPlace("pick", "no step, and no task is called so"),
+    NoSuchPlace("pick", "there is no such step or task"),
     PlanEnded("Killed"),
     PlanInterrupted(12),
     NoQuantity("milc.z", "no body is called so"),

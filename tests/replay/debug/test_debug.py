@@ -169,7 +169,7 @@ def test_breakpoints_stop_on_the_way_and_back(plan_log: Path, debug: Debug) -> N
     assert [at(each) for each in back[:2]] == [rung, max(lifts)]
     assert at(back[3]) == 0, "none is left before"
     assert "recording ends here" in back[5]
-    assert "no step, and no task is called so" in back[6]
+    assert "there is no such step or task" in back[6]
     assert "did you mean" in back[7] or "there are rung" in back[7]
     assert "there is no step 4711" in back[8]
     assert f"plan.py:{move}" in back[9]
@@ -328,12 +328,12 @@ def test_a_plan_that_parts_from_its_recording_stops_there(plan_log: Path, tmp_pa
     _, parted, variable, further, back = debug(
         plan_log, "c", "p total", "s", f"g {changed - 2}", options=("--plan", str(other))
     )
-    assert f"*** the plan parts from its recording after step {changed - 1}: " in parted
+    assert f"*** the plan differs from its recording after step {changed - 1}: " in parted
     number = line("level.set_value(total)")
     assert f"plan.py:{number} where step {changed} has" in parted
     assert f"; plan.py:{number} reads a file: os.path.isfile()" in parted
     assert variable == "3\n"
-    assert further.startswith(f"*** the plan comes to step {changed - 1}: ")
+    assert further.startswith(f"*** the plan reaches only step {changed - 1}: ")
     assert at(back) == changed - 2
 
 
@@ -393,7 +393,7 @@ def test_a_breakpoint_in_one_of_several_files_of_a_name_is_in_the_named_one(tmp_
         "two.lifting.lift(milk)\n"
     )
     _, either, first, second = debug(record(plan), "b lifting.py:2", "b one/lifting.py:2", "b two/lifting.py:3")
-    assert either.startswith("*** lifting.py:2: several of the plan's files are called so: ")
+    assert either.startswith("*** lifting.py:2: several of the plan's files have that name: ")
     assert first == "Breakpoint 1: lifting.py:2: step 3\n"
     assert second == "Breakpoint 2: lifting.py:3: step 4\n"
 

@@ -120,7 +120,9 @@ def test_the_recorded_source_runs_where_the_files_are_others_now(
             retrace(recording)
         result = retrace(recording, recorded_source=True)
         assert result.identical
-        assert result.notes == ("the recorded source runs: parts/steps.py, plan.py; all else comes from the disk",)
+        assert result.notes == (
+            "the recorded source runs: parts/steps.py, plan.py; all other files come from the disk",
+        )
         fork(recording, 2, tmp_path / "on.mcap", recorded_source=True)
     with replay.open(tmp_path / "on.mcap") as on, replay.open(log) as recording:
         assert on[0].program == str(file)

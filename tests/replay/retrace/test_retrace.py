@@ -251,7 +251,7 @@ def test_what_the_clock_ended_is_named_in_recordings_that_dont_guide_it() -> Non
     golden = next((Path(__file__).parents[1] / "golden" / "forks").glob("*.mcap"))
     with replay.open(golden) as recording:
         (late,) = (task for task in recording.records(Task) if task.kind == "timeout" and task.phase == Task.FINISHED)
-        said = f"the clock ended timeout 0 s at step {late.seq}: when that comes, no seed knows"
+        said = f"the clock ended timeout 0 s at step {late.seq}: no seed determines its timing"
         assert said in list(decided_outside(recording, late.seq))
         assert said not in list(decided_outside(recording, late.seq + 1))
 
