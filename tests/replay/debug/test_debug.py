@@ -257,8 +257,8 @@ def test_an_expression_that_ends_its_process_ends_not_the_plan(plan_log: Path, d
         plan_log, "p __import__('os')._exit(3)", "__import__('os').kill(__import__('os').getpid(), 9)", "p", "p total",
         step="last",
     )  # fmt: skip
-    assert left.endswith("the copy of the plan in which it was done ended with exit code 3\n")
-    assert killed.endswith("the copy of the plan in which it was done was ended by SIGKILL\n")
+    assert left.endswith("the copy of the plan that computed it ended with exit code 3\n")
+    assert killed.endswith("the copy of the plan that computed it was ended by SIGKILL\n")
     assert "SyntaxError" in nothing
     assert value == "3\n"
 

@@ -254,7 +254,7 @@ def test_a_fork_that_can_t_be_recorded_is_said_as_such(log: Path) -> None:
 
 
 def test_a_run_that_has_ended_is_not_resumed(log: Path, tmp_path: Path) -> None:
-    with replay.open(log) as recording, pytest.raises(ReplayError, match="has come to its end"):
+    with replay.open(log) as recording, pytest.raises(ReplayError, match="this run has ended"):
         resume(recording, tmp_path / "on.mcap")
     assert not (tmp_path / "on.mcap").exists()
 
