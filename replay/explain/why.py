@@ -375,11 +375,11 @@ class TriedAction:
             yield f"step {query.seq}: {phrases.question(query)}"
             yield f"    {fates_text(query) or 'no place was left on its map'}"
         if self.last:
-            yield f"nothing else could be chosen: {phrases.one_line(self.last)}"
+            yield f"no further choice: {phrases.one_line(self.last)}"
         elif self.spent:
-            yield "the budget of tries was spent"
+            yield "the budget of attempts was spent"
         elif self.attempts:
-            yield "there was nothing else to choose"
+            yield "there were no more choices"
 
 
 def tried(log: RecordReader, failed: Node) -> TriedAction | None:

@@ -130,7 +130,7 @@ def lines(why: Why, path: str) -> Iterator[str]:
     causes = [line for cause in why.causes for line in cause.lines()]
     yield from _headline(why)
     yield from section("Unfinished when the recording ended", _unfinished(why.unfinished))
-    yield from section("Without an end: it may be among the records that are lost", _unfinished(why.endless))
+    yield from section("Without an end, which may be among the lost records", _unfinished(why.endless))
     if why.failure is None:
         yield from section("Why", causes)
         return
@@ -177,7 +177,7 @@ def _headline(why: Why) -> Iterator[str]:
     elif run.outcome == "interrupted":
         yield f"{name} was interrupted after {run.seconds:.1f} s."
     elif run.outcome == "lost":
-        yield f"How {name} ended is lost; the last step that can be read is {run.records - 1}."
+        yield f"The end of {name} is lost; the last readable step is {run.records - 1}."
     else:
         ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
         yield f"{name} {ended}." + ("" if why.failure else " Until then nothing failed.")
@@ -243,7 +243,7 @@ def _line(line: Line, why: Why) -> Iterator[str]:
         rows[-1] += f"{', ' if rows[-1] else ''}{name}={phrases.one_line(value)}"
     yield from (f"    with {row}" for row in rows[:_MAX_ROWS] if row)
     if len(rows) > _MAX_ROWS:
-        yield "    and others, which `why --json` has"
+        yield "    and more, see `why --json`"
 
 
 def _tasks(why: Why) -> Iterator[str]:
@@ -283,7 +283,7 @@ def _attempts(why: Why) -> Iterator[str]:
         tasks = "tasks" if why.other_failures > 1 else "task"
         yield f"{why.other_failures} other {tasks} failed before (see `pycram-replay tree`)"
     if why.forgotten:
-        yield f"{why.forgotten} earlier failures aren't looked at here: there are too many"
+        yield f"{why.forgotten} earlier failures are skipped, as there are too many"
     if len(why.attempts) < 2:
         return
     *earlier, last = (attempt.task.motion.parameters for attempt in why.attempts)

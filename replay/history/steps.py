@@ -119,7 +119,7 @@ def _no_task_hint(log: RecordReader, path: str, count: int) -> str:
 
 def _at_time(log: RecordReader, seconds: float, text: str) -> int:
     if seconds < 0 or not log.lifetimes:
-        raise NoSuchStep(text, len(log), "simulated time begins at 0 s")
+        raise NoSuchStep(text, len(log), "simulated time starts at 0 s")
     limit = seconds * STEPS_PER_SECOND
     ends = {}
     for lifetime in log.lifetimes:
@@ -131,7 +131,7 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
         ends[lifetime.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
     longest = max(ends, key=lambda title: ends[title])
     raise NoSuchStep(
-        text, len(log), f"no world was simulated so long; the clock of {longest} ends at {ends[longest]:.3f}s"
+        text, len(log), f"no world was simulated that long; the clock of {longest} ends at {ends[longest]:.3f}s"
     )
 
 

@@ -245,7 +245,7 @@ def sampled(moment: Sampled, *, exact: bool = False) -> str:
     if exact:
         return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to then"
     if moment.at == moment.start:
-        return f"at {moment.asked:.3f} s, within {stretch}: as before it, no sample until then has a movement"
+        return f"at {moment.asked:.3f} s, within {stretch}: as before it: no sample shows motion until then"
     return f"at {moment.asked:.3f} s, within {stretch}: as sampled at {moment.at:.3f} s, to 0.01 mm"
 
 

@@ -77,7 +77,7 @@ class Physics(Cause):
         at = f" at {phrases.place(self.line)}" if self.line is not None else ""
         yield f"{self.body} {self.how} {size} in the simulation of step {self.moved_at}{at}{self._let()}"
         if len(self.lets) > 1 and not self.stood_on:
-            yield "either may have let it:"
+            yield "possible reasons:"
         yield from (change.row for change in self.lets)
 
     def _let(self) -> str:

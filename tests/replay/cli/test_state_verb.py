@@ -51,7 +51,7 @@ def test_a_moment_within_a_simulation_is_known_by_its_samples(
     sampled = json.loads(capsys.readouterr().out)["sampled"]
     assert (sampled["start"], sampled["asked"], sampled["end"]) == (0.5, 0.71, 1.0)
     assert main(["state", str(falling), "0.2s"]) == 0
-    assert "no sample until then has a movement" in capsys.readouterr().out
+    assert "no sample shows motion until then" in capsys.readouterr().out
 
 
 def test_worlds_questions_and_pictures_are_of_the_moment_too(

@@ -76,7 +76,7 @@ def test_why_lists_each_choice_with_its_failure(log: Path, capsys: pytest.Captur
     assert "GraspFailed: left gripper can't take milk: too far for the left one" in lines
     assert "GraspFailed: right gripper can't take milk: too far for the right one" in lines
     assert "of 3 places 3 collide with kitchen, none was taken" in lines
-    assert lines[-1] == "the budget of tries was spent"
+    assert lines[-1] == "the budget of attempts was spent"
 
 
 def test_tree_shows_actions_with_their_attempts(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,4 +123,4 @@ def test_why_tells_which_choice_a_transport_could_not_make(
     putting = max(number for number, line in enumerate(lines) if ": free_places(" in line)  # once more, for that arm
     assert lines[taking + 1] == "of 1 place 1 was taken"
     assert lines[putting + 1] == "no place was left on its map"
-    assert lines[-1] == "there was nothing else to choose"
+    assert lines[-1] == "there were no more choices"

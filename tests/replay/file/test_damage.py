@@ -203,10 +203,10 @@ def test_why_does_not_call_unfinished_what_ended_in_the_damage(
     zeroed_chunks(file, 6)
     said = why()
     assert "Unfinished when the recording ended" not in said
-    at = said.index("Without an end: it may be among the records that are lost")
+    at = said.index("Without an end, which may be among the lost records")
     assert said[at + 1].endswith("in par block  [since step 22]")
     zeroed_chunks(file, 8, 9, 10)
-    assert why() == ["How plan ended is lost; the last step that can be read is 122."]
+    assert why() == ["The end of plan is lost; the last readable step is 122."]
     assert main(["diff", str(GOLDEN), str(file)]) == 3
     assert "the second lost its end" in capsys.readouterr().out
     assert main(["info", str(file)]) == 3

@@ -164,7 +164,7 @@ def test_steps_by_name(tmp_path: Path) -> None:
         ("-10000", "steps 0 to"),
         ("2h", "a step is"),
         ("99s", "ends at"),
-        ("-1s", "begins at"),
+        ("-1s", "starts at"),
         ("nans", "a step is"),
         ("infs", "a step is"),
         ("", "a step is"),
@@ -178,7 +178,7 @@ def test_an_unknown_step_gives_a_hint(tmp_path: Path, name: str, hint: str) -> N
 
 def test_a_time_before_the_beginning_is_no_option(small_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["state", str(small_log), "-1.5s"]) == 2
-    assert "there is no step -1.5s: simulated time begins at 0 s" in capsys.readouterr().err
+    assert "there is no step -1.5s: simulated time starts at 0 s" in capsys.readouterr().err
 
 
 WITHOUT_LIBRARIES = """
