@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.foundation.names import export
-from recorder.suggestions import suggestion
+from recorder.errors import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder.errors import PortableError
-from recorder.suggestions import suggestion
+from recorder.errors import PortableError, suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -26,10 +26,9 @@ import recorder.viewer
 from recorder.errors import RecordingError
 from recorder.records.values import AssetFile
 from recorder.user_folders import cache_folder, is_own
-from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
 from recorder.viewer.connection import END_TIMEOUT, PORT, Kind, Target, ViewerGone, ViewerWindow, address, answers
 from recorder.viewer.rerun_stream import stream_to_file
-from recorder.viewer.translator import Translator, acts
+from recorder.viewer.translator import ORIGIN, Translator, acts, blueprint, side_by_side
 from replay.errors import Damaged, ReplayError
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from pycram.foundation.names import qualified_name
 from pycram.motions.designator import ResolvedDesignator
 from pycram.motions.motion_types import Slot, checked_slots, described, given_slots
 from pycram.motions.slots import DesignatorError, slot_name
-from recorder.suggestions import did_you_mean
+from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -17,7 +17,7 @@ from pycram.reasoning.places.free import SIDES
 from pycram.scheduling.future import unwrap
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
-from recorder.suggestions import suggestion
+from recorder.errors import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

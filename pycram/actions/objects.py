@@ -13,7 +13,7 @@ from pycram.motions.slots import DesignatorError
 from pycram.scheduling.future import unwrap
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
-from recorder.suggestions import suggestion
+from recorder.errors import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

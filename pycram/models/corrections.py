@@ -39,8 +39,8 @@ from pycram.models.surfaces import (
     open_position,
 )
 from recorder import geometry
+from recorder.errors import did_you_mean, suggestion
 from recorder.records.values import AssetFile
-from recorder.suggestions import did_you_mean, suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

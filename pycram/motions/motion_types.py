@@ -15,7 +15,7 @@ from pycram.motions.resources import WHOLE_ROBOT, Resources
 from pycram.motions.slots import DesignatorError
 from pycram.scheduling.future import branch_of, unwrap
 from pycram.world.world import BulletWorld
-from recorder.suggestions import did_you_mean
+from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -22,13 +22,12 @@ from pycram.models import warming
 from pycram.plan_parameters import parsed, split
 from pycram.projection.child import limit_memory
 from pycram.seeding import MAX_SEED
-from recorder.errors import RecordingError
+from recorder.errors import RecordingError, suggestion
 from recorder.mcap.sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import record, redirected
 from recorder.records import Query, Run, Task, format_failure
 from recorder.records.values import LEFT_OUT, is_secret
-from recorder.suggestions import suggestion
 from recorder.tracing.journal import NullSink
 
 if TYPE_CHECKING:

@@ -1,24 +1,215 @@
-"""Poses, URDF kinematics, shapes and polygons: arithmetic that all three packages use, and that knows none of them."""
+"""Poses and rotations.
 
-from recorder.geometry.transforms import (
-    IDENTITY as IDENTITY,
-    Pose as Pose,
-    PoseLike as PoseLike,
-    Quaternion as Quaternion,
-    Vector as Vector,
-    angle as angle,
-    conjugate as conjugate,
-    from_matrix as from_matrix,
-    from_rpy as from_rpy,
-    invert as invert,
-    lean as lean,
-    look_at as look_at,
-    multiply as multiply,
-    pose_matrix as pose_matrix,
-    product as product,
-    rotate as rotate,
-    to_matrices as to_matrices,
-    to_matrix as to_matrix,
-    to_rpy as to_rpy,
-    transform as transform,
+A pose is ``(position, orientation)``: xyz in metres and a unit quaternion in the order xyzw. ``a_T_b`` is the pose of
+frame b in frame a, so that ``multiply(a_T_b, b_T_c)`` is ``a_T_c``. Single poses are tuples of floats, where plain
+arithmetic is several times faster than arrays of 3; for thousands, use arrays of matrices.
+
+Quaternions are taken to be of unit length. A quaternion and its negative are the same rotation.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+Vector: TypeAlias = tuple[float, float, float]
+"""xyz, in m where it is a position."""
+
+Quaternion: TypeAlias = tuple[float, float, float, float]
+"""A rotation, xyzw."""
+
+Pose: TypeAlias = tuple[Vector, Quaternion]
+"""Position in m and orientation xyzw."""
+
+Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"
+"""A vector or a quaternion, as arguments."""
+
+PoseLike: TypeAlias = "tuple[Numbers, Numbers]"
+"""A pose, as an argument."""
+
+IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+"""The pose of a frame in itself."""
+
+_TINY = 1e-12
+_VERTICAL = 1e-9  # of a unit axis that is level: with less, roll and yaw turn about the same axis
+
+# A rotation's matrix minus identity, row by row, as a linear map of the products of the quaternion's components.
+_FIRST, _SECOND = np.array([[0, 0, 0, 0, 1, 1, 1, 2, 2], [0, 1, 2, 3, 1, 2, 3, 2, 3]])
+_PRODUCTS = 2.0 * np.array(
+    [
+        [0, 0, 0, 0, -1, 0, 0, 0, -1],  # xx
+        [0, 1, 0, 1, 0, 0, 0, 0, 0],  # xy
+        [0, 0, 1, 0, 0, 0, 1, 0, 0],  # xz
+        [0, 0, 0, 0, 0, -1, 0, 1, 0],  # xw
+        [-1, 0, 0, 0, 0, 0, 0, 0, -1],  # yy
+        [0, 0, 0, 0, 0, 1, 0, 1, 0],  # yz
+        [0, 0, 1, 0, 0, 0, -1, 0, 0],  # yw
+        [-1, 0, 0, 0, -1, 0, 0, 0, 0],  # zz
+        [0, -1, 0, 1, 0, 0, 0, 0, 0],  # zw
+    ]
 )
+
+
+def product(a: Numbers, b: Numbers) -> Quaternion:
+    """The rotation (xyzw) by b, then a: its matrix is that of a times that of b."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def conjugate(rotation: Numbers) -> Quaternion:
+    """The inverse rotation."""
+    x, y, z, w = rotation
+    return -x, -y, -z, w
+
+
+def rotate(rotation: Numbers, vector: Numbers) -> Vector:
+    """A vector after a rotation."""
+    x, y, z, w = rotation
+    a, b, c = vector
+    tx = 2.0 * (y * c - z * b)
+    ty = 2.0 * (z * a - x * c)
+    tz = 2.0 * (x * b - y * a)
+    return (
+        a + w * tx + y * tz - z * ty,
+        b + w * ty + z * tx - x * tz,
+        c + w * tz + x * ty - y * tx,
+    )
+
+
+def multiply(a_T_b: PoseLike, b_T_c: PoseLike) -> Pose:
+    """The pose of c in a."""
+    (x, y, z), outer = a_T_b
+    position, inner = b_T_c
+    dx, dy, dz = rotate(outer, position)
+    return (x + dx, y + dy, z + dz), product(outer, inner)
+
+
+def invert(a_T_b: PoseLike) -> Pose:
+    """The pose of a in b."""
+    position, orientation = a_T_b
+    inverse = conjugate(orientation)
+    x, y, z = rotate(inverse, position)
+    return (-x, -y, -z), inverse
+
+
+def transform(a_T_b: PoseLike, point: Numbers) -> Vector:
+    """A point of frame b (xyz in m) in frame a."""
+    (x, y, z), orientation = a_T_b
+    dx, dy, dz = rotate(orientation, point)
+    return x + dx, y + dy, z + dz
+
+
+def angle(a: Numbers, b: Numbers) -> float:
+    """The angle between two rotations in rad, 0..pi; exact also where it is tiny."""
+    x, y, z, w = product(conjugate(a), b)
+    return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
+
+
+def lean(a: Numbers, b: Numbers) -> float:
+    """The angle between the z axes of two rotations in rad, 0..pi."""
+    up, other_up = rotate(a, (0.0, 0.0, 1.0)), rotate(b, (0.0, 0.0, 1.0))
+    return math.acos(max(-1.0, min(1.0, sum(x * y for x, y in zip(up, other_up, strict=True)))))
+
+
+def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """The rotation of URDF's roll, pitch, yaw: about the fixed axes x, then y, then z, in rad."""
+    sr, cr = math.sin(roll / 2.0), math.cos(roll / 2.0)
+    sp, cp = math.sin(pitch / 2.0), math.cos(pitch / 2.0)
+    sy, cy = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def to_rpy(rotation: Numbers) -> Vector:
+    """URDF's roll, pitch, yaw of a rotation, rad; see :func:`from_rpy`. Straight up or down, yaw is 0."""
+    m = to_matrix(rotation).tolist()
+    level = math.hypot(m[0][0], m[1][0])
+    pitch = math.atan2(-m[2][0], level)
+    if level < _VERTICAL:
+        return math.atan2(-m[1][2], m[1][1]), pitch, 0.0
+    return math.atan2(m[2][1], m[2][2]), pitch, math.atan2(m[1][0], m[0][0])
+
+
+def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
+    """The rotation as a 3 x 3 matrix, whose columns are the rotated axes."""
+    matrix: NDArray[np.float64] = to_matrices(np.array([rotation]))[0]
+    return matrix
+
+
+def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrices of many unit quaternions; see :func:`to_matrix`.
+
+    Args:
+        rotations: (n, 4) xyzw.
+
+    Returns:
+        (n, 3, 3).
+    """
+    products = rotations.take(_FIRST, axis=1) * rotations.take(_SECOND, axis=1)
+    matrices: NDArray[np.float64] = (products @ _PRODUCTS).reshape(-1, 3, 3) + np.eye(3)
+    return matrices
+
+
+def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
+    """The pose as a homogeneous 4 x 4 matrix."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = to_matrix(a_T_b[1])
+    matrix[:3, 3] = a_T_b[0]
+    return matrix
+
+
+def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
+    """A 3 x 3 rotation matrix as a unit quaternion xyzw with w >= 0."""
+    (a, d, e), (f, b, g), (h, k, c) = matrix.tolist()
+    # Four times the outer product of the quaternion with itself: its row with the largest diagonal is q up to a
+    # factor, and dividing by it is stable for every rotation.
+    outer = (
+        (1.0 + a - b - c, d + f, e + h, k - g),
+        (d + f, 1.0 - a + b - c, g + k, e - h),
+        (e + h, g + k, 1.0 - a - b + c, f - d),
+        (k - g, e - h, f - d, 1.0 + a + b + c),
+    )
+    row = max(range(4), key=lambda i: outer[i][i])
+    length = math.copysign(math.hypot(*outer[row]), outer[row][3])
+    x, y, z, w = (value / length for value in outer[row])
+    return x, y, z, w
+
+
+def look_at(eye: Numbers, target: Numbers, up: Numbers = (0.0, 0.0, 1.0)) -> Quaternion:
+    """The orientation of an optical frame (z forward, x right, y down) that looks at a point.
+
+    Args:
+        eye: origin of the frame, xyz in m.
+        target: the point to look at, xyz in m.
+        up: direction that is up in the picture; where it is parallel to the view, any perpendicular is.
+
+    Raises:
+        ValueError: eye and target coincide.
+    """
+    z = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
+    length = float(np.linalg.norm(z))
+    if not length > _TINY:
+        raise ValueError("eye and target coincide: there is no direction to look in")
+    z /= length
+    x = np.cross(z, np.asarray(up, dtype=np.float64))
+    if float(np.linalg.norm(x)) < 1e-9:
+        x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    x /= np.linalg.norm(x)
+    return from_matrix(np.column_stack([x, np.cross(z, x), z]))

@@ -27,8 +27,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from recorder import geometry
+from recorder.errors import suggestion
 from recorder.geometry import IDENTITY, Pose, Vector
-from recorder.suggestions import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

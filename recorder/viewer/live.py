@@ -443,7 +443,7 @@ class _Display:
 
     def lay_out(self) -> None:
         """Sends the layout: at the beginning, and again when a plan begins to act in another world."""
-        from recorder.viewer.blueprint import blueprint  # noqa: PLC0415
+        from recorder.viewer.translator import blueprint  # noqa: PLC0415
 
         worlds = self._translator.worlds
         if len(worlds.centres) > self._laid_out:

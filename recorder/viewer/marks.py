@@ -10,27 +10,34 @@ Attachments in the scene: lines from carriers to what they hold, which move with
 Cameras in the scene: where they are, and where those of robots look, as frustums that move with their links.
 
 Positions that recorded values give: of targets, given themselves or by an object's name.
+
+Paths of trajectories in the scene: where the tool frames of arms, and bases, are to go, and where they went.
+
+What is planned is a blue line, and what of it was driven a thicker green one that covers it. Both go when the body is
+at its end. Of a trajectory that was stopped on its way they stay, in grey what was planned, until the body begins the
+next one: what went wrong is looked at afterwards. The planned path of a tool moves with the robot's base.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import rerun as rr
 
 from recorder import geometry
-from recorder.records import Keyframe, Task, argument_values
-from recorder.records.text import by_name
-from recorder.viewer.rerun_stream import BLUE, GREEN, RED, YELLOW
+from recorder.records import Following, Keyframe, Task, argument_values
+from recorder.records.motion import BASE_COORDINATES
+from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW
 from recorder.viewer.scene import offset, table
 from recorder.viewer.tables_and_plots import numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from recorder.geometry import Vector
-    from recorder.records import Attachment, Mutation, Query
+    from recorder.records import Attachment, Mutation
     from recorder.viewer.rerun_stream import Color, Columns, TimePoint
     from recorder.viewer.scene import Scene, SceneBody
 
@@ -38,19 +45,15 @@ if TYPE_CHECKING:
 FAILURES: Final = "failures"
 _PAIRS: Final = "pairs"
 _TARGETS: Final = "targets"
-_ANSWERS: Final = "answers"
 _POINT: Final = 0.02  # m, as all lengths below
 _LINE: Final = 0.004
-_LINK: Final = 0.015
+LINK: Final = 0.015
 _ARROW: Final = 0.35
 _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
 _PIN: Final = 0.3  # of a failure, above the words of its target
 _ABOVE_ROBOT: Final = 1.8  # where a failure without a position is shown
 _MAX_PAIRS: Final = 5  # of links that would meet
-_MAX_LETTERS: Final = 60
-_NO: Final = ("false", "null", "[]", "")
-_BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}  # by the evidence that names the bodies
 
 
 class Marks:
@@ -105,7 +108,7 @@ class TaskMarks:
                 self._show_failure(record, target, now)
 
     def _show_target(self, record: Task, values: Values, target: Vector, now: TimePoint) -> None:
-        shapes = [_points([target], BLUE, [record.name])]
+        shapes = [points_at([target], BLUE, [record.name])]
         orientation = vector(values.get("orientation"), 4)
         camera = camera_position(self._scene, record.world) if record.name == "looking" else None
         if camera is not None:
@@ -138,8 +141,8 @@ class TaskMarks:
             x, y, z = position_failed
             top = (x, y, z + _PIN)
             shapes += [
-                _points([top], RED, [f"{record.name} failed: {kind}"], _FAILURE),
-                _line([position_failed, top], RED),
+                points_at([top], RED, [f"{record.name} failed: {kind}"], _FAILURE),
+                line_through([position_failed, top], RED),
             ]
         self._failures.add(record.world, (FAILURES,), now, *shapes)
         self._show_pairs(record, now)
@@ -157,68 +160,19 @@ class TaskMarks:
                     ends.append((pose[0], names[1] or names[0]))
             if len(ends) == 2:
                 points, labels = zip(*ends, strict=True)
-                line = _line(points, RED, _LINK)
-                self._failures.add(record.world, (_PAIRS, str(number)), now, _points(points, RED, labels), line)
+                line = line_through(points, RED, LINK)
+                self._failures.add(record.world, (_PAIRS, str(number)), now, points_at(points, RED, labels), line)
 
 
-class QueryMarks:
-    """Target and posture of the last query, and what touches, hides or blocks; until the next task begins."""
-
-    def __init__(self, columns: Columns, scene: Scene) -> None:
-        self._scene = scene
-        self._marks = Marks(columns, scene)
-
-    def clear(self, now: TimePoint) -> None:
-        """Removes the last query's marks."""
-        self._marks.clear(now)
-
-    def show(self, record: Query, now: TimePoint) -> None:
-        """Shows a query."""
-        self._marks.clear(now)
-        if not record.world:
-            return
-        values, evidence = argument_values(record.arguments, strict=True), argument_values(record.evidence, strict=True)
-        if not values and not evidence:
-            return
-        good = not evidence["obstacles"] if "obstacles" in evidence else record.answer_json not in _NO
-        for name, shape in self._shapes(record, values, evidence, GREEN if good else RED):
-            self._marks.add(record.world, (_ANSWERS, record.name, name), now, shape)
-
-    def _shapes(
-        self, record: Query, values: Values, evidence: Values, color: Color
-    ) -> Iterator[tuple[str, rr.AsComponents]]:
-        scene, world = self._scene, record.world
-        body = target_position(scene, world, {name: value for name, value in values.items() if name != "camera"})
-        target = position(evidence.get("position")) or body
-        if target is not None:
-            yield "target", _points([target], color, [f"{record.name}: {by_name(record.answer_json)}"[:_MAX_LETTERS]])
-        for fact, verb in _BLOCKING.items():
-            names = evidence.get(fact)
-            poses = {name: scene.pose(world, name) for name in names} if isinstance(names, dict) else {}
-            positions = {name: pose[0] for name, pose in poses.items() if pose is not None}
-            if positions:
-                yield fact, _points(list(positions.values()), RED, [f"{name} {verb}" for name in positions])
-        robot_name = name_of(values.get("robot"))
-        camera = camera_position(scene, world, values["camera"], robot_name) if "camera" in values else None
-        if camera is not None and body is not None:
-            yield "sight", _line([camera, body], color)
-        contacts = [point for value in evidence.get("points") or () if (point := position(value)) is not None]
-        if contacts:
-            yield "contacts", _points(contacts, color)
-        joints, link = evidence.get("joints"), values.get("gripper")
-        if isinstance(joints, dict) and isinstance(link, str):
-            posture = scene.posture(world, robot_name, link, joints)
-            if posture:
-                yield "posture", _line(posture, color, _LINK)
-
-
-def _points(
+def points_at(
     positions: Sequence[Vector], color: Color, labels: Sequence[str] = (), radius: float = _POINT
 ) -> rr.AsComponents:
+    """Return points of one colour; radius in m."""
     return rr.Points3D(positions, colors=[color], radii=[radius], labels=labels or None)
 
 
-def _line(positions: Sequence[Vector], color: Color, radius: float = _LINE) -> rr.AsComponents:
+def line_through(positions: Sequence[Vector], color: Color, radius: float = _LINE) -> rr.AsComponents:
+    """Return a line of one colour; radius in m."""
     return rr.LineStrips3D([positions], colors=[color], radii=[radius])
 
 
@@ -360,3 +314,185 @@ def target_position(scene: Scene, world: str, values: Values) -> Vector | None:
         if body is not None and not body.loaded.robot_description:
             return body.pose[0]
     return None
+
+
+PATHS: Final = "paths"
+_PLANNED: Final = 0.004  # m, radius
+_DRIVEN: Final = 0.01  # m
+_ABOVE_FLOOR: Final = 0.01  # m, of a base's path, which would lie in the floor
+_MIN_LENGTH: Final = 0.001  # m; a tool that only turns has no path
+_SAMPLES: Final = 6  # after which the driven line grows, a fifth of a simulated second; each time all of it is sent
+_ENDING: Final = ("reset", "restore", "close_world")  # commands after which nothing is followed
+
+
+@dataclass(slots=True)
+class _Path:
+    """Of a tool frame or base.
+
+    Attributes:
+        now: gives where it is, in the world.
+        entity: path of the planned line's entity.
+        driven_entity: path of the driven line's.
+        label: of the planned line.
+        planned: points in the frame of the planned line's entity.
+        driven: points in the world.
+    """
+
+    now: Callable[[], Vector]
+    entity: str
+    driven_entity: str
+    label: str
+    planned: Sequence[Vector]
+    driven: list[Vector] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Followed:
+    """A trajectory, and its paths."""
+
+    following: Following
+    paths: list[_Path]
+
+
+class TrajectoryPaths:
+    """The paths of all trajectories; the scene has shown a record before they do."""
+
+    def __init__(self, columns: Columns, scene: Scene) -> None:
+        self._columns = columns
+        self._scene = scene
+        self._followed: dict[str, dict[int, _Followed]] = {}  # by world and number
+        self._stopped: dict[tuple[str, str], list[_Path]] = {}  # by world and body
+
+    def move(self, world: str, body: str, time: TimePoint) -> None:
+        """Lengthens the driven lines of a body that has moved."""
+        for followed in self._followed.get(world, {}).values():
+            if followed.following.begin.body == body:
+                for path in followed.paths:
+                    path.driven.append(path.now())
+                    if len(path.driven) % _SAMPLES == 0:
+                        self._draw_driven(path, time)
+
+    def show(self, record: Mutation | Keyframe, now: TimePoint) -> None:
+        """Shows which trajectories a record begins, stops or ends."""
+        world = record.world
+        followed = self._followed.setdefault(world, {})
+        if isinstance(record, Keyframe):
+            self._keep(world, {each.begin.number: each for each in record.following}, now)
+            return
+        command = record.WhichOneof("command")
+        if command == "begin_trajectory":
+            self._begin(world, Following(begin=record.begin_trajectory, began=record.sim_step), now)
+        elif command == "simulate":
+            for each in record.simulate.driven:
+                if each.ended:
+                    self._end(world, each.number, now, each.time)
+        elif command == "stop_trajectory":
+            stopped = followed.get(record.stop_trajectory.number)
+            if stopped is not None and stopped.following.began == record.sim_step:  # it hasn't moved yet
+                self._end(world, record.stop_trajectory.number, now, 0.0)
+        elif command in _ENDING:
+            self._remove(world, None, now)
+        elif command == "remove_body":
+            self._remove(world, record.remove_body.body, now)
+
+    def _keep(self, world: str, following: Mapping[int, Following], now: TimePoint) -> None:
+        """Shows the trajectories of a keyframe, by number, and no others."""
+        followed = self._followed[world]
+        for number in followed.keys() - following.keys():
+            self._clear(followed.pop(number).paths, now)
+        for number in following.keys() - followed.keys():
+            self._begin(world, following[number], now)
+
+    def _begin(self, world: str, following: Following, now: TimePoint) -> None:
+        begin = following.begin
+        self._clear(self._stopped.pop((world, begin.body), ()), now)
+        paths = list(self._paths_of(world, following))
+        self._followed[world][begin.number] = _Followed(following, paths)
+        for path in paths:
+            path.driven.append(path.now())
+            self._draw(path.entity, path.planned, BLUE, now, _PLANNED, path.label)
+
+    def _paths_of(self, world: str, following: Following) -> Iterator[_Path]:
+        """The paths that a trajectory has: of its body's base, or of the tools that its joints move."""
+        begin, scene = following.begin, self._scene
+        trajectory, body = begin.trajectory, scene.bodies.get(world, {}).get(begin.body)
+        if body is None:
+            return
+        width = len(trajectory.joints or BASE_COORDINATES)
+        rows = [trajectory.positions[at : at + width] for at in range(0, len(trajectory.positions), width)]
+        seconds = f"{trajectory.times[-1]:.1f} s"
+        if not trajectory.joints:
+
+            def on_floor() -> Vector:
+                x, y, z = body.pose[0]
+                return x, y, z + _ABOVE_FLOOR
+
+            height = on_floor()[2]
+            points = [(x, y, height) for x, y, _ in rows]
+            yield self._path(world, begin.body, "base", scene.frame(world), on_floor, points, seconds)
+            return
+        for arm, described in table(body.loaded, "arms").items():
+            link, tool = str(described.get("tool_frame", "")), offset(described, "tool_offset")
+            tool_of = scene.link_position(world, begin.body, link, tool[0])
+            if tool_of is None:
+                continue
+            points = [tool_of(dict(zip(trajectory.joints, row, strict=True))) for row in rows]
+            if max(math.dist(points[0], point) for point in points) > _MIN_LENGTH:
+
+                def at_tool(tool_of: Callable[..., Vector] = tool_of) -> Vector:
+                    return geometry.transform(body.pose, tool_of({}))
+
+                frame = scene.frame(world, begin.body)
+                yield self._path(world, begin.body, arm, frame, at_tool, points, seconds)
+
+    def _path(
+        self,
+        world: str,
+        body: str,
+        name: str,
+        frame: str,
+        now: Callable[[], Vector],
+        points: Sequence[Vector],
+        seconds: str,
+    ) -> _Path:
+        planned, driven = (self._columns.path(world, PATHS, body, name, what) for what in ("planned", "driven"))
+        self._columns.set_frame(planned, frame)
+        self._columns.set_frame(driven, self._scene.frame(world))
+        return _Path(now, planned, driven, f"{name} {seconds}", points)
+
+    def _end(self, world: str, number: int, now: TimePoint, driven: float) -> None:
+        """Ends a trajectory of which so many seconds were driven."""
+        followed = self._followed[world].pop(number, None)
+        if followed is None:
+            return  # its beginning isn't on record
+        begin = followed.following.begin
+        if driven >= begin.trajectory.times[-1]:
+            self._clear(followed.paths, now)
+            return
+        self._stopped.setdefault((world, begin.body), []).extend(followed.paths)
+        for path in followed.paths:
+            self._draw(path.entity, path.planned, GREY, now, _PLANNED, path.label)
+            self._draw_driven(path, now)
+
+    def _remove(self, world: str, body: str | None, now: TimePoint) -> None:
+        """Removes the paths of a body, or of all."""
+        for number, followed in list(self._followed[world].items()):
+            if body in (None, followed.following.begin.body):
+                self._clear(self._followed[world].pop(number).paths, now)
+        for key in [key for key in self._stopped if key[0] == world and body in (None, key[1])]:
+            self._clear(self._stopped.pop(key), now)
+
+    def _draw_driven(self, path: _Path, now: TimePoint) -> None:
+        if len(path.driven) > 1:
+            self._draw(path.driven_entity, path.driven, GREEN, now, _DRIVEN)
+
+    def _draw(
+        self, entity: str, points: Sequence[Vector], color: Color, now: TimePoint, radius: float, label: str = ""
+    ) -> None:
+        labels = [label] if label else None
+        self._columns.send(entity, now, rr.LineStrips3D([points], colors=[color], radii=[radius], labels=labels))
+
+    def _clear(self, paths: Sequence[_Path], now: TimePoint) -> None:
+        for path in paths:
+            self._columns.clear(path.entity, now)
+            self._columns.clear(path.driven_entity, now)

@@ -22,19 +22,29 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from recorder.records import format_failure
+from recorder.records import argument_values, format_failure
 from recorder.records.text import NOT_TRIED, TAKEN, by_name, fates, fates_text, rejection_lines, values
-from recorder.viewer.marks import Marks
+from recorder.viewer.marks import (
+    LINK,
+    Marks,
+    camera_position,
+    line_through,
+    name_of,
+    points_at,
+    position,
+    target_position,
+)
 from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from recorder.records import Query
     from recorder.records.log_pb2 import Grid
-    from recorder.viewer.rerun_stream import Columns, TimePoint
+    from recorder.viewer.marks import Values
+    from recorder.viewer.rerun_stream import Color, Columns, TimePoint
     from recorder.viewer.scene import Scene
 
 
@@ -246,9 +256,66 @@ def spots_of(grid: Grid) -> NDArray[np.float64]:
         ValueError: One is nowhere, or faces nowhere.
     """
     positions = [list(spot.position) for spot in grid.spots]
-    for spot, position in zip(grid.spots, positions, strict=True):
-        if len(position) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in position):
-            raise ValueError(f"a place at {position}")
+    for spot, place in zip(grid.spots, positions, strict=True):
+        if len(place) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in place):
+            raise ValueError(f"a place at {place}")
         if not math.isfinite(spot.yaw):
             raise ValueError(f"a place that faces {spot.yaw}")
     return np.array(positions, dtype=np.float64).reshape(-1, 3)
+
+
+_MAX_LETTERS: Final = 60
+_ANSWERS: Final = "answers"
+_NO: Final = ("false", "null", "[]", "")
+_BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}  # by the evidence that names the bodies
+
+
+class QueryMarks:
+    """Target and posture of the last query, and what touches, hides or blocks; until the next task begins."""
+
+    def __init__(self, columns: Columns, scene: Scene) -> None:
+        self._scene = scene
+        self._marks = Marks(columns, scene)
+
+    def clear(self, now: TimePoint) -> None:
+        """Removes the last query's marks."""
+        self._marks.clear(now)
+
+    def show(self, record: Query, now: TimePoint) -> None:
+        """Shows a query."""
+        self._marks.clear(now)
+        if not record.world:
+            return
+        values, evidence = argument_values(record.arguments, strict=True), argument_values(record.evidence, strict=True)
+        if not values and not evidence:
+            return
+        good = not evidence["obstacles"] if "obstacles" in evidence else record.answer_json not in _NO
+        for name, shape in self._shapes(record, values, evidence, GREEN if good else RED):
+            self._marks.add(record.world, (_ANSWERS, record.name, name), now, shape)
+
+    def _shapes(
+        self, record: Query, values: Values, evidence: Values, color: Color
+    ) -> Iterator[tuple[str, rr.AsComponents]]:
+        scene, world = self._scene, record.world
+        body = target_position(scene, world, {name: value for name, value in values.items() if name != "camera"})
+        target = position(evidence.get("position")) or body
+        if target is not None:
+            yield "target", points_at([target], color, [f"{record.name}: {by_name(record.answer_json)}"[:_MAX_LETTERS]])
+        for fact, verb in _BLOCKING.items():
+            names = evidence.get(fact)
+            poses = {name: scene.pose(world, name) for name in names} if isinstance(names, dict) else {}
+            positions = {name: pose[0] for name, pose in poses.items() if pose is not None}
+            if positions:
+                yield fact, points_at(list(positions.values()), RED, [f"{name} {verb}" for name in positions])
+        robot_name = name_of(values.get("robot"))
+        camera = camera_position(scene, world, values["camera"], robot_name) if "camera" in values else None
+        if camera is not None and body is not None:
+            yield "sight", line_through([camera, body], color)
+        contacts = [point for value in evidence.get("points") or () if (point := position(value)) is not None]
+        if contacts:
+            yield "contacts", points_at(contacts, color)
+        joints, link = evidence.get("joints"), values.get("gripper")
+        if isinstance(joints, dict) and isinstance(link, str):
+            posture = scene.posture(world, robot_name, link, joints)
+            if posture:
+                yield "posture", line_through(posture, color, LINK)

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.closed_output import discard, until_closed
+from recorder.errors import suggestion
 from recorder.packages import NotInstalled, needed
-from recorder.suggestions import suggestion
 from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
 

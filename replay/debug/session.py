@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, TypeAlias
 
+from recorder.errors import suggestion
 from recorder.records import Envelope, Event, Keyframe, Output, Run, Task
-from recorder.suggestions import suggestion
 from replay.debug.expressions import NoQuantity, value_changes
 from replay.debug.stopped_plan import WatchedExpression
 from replay.errors import NoSuchName, NoSuchStep, ReplayError

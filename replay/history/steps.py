@@ -7,8 +7,8 @@ import re
 from bisect import bisect_left
 from typing import TYPE_CHECKING, Final
 
+from recorder.errors import suggestion
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
-from recorder.suggestions import suggestion
 from replay.errors import NoSuchStep
 from replay.file.lifetimes import closes_world
 
