@@ -28,17 +28,12 @@ def _restored(kind: type[PortableError], args: tuple[object, ...], fields: Mappi
 
 
 class RecordingError(PortableError, OSError):
-    """A recording can't be written (no such folder, read-only, disk full, ...).
-
-    Attributes:
-        path: the file.
-        cause: the system's message.
-    """
+    """A recording can't be written (no such folder, read-only, disk full, ...)."""
 
     def __init__(self, path: str | Path, cause: str, hint: str = "") -> None:
         super().__init__(f"can't record to {path}: {cause}{'; ' + hint if hint else ''}")
         self.path = str(path)
-        self.cause = cause
+        self.cause = cause  # the system's message
 
 
 _MAX_SUGGESTED: Final = 3

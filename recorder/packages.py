@@ -55,12 +55,7 @@ _RECORDED: Final = (
 
 
 class NotInstalled(ModuleNotFoundError):
-    """Something isn't installed that one of the extras brings.
-
-    Attributes:
-        name: the module.
-        extra: the extra.
-    """
+    """Something isn't installed that one of the extras brings."""
 
     def __init__(self, name: str, extra: str) -> None:
         super().__init__(f"{name} isn't installed; {hint(extra)}", name=name)

@@ -41,17 +41,11 @@ _MAX_ERRORS: Final = 1000  # in the traceback of what ends the plan or a thread:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A recording while it is made.
-
-    Attributes:
-        path: its file.
-        journal: its numbering.
-        viewer: the viewer that shows it live.
-    """
+    """A recording while it is made."""
 
     path: Path
-    journal: Journal
-    viewer: RerunSink | None = None
+    journal: Journal  # its numbering
+    viewer: RerunSink | None = None  # the viewer that shows it live
 
     @property
     def length(self) -> int:

@@ -39,21 +39,13 @@ _CACHED: Final = 32  # documents: a model's is read when it is loaded, and again
 
 @dataclass(frozen=True)
 class Urdf:
-    """The tree of links of a robot or object.
-
-    Attributes:
-        name: name of the robot.
-        root: name of the root link.
-        links: names of the links: the root, then depth first in the document's order.
-        joints: the joints by name, in the document's order.
-        movable: names of the joints with a value, in the document's order.
-    """
+    """The tree of links of a robot or object."""
 
     name: str
     root: str
-    links: tuple[str, ...]
-    joints: Mapping[str, Joint] = field(repr=False)
-    movable: tuple[str, ...] = field(repr=False)
+    links: tuple[str, ...]  # names of the links: the root, then depth first in the document's order
+    joints: Mapping[str, Joint] = field(repr=False)  # the joints by name, in the document's order
+    movable: tuple[str, ...] = field(repr=False)  # names of the joints with a value, in the document's order
 
     @classmethod
     def parse(cls, text: str | bytes, *, chains: bool = False) -> Urdf:
@@ -255,12 +247,7 @@ _CHAINS: Final = ("planar", "floating")  # which become chains of the others
 
 
 class UrdfError(ValueError):
-    """A URDF is no tree of links, or doesn't have a name.
-
-    Attributes:
-        robot: name of the robot.
-        reason: what is wrong.
-    """
+    """A URDF is no tree of links, or doesn't have a name."""
 
     def __init__(self, robot: str, reason: str) -> None:
         super().__init__(f"URDF {robot!r}: {reason}" if robot else f"URDF: {reason}")
@@ -269,48 +256,28 @@ class UrdfError(ValueError):
 
 
 class Mimic(NamedTuple):
-    """That a joint follows another: its value is ``multiplier * value of the leader + offset``.
+    """That a joint follows another: its value is ``multiplier * value of the leader + offset``."""
 
-    Attributes:
-        leader: name of the joint that it follows.
-        multiplier: without a unit, or m/rad or rad/m.
-        offset: in rad or m.
-    """
-
-    leader: str
-    multiplier: float = 1.0
-    offset: float = 0.0
+    leader: str  # name of the joint that it follows
+    multiplier: float = 1.0  # without a unit, or m/rad or rad/m
+    offset: float = 0.0  # in rad or m
 
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """The connection of a link to its parent.
-
-    Attributes:
-        name: its name.
-        type: "fixed", "revolute", "continuous" or "prismatic".
-        parent: name of the parent link.
-        child: name of the child link.
-        origin: pose of the joint (and of the child at value 0) in the parent link.
-        axis: unit vector in the joint's frame.
-        lower: lower limit in rad or m; -inf if continuous, 0 if fixed.
-        upper: upper limit in rad or m; inf if continuous, 0 if fixed.
-        effort: largest force or torque in N or Nm, inf if not given.
-        velocity: largest velocity in rad/s or m/s, inf if not given.
-        mimic: what it follows, if anything.
-    """
+    """The connection of a link to its parent."""
 
     name: str
-    type: str
-    parent: str
-    child: str
-    origin: Pose = IDENTITY
-    axis: Vector = (1.0, 0.0, 0.0)
-    lower: float = 0.0
-    upper: float = 0.0
-    effort: float = math.inf
-    velocity: float = math.inf
-    mimic: Mimic | None = None
+    type: str  # "fixed", "revolute", "continuous" or "prismatic"
+    parent: str  # name of the parent link
+    child: str  # name of the child link
+    origin: Pose = IDENTITY  # pose of the joint (and of the child at value 0) in the parent link
+    axis: Vector = (1.0, 0.0, 0.0)  # unit vector in the joint's frame
+    lower: float = 0.0  # lower limit in rad or m; -inf if continuous, 0 if fixed
+    upper: float = 0.0  # upper limit in rad or m; inf if continuous, 0 if fixed
+    effort: float = math.inf  # largest force or torque in N or Nm, inf if not given
+    velocity: float = math.inf  # largest velocity in rad/s or m/s, inf if not given
+    mimic: Mimic | None = None  # what it follows, if anything
 
     @property
     def movable(self) -> bool:
@@ -445,21 +412,13 @@ _SIZES: Final = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}  #
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """One shape of a link.
+    """One shape of a link."""
 
-    Attributes:
-        kind: "box", "cylinder", "sphere", "capsule" or "mesh".
-        size: edges of a box, radius and length of others in m; scale of a mesh.
-        mesh: path of the mesh, as in the model; "" of other shapes.
-        pose: in the link's frame.
-        color: its own, or grey.
-    """
-
-    kind: str
-    size: tuple[float, ...]
-    mesh: str
-    pose: Pose
-    color: Color
+    kind: str  # "box", "cylinder", "sphere", "capsule" or "mesh"
+    size: tuple[float, ...]  # edges of a box, radius and length of others in m; scale of a mesh
+    mesh: str  # path of the mesh, as in the model; "" of other shapes
+    pose: Pose  # in the link's frame
+    color: Color  # its own, or grey
 
 
 def read_shapes(model: str | bytes, role: str) -> dict[str, list[Shape]]:

@@ -26,17 +26,11 @@ LIBRARY: Final = "pycram models"  # whatever release: the same models make the s
 
 @dataclass(frozen=True, slots=True)
 class SharedModels:
-    """A file of models.
-
-    Attributes:
-        file: its base name.
-        sha256: of its content, in hex.
-        keys: names of the files in it, ``<sha256>/<name>``.
-    """
+    """A file of models."""
 
     file: str
-    sha256: str
-    keys: frozenset[str]
+    sha256: str  # of its content, in hex
+    keys: frozenset[str]  # names of the files in it, ``<sha256>/<name>``
 
     @classmethod
     def of(cls, path: Path) -> SharedModels:

@@ -35,19 +35,12 @@ _NS: Final = 1_000_000_000
 
 
 class Frame(NamedTuple):
-    """The frame of a body or link.
+    """The frame of a body or link."""
 
-    Attributes:
-        parent: name of the frame that its pose is in.
-        child: its own name.
-        body: the body.
-        link: its link; "" for the base.
-    """
-
-    parent: str
+    parent: str  # name of the frame that its pose is in
     child: str
     body: str
-    link: str
+    link: str  # its link; "" for the base
 
 
 def frame_name(world: str, body: str, link: str = "") -> str:
@@ -66,19 +59,12 @@ def _unreserved(name: str) -> str:
 
 
 class BodyMotion(NamedTuple):
-    """State delta of a body in a simulated step.
-
-    Attributes:
-        sim_step: the simulated step.
-        body: its name.
-        frames: those of its frames that changed, with their poses in their parents.
-        joints: positions in rad or m by name, of those that changed.
-    """
+    """State delta of a body in a simulated step."""
 
     sim_step: int
     body: str
-    frames: list[tuple[Frame, Pose]]
-    joints: dict[str, float]
+    frames: list[tuple[Frame, Pose]]  # those of its frames that changed, with their poses in their parents
+    joints: dict[str, float]  # positions in rad or m by name, of those that changed
 
 
 class _Body:

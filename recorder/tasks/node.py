@@ -55,18 +55,12 @@ class State(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A moment in wall time and simulated time.
+    """A moment in wall time and simulated time."""
 
-    Attributes:
-        wall_ns: nanoseconds since the Unix epoch.
-        sim_step: steps of 1/240 s that the world had simulated.
-        world: the world that was current, "" if there was none.
-        monotonic_ns: nanoseconds since the recording began, by a clock that nobody sets; 0 where that isn't recorded.
-    """
-
-    wall_ns: int
-    sim_step: int = 0
-    world: str = ""
+    wall_ns: int  # nanoseconds since the Unix epoch
+    sim_step: int = 0  # steps of 1/240 s that the world had simulated
+    world: str = ""  # the world that was current, "" if there was none
+    #: Nanoseconds since the recording began, by a clock that nobody sets; 0 where that isn't recorded.
     monotonic_ns: int = 0
 
     @property
@@ -83,28 +77,18 @@ def _moment(record: Task) -> Moment:
 
 @dataclass(slots=True, eq=False)
 class Node:
-    """A task.
+    """A task."""
 
-    Attributes:
-        started: the record of its start; if it never started, that of its being asked for; if both are lost, that of
-            its end.
-        parent: the task that it is part of; None for an outermost one.
-        asked: the record of its being asked for; None if it started at once.
-        finished: the record of its end; None if it has not ended.
-        forgotten: number of its children that the tree of a long-running plan has dropped.
-        choices: with which it chose what to do; only of a recording, on the path to the failure.
-        size: bytes of its own records, where the tree has a limit for these.
-        parts: its children, by their ids.
-    """
-
+    #: The record of its start; if it never started, that of its being asked for; if both are lost, that of its end.
     started: Task
-    parent: Node | None = None
-    asked: Task | None = None
-    finished: Task | None = None
-    forgotten: int = 0
+    parent: Node | None = None  # the task that it is part of; None for an outermost one
+    asked: Task | None = None  # the record of its being asked for; None if it started at once
+    finished: Task | None = None  # the record of its end; None if it has not ended
+    forgotten: int = 0  # number of its children that the tree of a long-running plan has dropped
+    #: With which it chose what to do; only of a recording, on the path to the failure.
     choices: list[Query] = field(default_factory=list)
-    size: int = 0
-    parts: dict[int, Node] = field(default_factory=dict)
+    size: int = 0  # bytes of its own records, where the tree has a limit for these
+    parts: dict[int, Node] = field(default_factory=dict)  # its children, by their ids
 
     @property
     def id(self) -> int:

@@ -46,19 +46,12 @@ _WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line of a tree.
+    """A line of a tree."""
 
-    Attributes:
-        depth: from 0.
-        node: the task; None for a remark.
-        text: without indentation and marks.
-        failing: whether it is on the path down to the failure.
-    """
-
-    depth: int
-    node: Node | None
-    text: str
-    failing: bool = False
+    depth: int  # from 0
+    node: Node | None  # None for a remark
+    text: str  # without indentation and marks
+    failing: bool = False  # whether it is on the path down to the failure
 
 
 def rows(

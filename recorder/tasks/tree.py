@@ -35,19 +35,15 @@ class Tree:
         size: bytes of records; likewise.
         unpacked: number of tasks whose records stay parsed; those of the others are packed, which takes less memory and
             more time.
-
-    Attributes:
-        nodes: by id.
-        began: id of the task in which the plan's failure began, where it is known from elsewhere; 0 if it began
-            in none; None to go by the tasks.
-        output: lines that the plan printed or logged, by the id of the task, where they are known: a running plan's
-            are not.
     """
 
     __hash__ = None  # type: ignore[assignment]  # it grows
 
     def __init__(self, limit: int | None = None, size: int | None = None, unpacked: float = math.inf) -> None:
+        #: Id of the task in which the plan's failure began, where it is known from elsewhere; 0 if it began in none;
+        #: None to go by the tasks.
         self.began: int | None = None
+        #: Lines that the plan printed or logged, by the id of the task, where they are known: a running plan's are not.
         self.output: dict[int, list[Output]] = {}
         self._limit = math.inf if limit is None else limit
         self._size_limit = math.inf if size is None else size
@@ -57,7 +53,7 @@ class Tree:
         self._lock = threading.Lock()
         self._roots: dict[int, Node] = {}
         self._ended: deque[int] = deque()
-        self.nodes: dict[int, Node] = {}
+        self.nodes: dict[int, Node] = {}  # by id
 
     @property
     def roots(self) -> tuple[Node, ...]:

@@ -52,21 +52,15 @@ _RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 
 
 class CallStack(NamedTuple):
-    """The plan's lines that led to a task; there is one for each task, so it is the cheapest type of object.
+    """The plan's lines that led to a task; there is one for each task, so it is the cheapest type of object."""
 
-    Attributes:
-        lines: outermost first; those of a recursion stand once. Where nothing is recorded only the innermost.
-        inherited: those of them that another thread's call stack ends with, which this one continues.
-        thread: identifies the thread that it ends in.
-        callers: all lines but the innermost, as records hold them.
-        recording: number of the recording that it was made for; 0 where nothing was recorded.
-    """
-
+    #: Outermost first; those of a recursion stand once. Where nothing is recorded only the innermost.
     lines: tuple[CallSite, ...]
+    #: Those of them that another thread's call stack ends with, which this one continues.
     inherited: tuple[CallSite, ...]
-    thread: int
-    callers: tuple[SourceLine, ...] = ()
-    recording: int = 0
+    thread: int  # identifies the thread that it ends in
+    callers: tuple[SourceLine, ...] = ()  # all lines but the innermost, as records hold them
+    recording: int = 0  # number of the recording that it was made for; 0 where nothing was recorded
 
     @property
     def line(self) -> CallSite:

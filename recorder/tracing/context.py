@@ -27,17 +27,11 @@ if TYPE_CHECKING:
 
 
 class BranchIdentity(NamedTuple):
-    """Identity of a branch of a plan.
+    """Identity of a branch of a plan."""
 
-    Attributes:
-        thread: Ident of the thread that it runs in; a thread that it starts may inherit its context.
-        ident: Negative, as those of threads are positive.
-        name: Its name in records.
-    """
-
-    thread: int
-    ident: int
-    name: str
+    thread: int  # ident of the thread that it runs in; a thread that it starts may inherit its context
+    ident: int  # negative, as those of threads are positive
+    name: str  # in records
 
 
 _branch: ContextVar[BranchIdentity | None] = ContextVar("pycram_branch", default=None)

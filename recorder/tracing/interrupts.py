@@ -34,11 +34,7 @@ _TERMINATING: Final = (int(signal.SIGTERM), int(signal.SIGHUP))
 
 
 class Terminated(SystemExit):
-    """A signal has asked the process to end; it ends with 128 and the signal's number, as shells tell it.
-
-    Attributes:
-        signal: The signal's name.
-    """
+    """A signal has asked the process to end; it ends with 128 and the signal's number, as shells tell it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(128 + number)

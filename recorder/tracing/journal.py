@@ -84,9 +84,6 @@ class Journal:
         clock_ns: nanoseconds since the Unix epoch.
         monotonic_ns: nanoseconds since any moment, by a clock that nobody sets.
         local_variables: whether failures in it may hold the plan's local variables.
-
-    Attributes:
-        local_variables: as given.
     """
 
     def __init__(

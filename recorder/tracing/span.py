@@ -70,35 +70,20 @@ def tree() -> Tree:
 
 @dataclass(slots=True)
 class Span:
-    """A task while it runs; as a context manager, the task is the block.
+    """A task while it runs; as a context manager, the task is the block."""
 
-    Attributes:
-        kind: motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
-        name: what people call it.
-        parent: id of the task that it is part of, 0 for none.
-        parameters: as given.
-        attempt: number of the attempt, from 1; 0 if it is none.
-        source: call stack of the code that asked for it; None to find it at the start.
-        id: unique in this process, from 1.
-        solution: as resolved; set while it runs.
-        result: what it returned; set while it runs.
-        error: what it failed with, where that isn't raised; set while it runs.
-        decision: how it was decided; set while it runs, or before.
-        checkpoint: where the clock or a worker thread decided it, as records have it; set while it runs.
-    """
-
-    kind: str
-    name: str
-    parent: int = field(default_factory=journal.task_id)
+    kind: str  # motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
+    name: str  # what people call it
+    parent: int = field(default_factory=journal.task_id)  # id of the task that it is part of, 0 for none
     parameters: Mapping[str, object] = field(default_factory=dict)
-    attempt: int = 0
-    source: CallStack | None = None
-    id: int = field(default_factory=_ids.__next__)
-    solution: Mapping[str, object] = field(default_factory=dict)
-    result: object = None
-    error: BaseException | None = None
-    decision: Decision | None = None
-    checkpoint: int = 0
+    attempt: int = 0  # number of the attempt, from 1; 0 if it is none
+    source: CallStack | None = None  # call stack of the code that asked for it; None to find it at the start
+    id: int = field(default_factory=_ids.__next__)  # unique in this process, from 1
+    solution: Mapping[str, object] = field(default_factory=dict)  # as resolved; set while it runs
+    result: object = None  # what it returned; set while it runs
+    error: BaseException | None = None  # what it failed with, where that isn't raised; set while it runs
+    decision: Decision | None = None  # how it was decided; set while it runs, or before
+    checkpoint: int = 0  # where the clock or a worker thread decided it, as records have it; set while it runs
     _start_ns: int = 0
     _begun: bool = False
     _ended: bool = False

@@ -53,15 +53,10 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where a plan is shown.
-
-    Attributes:
-        kind: which viewer.
-        url: its address, where somebody else starts it.
-    """
+    """Where a plan is shown."""
 
     kind: Kind
-    url: str = ""
+    url: str = ""  # its address, where somebody else starts it
 
     @classmethod
     def parse(cls, text: str) -> Target:
@@ -148,9 +143,6 @@ class ViewerWindow:
     Its server answers before its window opens, and it ends then if there is no screen. So whoever can't reach it any
     more calls :meth:`check`.
 
-    Attributes:
-        url: Where it takes records; it answered there.
-
     Raises:
         ViewerGone: It ended at once, or can't be told from another user's.
     """
@@ -158,7 +150,7 @@ class ViewerWindow:
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  its last line is read when it ended
-        self.url = address(PORT)
+        self.url = address(PORT)  # where it takes records; it has answered there
         if not (is_own(PORT) and answers(self.url)):
             self._start(free_port(PORT))
 

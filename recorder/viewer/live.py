@@ -219,12 +219,7 @@ _OVERHEAD: Final = 200  # bytes of an item in Python, about
 
 
 class LiveQueue:
-    """A queue that never makes its writer wait.
-
-    Attributes:
-        size: bytes of all items.
-        dropped: number of records that were dropped.
-    """
+    """A queue that never makes its writer wait."""
 
     def __init__(self, max_items: int = 20_000, max_bytes: int = 128 << 20) -> None:
         self._max_items = max_items
@@ -234,8 +229,8 @@ class LiveQueue:
         self._count = 0
         self._changed = threading.Condition()
         self._closed = False
-        self.size = 0
-        self.dropped = 0
+        self.size = 0  # bytes of all items
+        self.dropped = 0  # number of records that were dropped
 
     def __len__(self) -> int:
         return len(self._items)

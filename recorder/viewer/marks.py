@@ -327,23 +327,14 @@ _ENDING: Final = ("reset", "restore", "close_world")  # commands after which not
 
 @dataclass(slots=True)
 class _Path:
-    """Of a tool frame or base.
+    """Of a tool frame or base."""
 
-    Attributes:
-        now: gives where it is, in the world.
-        entity: path of the planned line's entity.
-        driven_entity: path of the driven line's.
-        label: of the planned line.
-        planned: points in the frame of the planned line's entity.
-        driven: points in the world.
-    """
-
-    now: Callable[[], Vector]
-    entity: str
-    driven_entity: str
-    label: str
-    planned: Sequence[Vector]
-    driven: list[Vector] = field(default_factory=list)
+    now: Callable[[], Vector]  # gives where it is, in the world
+    entity: str  # path of the planned line's entity
+    driven_entity: str  # path of the driven line's
+    label: str  # of the planned line
+    planned: Sequence[Vector]  # points in the frame of the planned line's entity
+    driven: list[Vector] = field(default_factory=list)  # points in the world
 
 
 @dataclass(slots=True)

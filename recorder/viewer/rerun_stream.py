@@ -69,17 +69,11 @@ def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
 
 
 class TimePoint(NamedTuple):
-    """A point on the three time lines.
+    """A point on the three time lines."""
 
-    Attributes:
-        step: the record's number.
-        sim: simulated time in ns.
-        wall: ns since the Unix epoch.
-    """
-
-    step: int
-    sim: int
-    wall: int
+    step: int  # the record's number
+    sim: int  # simulated time in ns
+    wall: int  # ns since the Unix epoch
 
 
 def sim_ns(sim_step: int) -> int:

@@ -54,31 +54,17 @@ class _Link:
 
 @dataclass(slots=True)
 class SceneBody:
-    """A body in the scene.
+    """A body in the scene."""
 
-    Attributes:
-        loaded: how it was loaded.
-        joints: positions in rad or m by name.
-        pose: of its base in the world.
-        shapes: paths of its shapes' entities.
-        links: those that records gave poses for, by name; "" is its base.
-    """
-
-    loaded: LoadBody
-    joints: dict[str, float] = field(default_factory=dict)
-    pose: Pose = geometry.IDENTITY
-    shapes: set[str] = field(default_factory=set)
-    links: dict[str, _Link] = field(default_factory=dict)
+    loaded: LoadBody  # how it was loaded
+    joints: dict[str, float] = field(default_factory=dict)  # positions in rad or m by name
+    pose: Pose = geometry.IDENTITY  # of its base in the world
+    shapes: set[str] = field(default_factory=set)  # paths of its shapes' entities
+    links: dict[str, _Link] = field(default_factory=dict)  # those that records gave poses for, by name; "" is its base
 
 
 class Scene:
-    """The bodies of all worlds; the names of all frames begin with a prefix.
-
-    Attributes:
-        bodies: by world, then name.
-        robots: names of those that plans control, by world.
-        absent: files that bodies are made of and that were not attached, as ``<sha256>/<file name>``; one a body.
-    """
+    """The bodies of all worlds; the names of all frames begin with a prefix."""
 
     def __init__(self, columns: Columns, prefix: str = "") -> None:
         self._columns = columns
@@ -87,8 +73,9 @@ class Scene:
         self._files: dict[str, bytes] = {}
         self._transforms: dict[tuple[str, str], Series] = {}  # by world and frame; also of bodies that are gone
         self._first: TimePoint | None = None
-        self.bodies: dict[str, dict[str, SceneBody]] = {}
-        self.robots: dict[str, str] = {}
+        self.bodies: dict[str, dict[str, SceneBody]] = {}  # by world, then name
+        self.robots: dict[str, str] = {}  # names of those that plans control, by world
+        #: Files that bodies are made of and that were not attached, as ``<sha256>/<file name>``; one a body.
         self.absent: dict[str, None] = {}
 
     def attach(self, asset: AssetFile) -> None:

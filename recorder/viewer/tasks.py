@@ -116,18 +116,14 @@ _MAX_LETTERS: Final = 24
 
 
 class TaskGraph:
-    """The tree of the latest tasks below one node for the plan.
-
-    Attributes:
-        plan: name of the outermost node.
-    """
+    """The tree of the latest tasks below one node for the plan."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._path = columns.path("tasks", GRAPH)
         self._tree = Tree(limit=_MAX_TASKS)
         self._count = 0
-        self.plan = ""
+        self.plan = ""  # name of the outermost node
 
     def show(self, record: Task, now: TimePoint) -> None:
         """Shows the tree after a task's start or end."""

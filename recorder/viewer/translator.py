@@ -37,19 +37,14 @@ _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that add 
 
 
 class Translator:
-    """Shows records in a viewer, below a root entity and with frames of that prefix if one is named. For one thread.
-
-    Attributes:
-        scene: the bodies of all worlds.
-        worlds: those that plans act in.
-    """
+    """Shows records in a viewer, below a root entity and with frames of that prefix if one is named. For one thread."""
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         columns = self._columns = Columns(stream, root)
         self._lines, self._tables = LogLines(columns), RecordTables(columns)
         self._timeline, self._graph = TaskTimeline(columns), TaskGraph(columns)
         self._page, self._picture = QueryPage(columns), QueryPicture(columns)
-        scene = self.scene = Scene(columns, f"{root}/" if root else "")
+        scene = self.scene = Scene(columns, f"{root}/" if root else "")  # the bodies of all worlds
         self._plots, self.worlds = Plots(columns), ActiveWorlds(scene)
         self._attachments, self._cameras = Attachments(columns, scene), CameraFrustums(columns, scene)
         self._paths = TrajectoryPaths(columns, scene)
@@ -143,18 +138,13 @@ _KEYFRAME: Final = "keyframe"
 
 
 class ActiveWorlds:
-    """The worlds that plans have acted in so far.
-
-    Attributes:
-        centres: their centres in m when plans began to act in them, by name.
-        front: the first that is still open; "" before there is one.
-    """
+    """The worlds that plans have acted in so far."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._open: dict[str, None] = {}  # worlds that a plan acted in
-        self.centres: dict[str, Vector] = {}
-        self.front = ""
+        self.centres: dict[str, Vector] = {}  # their centres in m when plans began to act in them, by name
+        self.front = ""  # the first that is still open; "" before there is one
 
     def follow(self, record: Record) -> None:
         """Notes when a plan begins to act in a world, and when it closes it; the scene has shown the record."""

@@ -58,9 +58,6 @@ class WebPage:
 
     Pages that are opened late get everything from the beginning.
 
-    Attributes:
-        address: of the page; it holds a token, so only who knows it gets anything.
-
     Raises:
         ViewerGone: nothing can be served.
     """
@@ -72,6 +69,7 @@ class WebPage:
         except (OSError, RuntimeError) as error:  # the latter is the library's type for all errors
             raise ViewerGone(f"the page can't be served: {error}") from error
         server = self._serve()
+        #: Of the page; it holds a token, so only who knows it gets anything.
         self.address = f"{server.address}?hide_welcome_screen&url={quote(server.address + RECORDS, safe='')}"
 
     def _serve(self) -> PageServer:
@@ -179,10 +177,6 @@ class PageServer(ThreadingHTTPServer):
         files: gives the content of each file of the page, when one is asked for.
         records: what the page shows, at ``RECORDS`` beside the files.
 
-    Attributes:
-        host: its own name and port, as browsers give it.
-        token: what requests have to hold.
-
     Raises:
         OSError: the port isn't free.
     """
@@ -193,8 +187,8 @@ class PageServer(ThreadingHTTPServer):
     def __init__(self, port: int, files: Callable[[], dict[str, bytes]], records: Records) -> None:
         super().__init__((HOST, port), _Request)
         self.files, self.records = files, records
-        self.host = f"{HOST}:{self.server_port}"
-        self.token = secrets.token_urlsafe(16)
+        self.host = f"{HOST}:{self.server_port}"  # its own name and port, as browsers give it
+        self.token = secrets.token_urlsafe(16)  # what requests have to hold
         threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
 
     @property
