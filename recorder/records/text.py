@@ -1,14 +1,9 @@
-"""One line of text for each record, also for other tools (``foxglove.Log`` on /log).
+"""Records in words: one line for each record, also for other tools (``foxglove.Log`` on /log).
+
+From top to bottom: lines of records, what a mutation did, how a motion was decided, which candidates a query rejected
+and why, what became of the places that it considered, what a projection predicted, values.
 
 Lists of records are copied (``[:]``) for iteration: protobuf's own iterators take three times as long.
-
-What was chosen, and why not something else, in words: of queries with candidates, and of decisions about motions.
-
-What became of the places that a query considered, in words: of a robot, or of an object that is put down.
-
-What a projection foresaw, in words: of the task that a plan asked for it with.
-
-Collision pairs in words: which link meets which. Whoever makes them and whoever reads them says it the same way.
 """
 
 from __future__ import annotations
@@ -17,7 +12,7 @@ import math
 import re
 from collections import Counter
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
@@ -34,38 +29,38 @@ from recorder.records import (
     Run,
     Subscription,
     Task,
+    argument_values,
     format_failure,
+    from_json,
 )
-from recorder.records.values import argument_values, from_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from recorder.records import Argument, BeginTrajectory, Driven, LoadBody, MoveJoints, PathSearch, Record, Simulate
-    from recorder.records.log_pb2 import Candidate, Decision
+    from recorder.records import Argument, BeginTrajectory, Candidate, Decision, Driven, LoadBody, Record, Simulate
 
+    Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text with its level
 
 _NS: Final = 1_000_000_000
-_MS: Final = 1e6
 _ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT  # looked up once
 _SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
-_LEVELS: Final = {
+_LEVELS: Final = {  # by the names of logging's levels
     "DEBUG": _DEBUG,
     "INFO": _INFO,
     "WARNING": _WARNING,
     "ERROR": _ERROR,
     "CRITICAL": _ERROR,
-}  # of logging
+}
 _NOTABLE_ERROR: Final = 0.01  # rad or m: less is the lag of motors
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # for most values, and faster than a format for any number of them
 
 
 class Lines:
-    """Makes the lines of some records in one message, which takes half as long as one message each.
+    """Makes the lines of a few records in one message, which takes half as long as a message each.
 
-    For few of them, as the message keeps the memory of all its texts.
+    The message keeps the memory of all its texts, so it must not be used for many records.
     """
 
     def __init__(self) -> None:
@@ -73,7 +68,7 @@ class Lines:
         self._moment = self._line.timestamp
 
     def of(self, record: Record, time_ns: int) -> bytes | None:
-        """The line of a record, serialized, at a time in ns since the Unix epoch; None if it has none."""
+        """Return the serialized line of a record, at a time in ns since the Unix epoch; None if it has none."""
         if not has_line(record):
             return None
         kind, line, moment = type(record), self._line, self._moment
@@ -84,18 +79,18 @@ class Lines:
 
 
 def has_line(record: Record) -> bool:
-    """Whether a record has a line: keyframes have none, nor tasks that are only asked for."""
+    """Return whether a record has a line: keyframes and requests for tasks have none."""
     if type(record) is Task:  # isinstance takes five times as long where it is none
         return record.phase != _ASKED
     return type(record) is not Keyframe
 
 
-def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:
-    """A record as text, with its level."""
+def text_of(record: Record) -> Line:
+    """Return a record as text, with its level."""
     return _TEXTS[type(record)](record)
 
 
-def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
+def _run(record: Run) -> Line:
     if record.phase == Run.STARTED:
         return f"{record.name} started", _INFO
     if record.phase == Run.THREAD_FAILED:
@@ -105,7 +100,7 @@ def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
     return f"{record.name} failed: {format_failure(record.failure)}", _ERROR
 
 
-def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
+def _task(record: Task) -> Line:
     name, phase = f"{record.kind} {record.name}", record.phase
     if phase == _STARTED:
         return f"{name}({values(record.parameters)}){', which runs already' if record.began_ns else ''}", _INFO
@@ -113,24 +108,18 @@ def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
         return f"{name} asked for", _DEBUG
     if phase == _LEFT:
         return f"{name} goes on when the recording ends", _INFO
-    took, status = f"{record.duration_ns / _MS:.1f} ms", record.status
-    if status == _SUCCEEDED:
-        return f"{name} succeeded in {took}{_decided(record)}" + (
-            f": {text}" if (text := foreseen(record)) else ""
-        ), _INFO
+    took, status = f"{record.duration_ns / 1e6:.1f} ms", record.status
     if status == _CANCELLED:
         return f"{name} was cancelled after {took}", _WARNING
-    return f"{name} failed after {took}{_decided(record)}: {format_failure(record.failure)}", _ERROR
+    decided = ""
+    if record.kind == "motion" and record.HasField("decision") and (text := decision_text(record.decision)):
+        decided = f", {text}"  # its process module has the same
+    if status == _SUCCEEDED:
+        return f"{name} succeeded in {took}{decided}" + (f": {text}" if (text := foreseen(record)) else ""), _INFO
+    return f"{name} failed after {took}{decided}: {format_failure(record.failure)}", _ERROR
 
 
-def _decided(record: Task) -> str:
-    """How a motion was decided, where that isn't as by default."""
-    known = record.kind == "motion" and record.HasField("decision")  # its process module has the same
-    text = decision_text(record.decision) if known else ""
-    return f", {text}" if text else ""
-
-
-def _query(record: Query) -> tuple[str, Log.Level.ValueType]:
+def _query(record: Query) -> Line:
     asked = f"{record.name}({values(record.arguments)})"
     rejected = f"; {text}" if record.candidates and (text := rejections(record)) else ""
     if record.HasField("failure"):
@@ -139,28 +128,53 @@ def _query(record: Query) -> tuple[str, Log.Level.ValueType]:
     return f"{asked} -> {by_name(record.answer_json)}{by}{rejected}", _INFO
 
 
-def _event(record: Event) -> tuple[str, Log.Level.ValueType]:
-    return f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers", _INFO
-
-
-def _output(record: Output) -> tuple[str, Log.Level.ValueType]:
+def _output(record: Output) -> Line:
     if record.stream == "logging":
         return f"{record.logger} {record.level}: {record.text}", _LEVELS.get(record.level, _INFO)
     return f"{record.stream}: {record.text}", _WARNING if record.stream == "stderr" else _INFO
 
 
-def _subscription(record: Subscription) -> tuple[str, Log.Level.ValueType]:
+def _subscription(record: Subscription) -> Line:
     change = "removed from" if record.removed else "added to"
     sender = f" of {record.sender}" if record.sender else ""
     return f"handler {record.handler} {change} event {record.name}{sender}", _DEBUG
 
 
-def _refusal(record: Refusal) -> tuple[str, Log.Level.ValueType]:
-    return f"refused: {record.name}({values(record.arguments)}): {format_failure(record.failure)}", _WARNING
+def _fluent(record: Fluent) -> Line:
+    name, after = f"fluent {record.name}", record.after_json
+    if record.by_fork:
+        return f"{name}: {record.before_json} -> {after}, by the fork", _DEBUG
+    if record.before_json == after:
+        return f"{name} pulsed at {after}" if after else f"{name} pulsed", _DEBUG
+    return f"{name}: {record.before_json} -> {after}", _DEBUG
+
+
+_TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
+    Task: _task,
+    Mutation: lambda record: (mutation_text(record), _DEBUG),
+    Query: _query,
+    Event: lambda record: (
+        f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers",
+        _INFO,
+    ),
+    Subscription: _subscription,
+    Refusal: lambda record: (
+        f"refused: {record.name}({values(record.arguments)}): {format_failure(record.failure)}",
+        _WARNING,
+    ),
+    Fluent: _fluent,
+    Run: _run,
+    Output: _output,
+    Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
+    Envelope: lambda _: ("a record of a kind that this release doesn't know", _DEBUG),
+}
+
+
+# Mutations
 
 
 def mutation_text(record: Mutation) -> str:
-    """What a mutation did, in a few words."""
+    """Return what a mutation did, in a few words."""
     name = str(record.WhichOneof("command") or "change")
     command = getattr(record, name, None)
     details = _DETAILS.get(name)
@@ -179,12 +193,6 @@ def _numbers(values: Sequence[float]) -> str:
     return _THREE % numbers if len(numbers) == 3 else f"[{', '.join([f'{number:.3f}' for number in numbers])}]"
 
 
-def _joints(command: MoveJoints) -> str:
-    count = len(command.joints)
-    details = f"{command.joints[0]} {command.positions[0]:.3f}" if count == 1 else f"{count} joints"
-    return f"{command.body} {details}"
-
-
 def _loaded(command: LoadBody) -> str:
     inside = ", ".join([f"{overlap.depth * 1e3:.0f} mm inside of {overlap.body}" for overlap in command.overlaps[:]])
     return f"{command.body} {_numbers(command.position)}" + (f", {inside}" if inside else "")
@@ -200,58 +208,36 @@ def _simulated(command: Simulate) -> str:
 
 
 def _driven(driven: Driven) -> str:
-    """How far a trajectory got in a simulation."""
     off = f" ({driven.joint} {driven.error:.3f} off)" if driven.error > _NOTABLE_ERROR else ""
     at = f"{driven.body} at {driven.time:.3f} s of trajectory {driven.number}"
     return f"{at}, which has ended{off}" if driven.ended else f"{at}{off}"
 
 
 def _began(command: BeginTrajectory) -> str:
-    trajectory = command.trajectory
+    trajectory, search = command.trajectory, command.search
     count = len(trajectory.joints)
     moved = f"{count} joints" if count > 1 else trajectory.joints[0] if count else "base"
     took = f"{trajectory.times[-1]:.3f} s" if trajectory.times else "no time"
-    return f"{command.number}: {moved} of {command.body}, {took}{_searched(command.search)}"
-
-
-def _searched(search: PathSearch) -> str:
-    """How the path of a trajectory was found."""
+    text = f"{command.number}: {moved} of {command.body}, {took}"
     if not search.planner:
-        return ""
+        return text
     checks = f" after {search.checks} checks" if search.checks else ""
-    planner = "along a given path" if search.planner == "given" else search.planner
-    return f", {planner}{checks}"
+    return f"{text}, {'along a given path' if search.planner == 'given' else search.planner}{checks}"
 
-
-def _fluent(record: Fluent) -> tuple[str, Log.Level.ValueType]:
-    name, after = f"fluent {record.name}", record.after_json
-    if record.by_fork:
-        return f"{name}: {record.before_json} -> {after}, by the fork", _DEBUG
-    if record.before_json == after:
-        return f"{name} pulsed at {after}" if after else f"{name} pulsed", _DEBUG
-    return f"{name}: {record.before_json} -> {after}", _DEBUG
-
-
-_TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueType]]]] = {
-    Task: _task,
-    Mutation: lambda record: (mutation_text(record), _DEBUG),
-    Query: _query,
-    Event: _event,
-    Subscription: _subscription,
-    Refusal: _refusal,
-    Fluent: _fluent,
-    Run: _run,
-    Output: _output,
-    Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
-    Envelope: lambda _: ("a record of a kind that this release doesn't know", _DEBUG),
-}
 
 _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others have none
     "open_world": lambda command: str(command.mode),
     "load_body": _loaded,
     "remove_body": lambda command: command.body,
     "move_body": lambda command: f"{command.body} {_numbers(command.position)}",
-    "move_joints": _joints,
+    "move_joints": lambda command: (
+        f"{command.body} "
+        + (
+            f"{command.joints[0]} {command.positions[0]:.3f}"
+            if (count := len(command.joints)) == 1
+            else f"{count} joints"
+        )
+    ),
     "attach_body": lambda command: f"{command.body} to {command.carrier} {command.carrier_link}",
     "detach_body": lambda command: f"{command.body} from {command.carrier}",
     "set_gravity": lambda command: _numbers(command.gravity),
@@ -265,133 +251,18 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others ha
 }
 
 
-_OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
-
-
-def values(arguments: Sequence[Argument]) -> str:
-    """Recorded values in a line, objects by their names."""
-    return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]]) if arguments else ""
-
-
-def by_name(text: str) -> str:
-    """A recorded value (JSON) with objects by their names."""
-    return _OBJECT.sub(r"\1", text) if '{"object":' in text else text
-
+# Decisions
 
 _OWN_RESOLVER: Final = "pycram.motions.motion_types.resolve"
 _OWN_ENVIRONMENT: Final = "simulated"
 
 
-_ANSWERS: Final = ("true", "false", "[")  # of queries, as JSON: yes, no, or a list
-
-
-def is_choice(query: Query) -> bool:
-    """Whether a process module chose something with it; a plan's query, which is answered, may have candidates too."""
-    return query.HasField("chosen") and not query.answer_json.startswith(_ANSWERS)
-
-
-def rejections(query: Query) -> str:
-    """Why candidates of a query were rejected, in a line; empty if none was. Of places only how many were for which."""
-    return fates_text(query) if query.grid.spots else "; ".join(rejection_lines(query))
-
-
-def rejection_lines(query: Query) -> Iterator[str]:
-    """Why candidates of a query were rejected: a line for all that were for the same reason."""
-    if query.grid.spots:
-        yield fates_text(query)
-    chosen = query.chosen if query.HasField("chosen") else -1
-    for number, candidate in enumerate(query.candidates[:]):
-        if number != chosen:
-            yield f"{_named(candidate)}: {reason_text(candidate)}" if candidate.names else _named(candidate)
-
-
-def chosen_name(query: Query) -> str:
-    """The name of the candidate that a query chose; empty if none."""
-    known = query.HasField("chosen") and 0 <= query.chosen < len(query.candidates)
-    return ", ".join(query.candidates[query.chosen].names) if known else ""
-
-
-def _named(candidate: Candidate) -> str:
-    names, count = list(candidate.names), max(candidate.count, len(candidate.names))
-    if not names:
-        return f"{count} more were rejected"
-    more = f" ({count})" if len(names) == 1 < count else f" and {count - len(names)} more" if count > len(names) else ""
-    return ", ".join(names) + more
-
-
-def reason_text(candidate: Candidate) -> str:
-    """Why a candidate was rejected, in words; reasons of users by their type and values."""
-    data: Mapping[str, Any] = argument_values(candidate.data)
-    phrase = _REASONS.get(candidate.reason)
-    try:
-        text = phrase(data) if phrase is not None else ""
-    except (KeyError, TypeError, ValueError, AttributeError):  # of another release, or damaged
-        text = ""
-    several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
-    return text + several or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
-
-
-def _out_of_reach(data: Mapping[str, Any]) -> str:
-    distance, turn = data["distance"], math.degrees(data.get("turn") or 0.0)
-    parts = [f"{distance:.3f} m"] if distance else []
-    parts += [f"{turn:.0f} degrees"] if turn >= 1.0 or not parts else []
-    return "out of reach" if distance is None else f"out of reach by {' and '.join(parts)}"
-
-
-def _touching(data: Mapping[str, Any]) -> str:
-    pairs = ", ".join(pair_text(pair) for pair in data["pairs"])
-    return f"{pairs}, and {data['more']} more" if data.get("more") else pairs
-
-
-def _unreached(data: Mapping[str, Any]) -> str:
-    pairs = ", ".join(pair_text(pair) for pair in data["pairs"])
-    often = f"; most often {pairs}" if pairs else ""
-    return f"no path in {data['checks']} checks, which came within {data['distance']:.2f} of the goal{often}"
-
-
-def _misfit(data: Mapping[str, Any]) -> str:
-    width = data["width"]
-    if width is None:
-        return "nothing to take there"
-    return f"{width * 1e3:.0f} mm wide, the fingers hold {data['least'] * 1e3:.0f} to {data['most'] * 1e3:.0f} mm"
-
-
-def _uneven(data: Mapping[str, Any]) -> str:
-    height = data["height"]
-    return "nothing to take there" if height is None else f"uneven by {height * 1e3:.0f} mm"
-
-
-def _slips(data: Mapping[str, Any]) -> str:
-    return "its fingers would touch it on one side only" if data["sides"] else "its fingers would close on nothing"
-
-
-def _unseen(data: Mapping[str, Any]) -> str:
-    share, hiders = data["share"], ", ".join(data["hidden_by"])
-    return (f"seen to {share:.0%} only" if share else "not seen") + (f" (behind {hiders})" if hiders else "")
-
-
-_REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
-    "OutOfReach": _out_of_reach,
-    "Touching": _touching,
-    "Misfit": _misfit,
-    "Uneven": _uneven,
-    "NoRoom": lambda data: str(data["reason"]),
-    "Slips": _slips,
-    "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
-    "Unseen": _unseen,
-    "Unreached": _unreached,
-    "Inferior": lambda data: f"{data['by']} {data['value']:g}",
-    "Untried": lambda _: "not tried",
-    "Unfit": lambda data: str(data["reason"]),
-}
-
-
 def decision_text(decision: Decision, *, full: bool = False) -> str:
-    """How a motion was decided, in words.
+    """Return how a motion was decided, in words.
 
     Args:
         decision: the decision.
-        full: tell also what is so where nobody chose otherwise.
+        full: include the defaults, which nobody chose.
     """
     parts = []
     if full or decision.solution or decision.known > 1 or decision.resolver not in ("", _OWN_RESOLVER):
@@ -408,10 +279,129 @@ def decision_text(decision: Decision, *, full: bool = False) -> str:
     return ", ".join(parts)
 
 
+# Candidates of queries
+
+_ANSWERS: Final = ("true", "false", "[")  # of queries, as JSON: yes, no, or a list
+
+
+def is_choice(query: Query) -> bool:
+    """Return whether a process module chose something with a query; queries of plans, too, may have candidates."""
+    return query.HasField("chosen") and not query.answer_json.startswith(_ANSWERS)
+
+
+def chosen_name(query: Query) -> str:
+    """Return the name of the candidate that a query chose; empty if none."""
+    known = query.HasField("chosen") and 0 <= query.chosen < len(query.candidates)
+    return ", ".join(query.candidates[query.chosen].names) if known else ""
+
+
+def rejections(query: Query) -> str:
+    """Return why candidates of a query were rejected, in a line; empty if none was. Places are only counted."""
+    return fates_text(query) if query.grid.spots else "; ".join(rejection_lines(query))
+
+
+def rejection_lines(query: Query) -> Iterator[str]:
+    """Yield why candidates of a query were rejected: a line for all with the same reason."""
+    if query.grid.spots:
+        yield fates_text(query)
+    chosen = query.chosen if query.HasField("chosen") else -1
+    for number, candidate in enumerate(query.candidates[:]):
+        if number != chosen:
+            yield f"{_named(candidate)}: {reason_text(candidate)}" if candidate.names else _named(candidate)
+
+
+def _named(candidate: Candidate) -> str:
+    names, count = list(candidate.names), max(candidate.count, len(candidate.names))
+    if not names:
+        return f"{count} more were rejected"
+    more = f" ({count})" if len(names) == 1 < count else f" and {count - len(names)} more" if count > len(names) else ""
+    return ", ".join(names) + more
+
+
+def reason_text(candidate: Candidate) -> str:
+    """Return why a candidate was rejected, in words; for reasons of users their type and values."""
+    data: Mapping[str, Any] = argument_values(candidate.data)
+    phrase = _REASONS.get(candidate.reason)
+    try:
+        text = phrase(data) if phrase is not None else ""
+    except (KeyError, TypeError, ValueError, AttributeError):  # of another release, or damaged
+        text = ""
+    several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
+    return text + several or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
+
+
+def pair_text(pair: Mapping[str, object]) -> str:
+    """Return a recorded collision pair as text, as "milk in the left gripper would touch sink_area_surface of kitchen".
+
+    Args:
+        pair: ``mover`` and its ``link``, the ``body`` that it would touch and its ``body_link``, and the ``gripper``
+            that holds the mover; links that are the only ones, and no gripper, are "".
+    """
+    mover, link, body, body_link = (str(pair.get(key) or "") for key in ("mover", "link", "body", "body_link"))
+    moved = f"{mover} in the {pair['gripper']} gripper" if pair.get("gripper") else link or mover
+    if body == mover:
+        return f"its own {moved} would touch {body_link}"
+    return f"{moved} would touch {f'{body_link} of {body}' if body_link else body}"
+
+
+def _pairs(data: Mapping[str, Any]) -> str:
+    return ", ".join(pair_text(pair) for pair in data["pairs"])
+
+
+def _out_of_reach(data: Mapping[str, Any]) -> str:
+    distance, turn = data["distance"], math.degrees(data.get("turn") or 0.0)
+    parts = [f"{distance:.3f} m"] if distance else []
+    parts += [f"{turn:.0f} degrees"] if turn >= 1.0 or not parts else []
+    return "out of reach" if distance is None else f"out of reach by {' and '.join(parts)}"
+
+
+def _unreached(data: Mapping[str, Any]) -> str:
+    often = f"; most often {pairs}" if (pairs := _pairs(data)) else ""
+    return f"no path in {data['checks']} checks, which came within {data['distance']:.2f} of the goal{often}"
+
+
+def _misfit(data: Mapping[str, Any]) -> str:
+    width = data["width"]
+    if width is None:
+        return "nothing to take there"
+    return f"{width * 1e3:.0f} mm wide, the fingers hold {data['least'] * 1e3:.0f} to {data['most'] * 1e3:.0f} mm"
+
+
+def _uneven(data: Mapping[str, Any]) -> str:
+    height = data["height"]
+    return "nothing to take there" if height is None else f"uneven by {height * 1e3:.0f} mm"
+
+
+def _unseen(data: Mapping[str, Any]) -> str:
+    share, hiders = data["share"], ", ".join(data["hidden_by"])
+    return (f"seen to {share:.0%} only" if share else "not seen") + (f" (behind {hiders})" if hiders else "")
+
+
+_REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
+    "OutOfReach": _out_of_reach,
+    "Touching": lambda data: _pairs(data) + (f", and {data['more']} more" if data.get("more") else ""),
+    "Misfit": _misfit,
+    "Uneven": _uneven,
+    "NoRoom": lambda data: str(data["reason"]),
+    "Slips": lambda data: (
+        "its fingers would touch it on one side only" if data["sides"] else "its fingers would close on nothing"
+    ),
+    "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
+    "Unseen": _unseen,
+    "Unreached": _unreached,
+    "Inferior": lambda data: f"{data['by']} {data['value']:g}",
+    "Untried": lambda _: "not tried",
+    "Unfit": lambda data: str(data["reason"]),
+}
+
+
+# Places of a robot, or of an object that is put down
+
 TAKEN: Final = "taken"
 NOT_TRIED: Final = "not tried"
 _OUT_OF_REACH: Final = "is out of reach|are out of reach"
 _NO_GRASP: Final = "offers no grasp|offer no grasp"
+#: What becomes of a place for a reason, by its type; of one place, and of several.
 _FATES: Final = {
     "": NOT_TRIED,
     "Untried": NOT_TRIED,
@@ -424,13 +414,15 @@ _FATES: Final = {
     "Misfit": _NO_GRASP,
     "Uneven": _NO_GRASP,
 }
-"""What becomes of a place for a reason, by its type; of one place, and of several."""
 _MAX_LETTERS: Final = 80
 _MAX_FATES: Final = 4  # in a line
 
 
 def fates(query: Query) -> Iterator[str]:
-    """Yield what became of each place that a query considered, in their order: in a word or two."""
+    """Yield what became of each place that a query considered, in their order.
+
+    Where the words differ for one place and for several, they are separated by "|".
+    """
     names = [_fate(candidate) for candidate in query.candidates]
     if query.HasField("chosen") and 0 <= query.chosen < len(names):
         names[query.chosen] = TAKEN
@@ -447,8 +439,12 @@ def fates_text(query: Query) -> str:
     if not counts:
         return ""
     taken, untried = counts.pop(TAKEN, 0), counts.pop(NOT_TRIED, 0)
-    parts = [_counted(count, fate) for fate, count in counts.most_common(_MAX_FATES)]
-    rest = counts.total() - sum(count for _, count in counts.most_common(_MAX_FATES))
+    parts = []
+    most = counts.most_common(_MAX_FATES)
+    for fate, count in most:
+        one, _, several = fate.partition("|")
+        parts.append(f"{count} {one if count == 1 or not several else several}")
+    rest = counts.total() - sum(count for _, count in most)
     parts += [f"{rest} won't do for other reasons"] if rest else []
     parts += [f"{taken} {'was' if taken == 1 else 'were'} taken"] if taken else ["none was taken"]
     parts += [f"{untried} {'was' if untried == 1 else 'were'} not tried"] if untried else []
@@ -456,16 +452,13 @@ def fates_text(query: Query) -> str:
     return f"of {total} {'place' if total == 1 else 'places'} {', '.join(parts)}"
 
 
-def _counted(count: int, fate: str) -> str:
-    one, _, other = fate.partition("|")
-    return f"{count} {one if count == 1 or not other else other}"
-
-
 def _fate(candidate: Candidate) -> str:
-    """Return why a place won't do; of one place, and of several, where the words differ."""
     data, reason = argument_values(candidate.data), candidate.reason
     if reason == "Touching":
-        return "collides with {0}|collide with {0}".replace("{0}", _touched(data))
+        pairs = data.get("pairs")
+        first = pairs[0] if isinstance(pairs, list) and pairs and isinstance(pairs[0], dict) else {}  # the deepest
+        touched = first.get("body") or "something"
+        return f"collides with {touched}|collide with {touched}"
     text = data.get("reason")
     why = f": {text}" if isinstance(text, str) and len(text) <= _MAX_LETTERS else ""
     if reason == "NoRoom":
@@ -473,15 +466,11 @@ def _fate(candidate: Candidate) -> str:
     return _FATES.get(reason, "won't do" + (why or f": {reason}"))
 
 
-def _touched(data: dict[str, Any]) -> str:
-    """Return what would be touched: of several things the first, which is the deepest."""
-    pairs = data.get("pairs")
-    first = pairs[0] if isinstance(pairs, list) and pairs and isinstance(pairs[0], dict) else {}
-    return str(first.get("body") or "something")
+# Projections
 
 
 def foreseen(record: Task) -> str:
-    """Return how what was projected would end, and where that is recorded; empty for other tasks and without an end."""
+    """Return how a projection would end, and where it is recorded; empty for other tasks and without an end."""
     outcome = _outcome(record)
     if "succeeded" not in outcome:
         return ""
@@ -492,9 +481,9 @@ def foreseen(record: Task) -> str:
 
 
 def recording_name(record: Task) -> str:
-    """Return the name of the file, beside the run's, with all that a projection did; empty if there is none.
+    """Return the name of the file with all that a projection did, which lies beside the run's; empty if there is none.
 
-    Of a path only the name counts: recordings are moved together, and a stranger's shall name no other folder.
+    Of a path only the name counts: recordings are moved together, and a stranger's must not name another folder.
     """
     recording = _outcome(record).get("recording")
     return PurePath(recording).name if isinstance(recording, str) else ""
@@ -507,15 +496,16 @@ def _outcome(record: Task) -> dict[str, Any]:
     return outcome if isinstance(outcome, dict) else {}
 
 
-def pair_text(pair: Mapping[str, object]) -> str:
-    """A recorded pair as text, as "milk in the left gripper would touch sink_area_surface of kitchen".
+# Values
 
-    Args:
-        pair: ``mover`` and its ``link``, the ``body`` that it would touch and its ``body_link``, and the ``gripper``
-            that holds the mover; links that are the only ones, and no gripper, are "".
-    """
-    mover, link, body, body_link = (str(pair.get(key) or "") for key in ("mover", "link", "body", "body_link"))
-    moved = f"{mover} in the {pair['gripper']} gripper" if pair.get("gripper") else link or mover
-    if body == mover:
-        return f"its own {moved} would touch {body_link}"
-    return f"{moved} would touch {f'{body_link} of {body}' if body_link else body}"
+_OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
+
+
+def values(arguments: Sequence[Argument]) -> str:
+    """Return recorded values in a line, objects by their names."""
+    return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]]) if arguments else ""
+
+
+def by_name(text: str) -> str:
+    """Return a recorded value (JSON) with objects by their names."""
+    return _OBJECT.sub(r"\1", text) if '{"object":' in text else text
