@@ -1,7 +1,4 @@
-"""The error of recording, and what it shares with those of reading.
-
-Hints for names that don't exist: "did you mean ...?".
-"""
+"""Errors that the recorder shares, and hints for their messages: "did you mean ...?"."""
 
 from __future__ import annotations
 

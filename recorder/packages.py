@@ -1,7 +1,7 @@
-"""Packages that this software needs: their versions; which extra of pyproject.toml brings them, and what to type.
+"""Required packages: their versions, the extra of pyproject.toml that brings each, and how to install it.
 
-Recordings are read with the base dependencies alone. The engine, the viewer and pictures are extras; where one is
-missing, commands end with one line that says so. It speaks of a checkout, as PyPI's project of this name is another's.
+Reading recordings needs the base dependencies only. The engine, the viewer and pictures are extras; without one,
+commands end with one line that says so. The line speaks of a checkout, as PyPI's project of this name is another's.
 """
 
 from __future__ import annotations
@@ -69,11 +69,11 @@ def hint(extra: str) -> str:
 
 @contextlib.contextmanager
 def needed(extra: str | None = None) -> Iterator[None]:
-    """Import something within that may not be installed; the extra is by default the first that brings the module.
+    """Import a module that may not be installed in this block; the default extra is the first that brings it.
 
     Raises:
         NotInstalled: an extra brings it.
-        ModuleNotFoundError: it is missing, and none does.
+        ModuleNotFoundError: no extra brings it.
     """
     try:
         yield

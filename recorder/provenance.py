@@ -1,4 +1,4 @@
-"""What a run was given and ran on: arguments, directory, seeds, revisions of the code, computer."""
+"""The origin of a run: arguments, directory, seeds, revisions of the code, computer."""
 
 from __future__ import annotations
 
@@ -34,15 +34,9 @@ def describe(
     order: str,
     parameters: Mapping[str, Any],
 ) -> None:
-    """Adds to the record of a run's start what it is given.
+    """Add to the record of a run's start what the run is given: arguments, plan, seed, order and named parameters.
 
-    Args:
-        run: the record.
-        arguments: of the plan.
-        program: the plan's file.
-        seed: of random numbers, where it is known.
-        order: of branches, where it isn't drawn from the seed.
-        parameters: that the plan was given by name.
+    A seed is given if it is known, an order of branches if it isn't drawn from the seed.
     """
     run.arguments.extend(without_secrets([escaped(str(text)) for text in arguments]))
     for name, value in parameters.items():
@@ -61,14 +55,14 @@ def describe(
 
 
 def look_up_revisions(program: Path | None) -> None:
-    """Looks up what :func:`describe` tells of the code, which starts git: once, for all forks of this process."""
+    """Look up the revisions for :func:`describe`, which starts git: once, for all forks of this process."""
     pycram_revision()
     if program is not None and program.is_file():
         _plan_revision(program.resolve())
 
 
 def metadata(run: Run) -> dict[str, str]:
-    """What a file's metadata tell of a run that begins now, for programs that don't know its records."""
+    """Return the metadata of a file for a run that begins now, for programs that don't know its records."""
     return {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}
 
 
@@ -89,7 +83,6 @@ def _directory() -> str:
 
 @functools.cache
 def _cpu() -> str:
-    """The processor's model."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -116,7 +109,7 @@ def pycram_revision() -> Revision:
 
 
 def _revision(file: Path, digest: str) -> Revision:
-    """The commit of a file that is in git; of any the hash of the content."""
+    """Return the commit of a file that is in git, and the hash of the content."""
     status = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
     tracked = _git(file, "ls-files", "--error-unmatch", "--", file.name)
     states, names = (_answer(process) for process in (status, tracked))
@@ -144,7 +137,7 @@ def _git(file: Path, *words: str) -> subprocess.Popen[str] | None:
 
 
 def _answer(process: subprocess.Popen[str] | None) -> list[str]:
-    """Lines of its output; none if it failed, or takes too long."""
+    """Return the lines of its output; none if it failed, or takes too long."""
     if process is None:
         return []
     with process:

@@ -1,4 +1,4 @@
-"""``record``: records everything that happens inside of its block, and closes the file however it ends."""
+"""``record``: records everything that happens inside of its block, and closes the file however the block ends."""
 
 from __future__ import annotations
 
@@ -70,35 +70,35 @@ def record(
     durable: bool = False,
     parameters: Mapping[str, Any] | None = None,
 ) -> Iterator[Recording]:
-    """Records all worlds and plans of this process while its block runs.
+    """Record all worlds and plans of this process while the block runs.
 
     Worlds that exist already are recorded from a keyframe on. Tasks that run already, such as the motion in which
-    the recording begins, come first in it; those that still run when it ends come last.
+    the recording begins, come first in it; tasks that still run when it ends come last.
 
     Args:
-        path: the MCAP file to write. Where there is a recording, it stays: RUN.mcap is followed by RUN.2.mcap, a line
-            on stderr says so, and :attr:`Recording.path` is the file that was taken.
-        live: how to show it live in Rerun. "spawn" opens the viewer, or uses one that is open; "connect" and
-            "connect:rerun+http://HOST:PORT/proxy" use one that somebody starts, now or later; "serve" makes a page for
-            browsers on this machine, prints its address, and serves it until this process ends. A viewer that is slow,
+        path: the MCAP file to write. A recording that is there stays: RUN.mcap is followed by RUN.2.mcap, a line on
+            stderr says so, and :attr:`Recording.path` is the file that was taken.
+        live: how to show it live in Rerun. "spawn" opens the viewer, or uses an open one. "connect" and
+            "connect:rerun+http://HOST:PORT/proxy" use a viewer that somebody starts, now or later. "serve" serves a
+            page for browsers on this machine until this process ends, and prints its address. A viewer that is slow,
             stalls, dies or never comes costs the plan nothing.
         name: of the plan; by default that of the program.
         arguments: of the plan, for the record; by default the program's.
         source: the plan's file, which is attached; by default the program's, if it has one.
-        seed: what random numbers were seeded with, for the record; it seeds nothing.
-        order: of branches, for the record, where it isn't drawn from the seed.
-        environment: execution environment of the plan, for the record, where one was asked for.
-        output: whether lines that are printed or logged are records too.
-        locals: whether failures hold the local variables of the plan's functions.
-        overwrite: whether a recording that is there is replaced.
-        durable: whether records survive the loss of power, too: each chunk of the file waits for the disk.
-        parameters: that the plan was given by name, for the record.
+        seed: of random numbers, for the record; it seeds nothing.
+        order: of branches, for the record, if it isn't drawn from the seed.
+        environment: execution environment of the plan, for the record, if one was requested.
+        output: record printed and logged lines, too.
+        locals: failures hold the local variables of the plan's functions.
+        overwrite: replace a recording that is there.
+        durable: each chunk of the file waits for the disk, so that records survive a power loss, too.
+        parameters: of the plan by name, for the record.
 
     Raises:
         RecordingError: the file can't be written, at the start or later, or others have deleted, replaced or changed
-            it: a plan never goes unrecorded in silence. Also if there is no such source, or an argument is invalid.
-            That no viewer comes is no error.
-        Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does; the program has no handler of its own.
+            it: a plan never runs unrecorded in silence. Also if there is no such source, or an argument is invalid,
+            but not if no viewer comes.
+        Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does, and the program has no handler for it.
     """
     given = sys.argv[1:] if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
@@ -122,7 +122,6 @@ def record(
 
 @contextmanager
 def _closed(opened: Callable[[], Recording], title: str, start: int, *, output: bool) -> Iterator[Recording]:
-    """Opens a recording, and closes it however the block ends."""
     recording = opened()
     log = recording.journal
     owner = process()
@@ -163,14 +162,13 @@ _redirect: Callable[[Run], Sink | None] | None = None
 
 @contextmanager
 def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
-    """Has recordings that begin in its block write to other sinks than files and viewers.
+    """Redirect recordings that begin in the block from files and viewers to other sinks.
 
     A program runs there from its start: its recordings are numbered from 1, whatever this process recorded before.
     Recordings of forked processes, such as projections, aren't redirected.
 
     Args:
-        sink_of: gives the sink by the record of a run's start, to which it may add; None for a recording that is made
-            as ever.
+        sink_of: gives the sink by the record of a run's start, to which it may add; None for an ordinary recording.
     """
     global _redirect  # noqa: PLW0603  recordings are the process's
     owner = process()
@@ -195,7 +193,7 @@ def _begin(
     local_variables: bool,
     durable: bool,
 ) -> Recording:
-    """Opens the file and the viewer, and records the worlds that exist already; leaves nothing open if that fails."""
+    """Open the file and the viewer, and record the existing worlds; if that fails, nothing stays open."""
     with ExitStack() as undoing:
         viewer = sink = None
         if other is None:
@@ -219,7 +217,7 @@ def _begin(
 
 @contextmanager
 def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
-    """Records the errors that end threads while its block runs; the hook that was set before is called too."""
+    """Record the errors that end threads while the block runs; the previous hook is called too."""
     before = threading.excepthook
     ended = False
 
@@ -275,7 +273,7 @@ def _append_end(log: Journal, title: str, start: int, error: BaseException | Non
 
 
 def _left(began: Task) -> Task:
-    """The last record of a task that still runs when its recording ends, by that of its beginning."""
+    """Return the last record of a task that still runs when its recording ends, by the record of its beginning."""
     left = Task(phase=Task.LEFT, status=began.status, duration_ns=time.time_ns() - began.began_ns)
     for field in ("task", "parent", "world", "sim_step", "thread", "kind", "name", "attempt"):
         setattr(left, field, getattr(began, field))
@@ -288,16 +286,11 @@ def _is_program(file: Path) -> bool:
 
 
 def look_up_revisions(source: Path | None = None) -> None:
-    """Looks up once what recordings of this process' forks tell of the code: git takes as long as a small plan.
-
-    Args:
-        source: the plan's file; by default the program's.
-    """
+    """Look up the code's revisions once, for recordings of this process' forks: git takes as long as a small plan."""
     provenance.look_up_revisions(_program() if source is None else source)
 
 
 def _program() -> Path | None:
-    """The file of the program that runs, if it has one."""
     main = sys.modules.get("__main__")
     file = getattr(main, "__file__", None)
     return Path(file) if file else None

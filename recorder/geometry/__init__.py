@@ -154,14 +154,7 @@ def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
 
 
 def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrices of many unit quaternions; see :func:`to_matrix`.
-
-    Args:
-        rotations: (n, 4) xyzw.
-
-    Returns:
-        (n, 3, 3).
-    """
+    """Return the rotation matrices (n, 3, 3) of unit quaternions (n, 4) xyzw; see :func:`to_matrix`."""
     products = rotations.take(_FIRST, axis=1) * rotations.take(_SECOND, axis=1)
     matrices: NDArray[np.float64] = (products @ _PRODUCTS).reshape(-1, 3, 3) + np.eye(3)
     return matrices
@@ -193,12 +186,9 @@ def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
 
 
 def look_at(eye: Numbers, target: Numbers, up: Numbers = (0.0, 0.0, 1.0)) -> Quaternion:
-    """The orientation of an optical frame (z forward, x right, y down) that looks at a point.
+    """Return the orientation of an optical frame (z forward, x right, y down) that looks from one point at another.
 
-    Args:
-        eye: origin of the frame, xyz in m.
-        target: the point to look at, xyz in m.
-        up: direction that is up in the picture; where it is parallel to the view, any perpendicular is.
+    Points are xyz in m; ``up`` is up in the picture (any perpendicular is, where it is parallel to the view).
 
     Raises:
         ValueError: eye and target coincide.

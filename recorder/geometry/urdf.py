@@ -1,20 +1,12 @@
-"""The tree of a URDF: links, joints with their limits, and forward kinematics.
+"""A URDF: its tree of links, its joints with limits and kinematics, and the shapes of its links.
 
-Pure arithmetic without any physics engine, for inverse kinematics, viewers' transforms and recordings. Lengths are
-metres, angles radians, velocities per second; poses are ``(position, quaternion xyzw)`` of the link's frame in the
-frame of the root link.
+Pure arithmetic without any physics engine. Lengths are metres, angles radians, velocities per second; poses are
+``(position, quaternion xyzw)`` of the link's frame in the frame of the root link. A joint without a given value is at
+0, or where the joint that it mimics has it. Elements of other namespaces and of Gazebo are not part of the robot: only
+a document's own children are read.
 
-A joint without a given value is at 0, or where the joint that it mimics has it. Elements of others' namespaces and of
-Gazebo, and all that is in them, are not part of the robot: only a document's own children are read.
-
-A joint of a URDF: its limits and its kinematics.
-
-Lengths are metres, angles radians, velocities per second; poses are ``(position, quaternion xyzw)``.
-
-Shapes of a model's links, from its URDF: kind, sizes, pose and colour, without any mesh being read.
-
-Models are canonical (see ``docs/architecture.md``): every shape has its sizes, every mesh is STL or OBJ. A link has any
-number of "visual" and "collision" shapes.
+Shapes are read from canonical models (see ``docs/architecture.md``): every shape has its sizes, every mesh is STL or
+OBJ. A link has any number of "visual" and "collision" shapes. No mesh is read.
 """
 
 from __future__ import annotations
@@ -49,12 +41,11 @@ class Urdf:
 
     @classmethod
     def parse(cls, text: str | bytes, *, chains: bool = False) -> Urdf:
-        """Reads a URDF document.
+        """Parse a URDF document.
 
         Args:
             text: the document.
-            chains: whether planar and floating joints may be in it, which have no kinematics of their own: in models
-                that are loaded they are chains of other joints.
+            chains: accept planar and floating joints. They have no kinematics; loaded models have chains of others.
 
         Raises:
             UrdfError: it isn't XML, or not one tree of named links with joints of known types.
@@ -62,33 +53,21 @@ class Urdf:
         return _parse(text, chains)
 
     def joint(self, name: str) -> Joint:
-        """A joint by its name.
-
-        Raises:
-            UrdfError: there is no such joint.
-        """
+        """Return a joint by its name; raise :class:`UrdfError` if there is none."""
         try:
             return self.joints[name]
         except KeyError:
             raise UrdfError(self.name, f"it has no joint {name!r}; {suggestion(name, self.joints)}") from None
 
     def parent_joint(self, link: str) -> Joint | None:
-        """The joint whose child is a link; None for the root.
-
-        Raises:
-            UrdfError: there is no such link.
-        """
+        """Return the joint whose child is a link, None for the root; raise :class:`UrdfError` if there is no link."""
         joint = self._parents.get(link)
         if joint is None and link != self.root:
             raise UrdfError(self.name, f"it has no link {link!r}; {suggestion(link, self.links)}")
         return joint
 
     def chain(self, base_link: str, tip_link: str) -> tuple[Joint, ...]:
-        """The joints from a link to one of its descendants, fixed ones too.
-
-        Raises:
-            UrdfError: a link doesn't exist, or the tip is no descendant of the base.
-        """
+        """Return the joints (fixed ones too) from a link to a descendant; raise :class:`UrdfError` if it is none."""
         self.parent_joint(base_link)
         self.parent_joint(tip_link)
         above, below = self._above[base_link], self._above[tip_link]
@@ -97,11 +76,7 @@ class Urdf:
         return below[len(above) :]
 
     def forward_kinematics(self, positions: Mapping[str, float], link: str) -> Pose:
-        """Pose of a link in the root link, from joint values in rad or m by name; by default 0.
-
-        Raises:
-            UrdfError: there is no such link.
-        """
+        """Return the pose of a link in the root link, from joint values in rad or m by name (default 0)."""
         pose = IDENTITY
         for joint in self.chain(self.root, link):
             fixed = joint.type == "fixed"  # most are
@@ -110,7 +85,7 @@ class Urdf:
         return pose
 
     def link_poses(self, positions: Mapping[str, float]) -> dict[str, Pose]:
-        """Return where all links are: poses in the root link by the links' names, as for :meth:`forward_kinematics`."""
+        """Return the poses of all links in the root link, by the links' names, as for :meth:`forward_kinematics`."""
         poses = {self.root: IDENTITY}
         for link in self.links[1:]:  # parents come before their children
             joint = self._parents[link]
@@ -118,11 +93,7 @@ class Urdf:
         return poses
 
     def followers(self, positions: Mapping[str, float]) -> dict[str, float]:
-        """Return where the joints are that mimic one of those given, by name, in rad or m, within their limits.
-
-        Raises:
-            UrdfError: a joint mimics itself.
-        """
+        """Return the positions, within limits, of joints that mimic one of those given, by name, in rad or m."""
         return {
             name: self._following(name, mimic, positions[mimic.leader])
             for name, mimic in self.mimics.items()
@@ -130,7 +101,7 @@ class Urdf:
         }
 
     def _following(self, name: str, mimic: Mimic, leader: float) -> float:
-        """Where a joint is whose leader is somewhere; it stops at its own limits."""
+        """Return the position of a joint for that of its leader; it stops at its own limits."""
         joint = self.joints[name]
         return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
 
@@ -146,7 +117,7 @@ class Urdf:
 
     @cached_property
     def mimics(self) -> Mapping[str, Mimic]:
-        """What each joint follows that mimics another, by its name; leaders follow none themselves.
+        """Which joint each mimicking joint follows, by its name; leaders follow none themselves.
 
         A joint moves on its own if the one that it mimics doesn't exist, as in some published models.
 
@@ -168,7 +139,6 @@ class Urdf:
 
     @cached_property
     def _above(self) -> dict[str, tuple[Joint, ...]]:
-        """The joints from the root to each link."""
         above: dict[str, tuple[Joint, ...]] = {self.root: ()}
         for link in self.links[1:]:  # parents come before their children
             joint = self._parents[link]
@@ -226,7 +196,7 @@ def _unique(robot: str, kind: str, names: Iterable[str]) -> list[str]:
 
 
 def _ends(robot: str, links: list[str], joints: list[Joint]) -> tuple[dict[str, Joint], dict[str, list[str]]]:
-    """The joint above each link, and the links below it."""
+    """Return the joint above each link, and the links below it."""
     names = set(links)
     parents: dict[str, Joint] = {}
     children: dict[str, list[str]] = {}
@@ -298,15 +268,10 @@ class Joint:
 
 
 def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> Joint:
-    """Reads the element of a joint.
-
-    Args:
-        robot: its name.
-        element: the joint's.
-        chains: whether it may be planar or floating.
+    """Parse the element of a joint; with ``chains`` it may be planar or floating.
 
     Raises:
-        UrdfError: something is missing, or no number.
+        UrdfError: something is missing, or not a number.
     """
     name = element.get("name", "")
     kind = element.get("type", "")
@@ -384,10 +349,10 @@ def _number(robot: str, joint: str, what: str, text: str) -> float:
 
 
 def finite(text: str) -> float:
-    """Return the number that a URDF's text is for any reader: Python also takes 1_0, and digits of other scripts.
+    """Return the number that a text is for every reader; Python alone also accepts 1_0 and digits of other scripts.
 
     Raises:
-        ValueError: It isn't one, or isn't finite.
+        ValueError: it isn't one, or isn't finite.
     """
     value = float(text)
     if not math.isfinite(value) or "_" in text or not text.isascii():

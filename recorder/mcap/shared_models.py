@@ -1,8 +1,8 @@
 """Files of models that several recordings share: one file beside them, which has attachments only.
 
-A recording refers to it by its base name and the hash of its content, in the metadata :data:`METADATA`; what a run
-loads that isn't in it is attached to that run's recording, as ever. The same models make the same file, which has its
-hash in its name: so it never changes, and a folder may have several.
+A recording refers to it by its base name and the hash of its content, in the metadata :data:`METADATA`. Models that
+aren't in it are attached to the run's own recording. The same models make the same file, which has its hash in its
+name: so it never changes, and a folder may have several.
 """
 
 from __future__ import annotations
@@ -43,11 +43,7 @@ class SharedModels:
 
 
 def share_models(recording: Path) -> SharedModels | None:
-    """Makes the file of a recording's models beside it; None if it has none.
-
-    Args:
-        recording: a whole one.
-    """
+    """Write the models of a complete recording into a file beside it; return None if it has no models."""
     with recording.open("rb") as file:
         models = sorted(_models(file), key=lambda each: each[0])
     if not models:

@@ -1,11 +1,9 @@
 """Writes records into an MCAP file that survives the death of its process.
 
-What isn't in a closed and flushed chunk is lost when a process is killed. So a chunk is closed after 50 records, 50 ms
-after its first record, and at once after a failure and the start or end of the run, and before a call that keeps every
-other thread from running (:meth:`McapSink.flush`). Chunks are handed to the operating system unbuffered; from there on
-only a failure of the computer could lose them, and not even that if each is synced.
-
-Opens the file of a recording, if it may be written.
+A killed process loses what isn't in a closed and flushed chunk. So a chunk is closed after 50 records, 50 ms after its
+first record, immediately after a failure and the start or end of the run, and before a call that keeps every other
+thread from running (:meth:`McapSink.flush`). Chunks are handed to the operating system unbuffered. After that, only a
+failure of the computer can lose them, and not even that if each is synced.
 """
 
 from __future__ import annotations
@@ -64,11 +62,11 @@ class McapSink:
     """A sink that is one MCAP file.
 
     Args:
-        path: the file; an MCAP file that is there is replaced, anything else is not.
+        path: an MCAP file that is there is replaced, anything else is not.
         metadata: of the run.
         final_metadata: gives more when the file ends.
-        models: files that it refers to instead of holding them; they lie beside it.
-        durable: whether each chunk waits until it is on the disk.
+        models: files beside this one that it refers to instead of holding their content.
+        durable: each chunk waits until it is on the disk.
 
     Raises:
         RecordingError: it can't be written.
@@ -121,7 +119,6 @@ class McapSink:
         self._timer.start()
 
     def _begin(self, file: io.BytesIO, metadata: Mapping[str, str]) -> None:
-        """Writes what comes before all records."""
         with self._guarded():
             software = versions()
             self._writer = McapWriter(file, f"pycram {software['pycram']}")
@@ -182,7 +179,6 @@ class McapSink:
         return lifetime
 
     def _add_foxglove(self, record: Record) -> None:
-        """Buffers the messages for other tools of a record of a world's state."""
         for message in self._frames.transforms(record):
             payload = message.SerializeToString()
             self._buffer.append((_TRANSFORMS, record.seq, self._now, payload, None))
@@ -290,7 +286,6 @@ class McapSink:
                         self._flush()
 
     def _check(self) -> None:
-        """Raises the earlier error, if records were lost by one."""
         if self._failed is not None:
             raise RecordingError(self.path, *self._failed)
 
@@ -359,7 +354,7 @@ def free_path(path: Path) -> Path:
 
 
 def open_output(path: Path) -> io.FileIO:
-    """Opens and locks a new file, or an older recording, which is emptied; or a pipe that somebody reads.
+    """Open and lock a new file, or an older recording, which is emptied, or a pipe that has a reader.
 
     Raises:
         RecordingError: it can't be written, another recording is writing it, or it is something else.
@@ -403,14 +398,7 @@ class Changed(OSError):
 
 
 class Watched:
-    """A file that nobody but this process may change: a change by others is an error.
-
-    Pipes and devices have no content that could change.
-
-    Args:
-        path: where it was opened.
-        file: the open file.
-    """
+    """A file that nobody but this process may change; pipes and devices have no content that could change."""
 
     def __init__(self, path: Path, file: io.FileIO) -> None:
         self._path = path.absolute()  # a plan may change the working directory
@@ -418,14 +406,7 @@ class Watched:
         self.is_regular = stat.S_ISREG(os.fstat(self._number).st_mode)
 
     def check(self, size: int) -> None:
-        """Checks that it is where it was, and as it was.
-
-        Args:
-            size: what was written so far, in bytes.
-
-        Raises:
-            Changed: it isn't.
-        """
+        """Raise :class:`Changed` if the file was moved or replaced, or its size isn't that of what was written."""
         if not self.is_regular:
             return
         ours = os.fstat(self._number)

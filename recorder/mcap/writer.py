@@ -4,9 +4,9 @@ The container's records are those of the ``mcap`` package; only messages are pac
 package's own writer takes an object and a dozen calls for each message, three times as long, and one of our records
 makes two or three messages.
 
-Every message is in a chunk, every chunk is compressed with Zstandard and has a CRC and message indexes, the summary
-indexes all, and all bytes before it have a CRC too. Chunks of records that are all alike would inflate to so much more
-than the file that readers would take it for a bomb: some of them aren't compressed.
+Every message is in a chunk. Every chunk is compressed with Zstandard and has a CRC and message indexes. The summary
+indexes everything, and all bytes before it have a CRC too. Chunks of identical records would inflate to so much more
+than the file that readers would take it for a bomb: some of these aren't compressed.
 """
 
 from __future__ import annotations
@@ -106,11 +106,11 @@ class McapWriter:
         return len(self._channels)
 
     def add_messages(self, messages: Sequence[tuple[int, int, int, bytes]]) -> None:
-        """Adds messages to the chunk.
+        """Add messages to the chunk.
 
         Args:
-            messages: of each the id of its channel; its number, of which the lowest 32 bits are kept; its time in ns
-                since the Unix epoch, which never decreases within a chunk; and its bytes.
+            messages: (channel id, number, time in ns since the Unix epoch, bytes) of each. The lowest 32 bits of the
+                number are kept; the time never decreases within a chunk.
         """
         pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size
         for channel, sequence, time_ns, payload in messages:

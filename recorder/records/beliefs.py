@@ -1,9 +1,8 @@
 """What robots believe of objects: a fold of the records of their world.
 
-A robot believes of an object what its latest look told: where it is. What it takes, it believes in its hand, and what
-it puts down, where it let go of it. What else moves an object it doesn't notice until it looks again. Of what it has
-neither seen nor held it believes nothing. After a reset it has seen nothing yet; with a saved state, what was believed
-then comes back.
+A robot believes that an object is where its latest look showed it. It believes that what it takes is in its hand, and
+that what it puts down is where it let go. It doesn't notice other movements until it looks again. Of objects that it
+has neither seen nor held it believes nothing. A reset clears its beliefs; a saved state restores those of its time.
 
 The running plan and readers of recordings fold with the same functions.
 """
@@ -55,9 +54,9 @@ def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[st
     """Return the evidence of a look.
 
     Args:
-        robot: Who looked.
+        robot: which looked.
         source: "seen" or "told".
-        poses: Of objects in the world, by their names: xyz in m, xyzw.
+        poses: of objects in the world, by their names: xyz in m, xyzw.
     """
     found: dict[str, Plain] = {
         name: {"position": list(position), "orientation": list(orientation)}
@@ -67,10 +66,10 @@ def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[st
 
 
 def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: int = -1) -> list[Key]:
-    """Fold the evidence of a query; return which beliefs are new. What the robot holds it knows better.
+    """Fold the evidence of a query; return the keys of new beliefs. A look changes nothing for what the robot holds.
 
     Raises:
-        ValueError: The evidence makes no sense.
+        ValueError: the evidence makes no sense.
     """
     learned = []
     for fact, source in SOURCES.items():
@@ -101,17 +100,17 @@ def follow(
     robots: Collection[str] = (),
     pose_of: Callable[[str], PoseLike],
 ) -> list[Key]:
-    """Fold a change of the world; return which beliefs are new.
+    """Fold a change of the world; return the keys of new beliefs.
 
     Args:
-        beliefs: What was believed before it.
-        record: The change, with its command at least.
-        sim_step: Of the world after it.
-        step: Its number.
-        removed: Names of bodies that it removed.
-        carriers: What carries each body that is carried after it, by names; None if nothing is taken or let go of.
-        robots: Names of the robots after it.
-        pose_of: Returns the pose of a body after it, by name.
+        beliefs: before the change.
+        record: the change, with its command at least.
+        sim_step: of the world after it.
+        step: its number.
+        removed: names of bodies that it removed.
+        carriers: the carrier of each carried body after it, by names; None if no attachment changes.
+        robots: names of the robots after it.
+        pose_of: returns the pose of a body after it, by name.
     """
     command = record.WhichOneof("command")
     if command in _FORGETTING:
@@ -141,11 +140,7 @@ def follow(
 
 
 def restore(beliefs: Beliefs, recorded: Iterable[Belief]) -> None:
-    """Believe what a record says, and nothing else.
-
-    Raises:
-        ValueError: It makes no sense.
-    """
+    """Replace all beliefs with recorded ones; raise ValueError if one makes no sense."""
     beliefs.clear()
     for belief in recorded:
         if belief.source != Belief.HELD:
@@ -174,11 +169,7 @@ def _holder(body: str, carriers: Mapping[str, str], robots: Collection[str]) -> 
 
 
 def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
-    """Return position and orientation of a recorded pose.
-
-    Raises:
-        ValueError: It is none.
-    """
+    """Return position and orientation of a recorded pose; raise ValueError if it is none."""
     numbers = []
     for part, count in (("position", 3), ("orientation", 4)):
         values = pose.get(part) if isinstance(pose, dict) else None

@@ -1,7 +1,7 @@
-"""How much of the records' definition (``log.proto``) a release knows, and a recording's writer knew.
+"""Which definitions (``log.proto``) this release knows, and which a recording's writer knew.
 
-Definitions are added and never taken away, so their number tells which of two releases knows more. Recordings have it
-in their metadata, and the definitions themselves beside their records.
+Definitions are added and never taken away, so their number tells which of two releases knows more. Recordings have the
+number in their metadata, and the definitions themselves beside their records.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PACKAGE: Final = log_pb2.DESCRIPTOR.package
 
 @cache
 def known() -> frozenset[str]:
-    """The names of all messages, fields and values of enums, as ``Mutation``, ``Mutation.effect``, ``Task.LEFT``."""
+    """Return the names of all messages, fields and enum values, as ``Mutation``, ``Mutation.effect``, ``Task.LEFT``."""
     from google.protobuf.descriptor_pb2 import FileDescriptorProto  # noqa: PLC0415  few readers need it
 
     own = FileDescriptorProto()
@@ -32,15 +32,14 @@ def known() -> frozenset[str]:
 
 
 def format_number() -> int:
-    """The format that this release writes: how many definitions it knows."""
+    """Return the format that this release writes: the number of its definitions."""
     return len(known())
 
 
 def unknown(definitions: Iterable[bytes]) -> list[str]:
-    """The names of what this release doesn't know.
+    """Return the names in the definitions of message types (as recordings have them) that this release doesn't know.
 
-    Args:
-        definitions: of message types, as recordings have them; what can't be read defines nothing.
+    Definitions that can't be read define nothing.
     """
     from google.protobuf.descriptor_pb2 import FileDescriptorSet  # noqa: PLC0415  few readers need it
 

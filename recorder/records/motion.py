@@ -1,14 +1,12 @@
-"""Coordinate frames of bodies and links: those that a record changed, and as ``foxglove.FrameTransforms`` on /tf.
+"""What moves, known from records alone: frames of bodies and links, and progress on trajectories.
 
-Frames are named ``BODY`` for a body's base and ``BODY/LINK`` for its other links, with ``WORLD//`` before them in all
-worlds but the first. The root is ``world``. No two frames share a name, however worlds, bodies and links are called:
-ambiguous characters are percent-encoded (``/`` as ``%2F``). A transform's timestamp is simulated time, so that a
-simulation can be watched although it is one record.
+Frames of a record are also ``foxglove.FrameTransforms`` on /tf. They are named ``BODY`` for a body's base and
+``BODY/LINK`` for its other links, with ``WORLD//`` before them in all worlds but the first. The root is ``world``. No
+two frames share a name, however worlds, bodies and links are called: ambiguous characters are percent-encoded (``/`` as
+``%2F``). A transform's timestamp is simulated time, so that a simulation can be watched although it is one record.
 
 This runs for every change while a plan runs. So lists of records are copied (``[:]``) for iteration: protobuf's own
 iterators take three times as long.
-
-How far a body has got on a trajectory that it follows: known from simulated steps alone, without physics.
 """
 
 from __future__ import annotations

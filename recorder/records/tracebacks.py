@@ -1,7 +1,7 @@
-"""Tracebacks as text, word for word as Python prints them; what is too long is left out, and counted.
+"""Tracebacks as text, word for word as Python prints them; text that is too long is left out and counted.
 
-All tasks that an error ends have it on record, with its causes. So a place in the code is formatted once, for all
-errors and records, and a text is put together from these.
+All tasks that an error ends record it with its causes. So each place in the code is formatted once, and the texts of
+all errors and records are put together from these parts.
 """
 
 from __future__ import annotations
@@ -32,13 +32,7 @@ _texts: Final[dict[tuple[int, int, int], tuple[CodeType, str]]] = {}  # with the
 
 
 def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: int = MAX_ERRORS) -> str:
-    """Return an error with its causes as text.
-
-    Args:
-        error: The error.
-        frames: The innermost ones of each error that are there.
-        errors: The first and last ones of the chain of causes that are there.
-    """
+    """Return an error with its causes as text: innermost frames of each error, first and last errors of the chain."""
     chain = _chain(error)
     left_out = len(chain) - errors
     parts = [f"{link}{_part(each, frames)}" for link, each in chain[:_FIRST]]
@@ -71,7 +65,6 @@ def _chain(error: BaseException) -> list[tuple[str, BaseException]]:
 
 
 def _part(error: BaseException, frames: int) -> str:
-    """One error: its frames, its type and message."""
     innermost = _innermost(error.__traceback__, frames)
     if _is_small_group(error):
         return "".join(traceback.format_exception(type(error), error, innermost, limit=-frames))
@@ -96,7 +89,6 @@ def _is_quickly_printed(error: BaseException) -> bool:
 
 
 def _innermost(trace: TracebackType | None, frames: int) -> TracebackType | None:
-    """The end of a traceback."""
     ahead, passed = trace, 0
     while ahead is not None:
         ahead, passed = ahead.tb_next, passed + 1
@@ -106,7 +98,6 @@ def _innermost(trace: TracebackType | None, frames: int) -> TracebackType | None
 
 
 def _stack(trace: TracebackType | None) -> Iterator[str]:
-    """The frames of a traceback."""
     for _, group in groupby(_entries(trace), _place):
         same = list(group)
         yield from map(_frame, same[:_REPEATED])
@@ -138,7 +129,6 @@ def _frame(entry: TracebackType) -> str:
 
 
 def _message(error: BaseException) -> Iterator[str]:
-    """An error's type and message, and its notes."""
     kind, notes = type(error), getattr(error, "__notes__", None)
     if (isinstance(error, _SPECIAL) or not isinstance(notes, list | None)) and _is_quickly_printed(error):
         yield from TracebackException(kind, error, error.__traceback__, limit=0).format_exception_only()

@@ -1,11 +1,9 @@
 """How values of users (slots, answers, results) and errors stand in records: as one line of JSON, as a ``Failure``.
 
-Whatever has a method ``__record__`` chooses its form with it: the method returns None, a bool, number, string, list or
-dict.
+An object with a method ``__record__`` chooses its form with it: the method returns None, a bool, number, string, list
+or dict. Values whose names say that they are secret are left out of recordings.
 
-Names that say that a value is secret: such values are left out of recordings.
-
-Files that a recording carries so that it stands alone: models, meshes, the plan's source.
+:class:`AssetFile` is a file that a recording carries so that it is self-contained: a model, a mesh, the plan's source.
 """
 
 from __future__ import annotations
@@ -92,10 +90,10 @@ _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
 
 
 def to_json(value: object) -> str:
-    """Any value as one line of JSON; floats keep all their bits.
+    """Return any value as one line of JSON; floats keep all their bits.
 
-    Arrays become lists, recordable objects what their ``__record__`` returns, anything unknown ``{"repr": ...}``, and
-    what raises errors or is too long ``{"untold": type, "because": ...}``: recording never breaks a plan.
+    Arrays become lists, recordable objects the result of their ``__record__``, unknown objects ``{"repr": ...}``. A
+    value that raises errors or is too long becomes ``{"untold": type, "because": ...}``: recording never breaks a plan.
     """
     try:
         text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
@@ -125,11 +123,7 @@ def from_json(text: str) -> Plain:
 
 
 def _loaded(text: str) -> Plain:
-    """Return the value of a line of JSON.
-
-    Raises:
-        ValueError: It isn't JSON, is nested deeper than any that is recorded, or has longer numbers.
-    """
+    """Return the value of a line of JSON; raise ValueError if it isn't JSON or exceeds our limits."""
     if len(text) > MAX_NESTING and text.count("[") + text.count("{") > MAX_NESTING and _depth(text) > MAX_NESTING:
         raise ValueError(f"it is nested more than {MAX_NESTING} deep")
     value: Plain = (_WARY if _LONG_NUMBER.search(text) else _DECODER).decode(text)
@@ -152,7 +146,6 @@ _LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
 
 
 def _depth(text: str) -> int:
-    """How deep JSON is nested at most."""
     depth = deepest = 0
     for bracket in _BRACKET.findall(text):
         depth += 1 if bracket in "[{" else -1 if bracket in "]}" else 0
@@ -161,16 +154,11 @@ def _depth(text: str) -> int:
 
 
 def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> dict[str, Plain]:
-    """Return the named values that a record carries.
-
-    Raises:
-        ValueError: One isn't JSON, and the reading is strict; else it is taken as it is.
-    """
+    """Return the named values that a record carries; if strict, raise ValueError for one that isn't JSON."""
     return {argument.name: _loaded(argument.json) if strict else from_json(argument.json) for argument in arguments}
 
 
 def _message(error: BaseException) -> str:
-    """The message of an exception, whatever its own ``__str__`` does."""
     try:
         return str(error)
     except Exception as broken:  # noqa: BLE001  the error's own __str__

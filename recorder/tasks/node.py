@@ -1,8 +1,6 @@
 """A node of the task tree: a task's kind, name, status, times and failure, from its records.
 
-Children are in the order in which they were asked for, which is that of their ids.
-
-Records of tasks as their bytes: a fifth of the memory, for trees of very many tasks.
+Children are in the order in which they were requested, which is that of their ids.
 """
 
 from __future__ import annotations
@@ -262,10 +260,9 @@ _parsed = lru_cache(64)(Task.FromString)  # who looks at a task asks for several
 
 
 class PackedTask:
-    """A record of a task that is parsed whenever somebody looks at it; it has what :class:`Task` has.
+    """A record of a task as its bytes, which take a fifth of the memory; it has the attributes of :class:`Task`.
 
-    Args:
-        record: the record; changes of it later on are not seen.
+    It is parsed whenever somebody looks at it. Later changes of the packed record are not seen.
     """
 
     __slots__ = ("_payload",)

@@ -1,11 +1,8 @@
-"""The task tree as lines of text, and as data for JSON.
+"""The task tree as lines of text, as data for JSON, as a graph for Graphviz, and as an SVG with its times.
 
-``+`` succeeded, ``X`` failed, ``-`` cancelled, ``?`` has not ended, ``.`` has not begun; ``>`` leads to the failure.
-
-The task tree as a graph for Graphviz, and as an SVG that shows beside the tree when each task ran.
-
-The SVG's lines are those of the text, without the plan's output. Right of them is time by the clock; what ran side by
-side lies one above the other. Hovering over a task shows all of it.
+In the text, ``+`` succeeded, ``X`` failed, ``-`` was cancelled, ``?`` hasn't ended, ``.`` hasn't begun; ``>`` leads to
+the failure. The SVG has the same lines without the plan's output, and wall time to their right; parallel tasks lie one
+above the other. Hovering over a task shows all of it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The tree of tasks: what was part of what, how each ended, and the path down to the one that failed.
+"""The tree of tasks: which task was part of which, how each ended, and the path down to the one that failed.
 
-A tree is the fold of task records, and nothing else: a running plan folds its records as they are made, a reader those
-of a log, with this same class. So the tree of a running plan is that of its log.
+A tree is the fold of task records, and nothing else. A running plan folds its records as they are made, a reader those
+of a log, with the same class. So the tree of a running plan is that of its log.
 """
 
 from __future__ import annotations
@@ -25,16 +25,14 @@ _ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED
 
 
 class Tree:
-    """All tasks of a plan or recording. Trees of the same records are equal.
+    """All tasks of a plan or recording; trees of the same records are equal.
 
-    Any thread may use all its methods while others add to it.
+    Any thread may use all methods while others add to it.
 
     Args:
-        limit: number of tasks; beyond it those that ended first are forgotten, each before what it is part of. None to
-            keep all.
+        limit: number of tasks; beyond it those that ended first are forgotten, children before parents. None for all.
         size: bytes of records; likewise.
-        unpacked: number of tasks whose records stay parsed; those of the others are packed, which takes less memory and
-            more time.
+        unpacked: number of tasks whose records stay parsed; further records are packed: less memory, more time.
     """
 
     __hash__ = None  # type: ignore[assignment]  # it grows

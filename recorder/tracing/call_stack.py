@@ -1,12 +1,11 @@
-"""Call stacks of tasks: the plan's lines that called one another, outermost first.
+"""The plan's frames: call stacks of tasks, and local variables where an error was raised.
 
-A thread that runs part of a task has a stack of its own: its call stack continues that of the code which asked for the
-task. So each call stack begins where the plan does, in whatever thread it ends.
+A call stack has the plan's lines that called one another, outermost first. A thread that runs part of a task has a
+stack of its own: its call stack continues that of the code which requested the task. So each call stack begins where
+the plan does, in whatever thread it ends.
 
-Local variables of the plan's functions when an error was raised, for ``why``.
-
-No code of users is called for them: values of Python's own types are written out, an object of a world by its name, any
-other by the name of its type.
+Local variables are described without calling code of users: values of Python's own types are written out, an object of
+a world by its name, any other by the name of its type.
 """
 
 from __future__ import annotations
@@ -79,15 +78,13 @@ class CallStack(NamedTuple):
 
 
 def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallStack, FrameType | None]:
-    """Finds the call stack of some code.
+    """Return the call stack of some code, and the plan's innermost frame or None.
+
+    The frame is given if :meth:`CallStack.at_line` gives the call stacks of its other lines as long as it runs.
 
     Args:
         frame: of the code, or of what it has called.
-        outer: call stack of the task which this is part of.
-
-    Returns:
-        The call stack; and the plan's innermost frame, if :meth:`CallStack.at_line` gives the call stacks of its other
-        lines as long as it runs, else None.
+        outer: call stack of the task that the code is part of.
     """
     frame, line = _innermost(frame)
     recording = journal.recording_number() if journal.recording() else 0
@@ -131,7 +128,6 @@ def is_of_plan(frame: FrameType) -> bool:
 
 
 def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
-    """The plan's lines up to a frame, outermost first."""
     lines: list[CallSite] = []
     known, plan, runner = _sites.get, _Origin.PLAN, _Origin.RUNNER  # for speed
     last = None
@@ -196,8 +192,6 @@ def is_plan(frame: FrameType) -> bool:
 
 
 class _Origin(Enum):
-    """Whose code a frame runs."""
-
     PLAN = auto()
     MACHINERY = auto()
     FOREIGN = auto()
@@ -232,7 +226,6 @@ class _Callers:
         self._recording = 0
 
     def of(self, lines: tuple[CallSite, ...]) -> tuple[SourceLine, ...]:
-        """All lines of a call stack but the innermost."""
         if self._recording != journal.recording_number():
             self._recording = journal.recording_number()
             self._attached.clear()

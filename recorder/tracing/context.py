@@ -1,14 +1,13 @@
-"""Identity of running code: a thread, or a branch of a plan, which shares its thread with other branches.
+"""The context of running code: its branch or thread, the current world, and the room on its stack.
 
-A branch has a call stack, a context and a name of its own; records have that in place of the thread's name.
+A branch of a plan shares its thread with other branches. It has a call stack, a context and a name of its own; records
+have that name in place of the thread's.
 
-The open worlds of this process, and which one is current.
+The world that was opened, or made current, last is current; when it ends, the one before it is current again. A thread
+chooses for itself and its branches, and for all threads that haven't chosen themselves. A branch chooses for itself and
+its own branches, not for the rest of its thread.
 
-The one that was opened, or made current, last is current; when it ends, the one before it is current again. A thread
-does so for itself and its branches, and for all threads that haven't done so themselves: each thread keeps its own
-world. A branch does so for itself and its own branches, not for the rest of its thread.
-
-Room on the call stack: what has to be recorded whole isn't begun where a RecursionError would break it off.
+A record that has to be complete isn't begun where a RecursionError would break it off.
 """
 
 from __future__ import annotations

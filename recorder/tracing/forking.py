@@ -1,13 +1,10 @@
-"""Forks of a process that records: the one place where threads of ours are parked for one.
+"""Forks of a process that records: the only place where it forks.
 
 Only the forking thread lives on in the child. Our other threads (those that flush a file, or feed a viewer) belong to
-the parent's recordings, which the child leaves alone. So it is enough that none of them holds a lock at that moment.
+the parent's recordings, which the child leaves alone. So none of them may hold a lock at that moment.
 
-Identity of a process: a forked child is another one, unless it continues its parent, which then only waits.
-
-So a recording knows whose it is: its process's and that of whoever continues it, but not other children's.
-
-Positions in files: a forked child has them in common with its parent, unless it opens the files again.
+A forked child is another process, unless it continues its parent, which then only waits. So a recording belongs to its
+process and to the one that continues it, but not to other children.
 """
 
 from __future__ import annotations
@@ -124,7 +121,7 @@ _OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # the links there are to be fol
 def _separate_file_positions() -> None:
     """Give this process, a forked child, positions of its own in the files that are open for reading alone.
 
-    So what it reads isn't missing when its parent reads on. Files that are written stay common, as logs are.
+    Else its parent would miss what it reads. Files that are written stay common, as logs are.
     """
     try:
         descriptors = os.listdir(_OPEN)  # noqa: PTH208  as little as can be: each page that this writes to is a copy's own

@@ -1,4 +1,4 @@
-"""Ctrl-C: raised at once in the plan's own Python, and deferred where it would leave something half done.
+"""Ctrl-C: raised immediately in the plan's own Python, and deferred where it would leave something half done.
 
 Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change it would leave a world
 that differs from its log, within a record a number without a record, within a block a branch that nothing waits for. So
@@ -11,7 +11,7 @@ it is deferred
 Our handler of SIGINT is installed only while a section or a scope of the plan language is open in the main thread. It
 calls the handler that was installed before, so a program's own handler is called at the same moments.
 
-In :func:`terminable` a SIGTERM or SIGHUP is such an interrupt, too, and ends the process in the end.
+In :func:`terminable`, SIGTERM and SIGHUP are such interrupts, too, and finally end the process.
 """
 
 from __future__ import annotations
@@ -97,10 +97,9 @@ def _defers(frame: FrameType) -> bool:
 
 
 def enter(host: Host | None = None) -> bool:
-    """Install our handler until :func:`leave`; return whether it is, as signals raise in the main thread only.
+    """Install our handler until :func:`leave`; return whether it is installed: signals raise in the main thread only.
 
-    Args:
-        host: Decides whether Ctrl-C is deferred, as long as our handler is installed.
+    As long as it is installed, the host decides whether Ctrl-C is deferred.
     """
     global _handler, _holder, _host, _open, _sections, _pending  # noqa: PLW0603  as above
     thread = threading.get_ident()
@@ -135,14 +134,14 @@ def leave() -> None:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Interrupt the plan at a SIGTERM or SIGHUP as at a Ctrl-C while the block runs, where it would end the process.
+    """Treat SIGTERM and SIGHUP as Ctrl-C while the block runs, where they would end the process.
 
-    So a plan that a supervisor stops, or whose terminal is closed, leaves a whole recording. The process ends after the
-    block, also if the plan has caught the interrupt. In other threads than the main one nothing changes, and handlers
-    of the program's own stay.
+    So a plan that a supervisor stops, or whose terminal is closed, leaves a complete recording. The process ends after
+    the block, even if the plan has caught the interrupt. In other threads nothing changes, and a program's own handlers
+    stay.
 
     Raises:
-        Terminated: There was such a signal.
+        Terminated: there was such a signal.
     """
     taken = _take()
     try:

@@ -2,7 +2,7 @@
 
 Lock order: a world's lock, then a journal's, never the other way round; a journal calls no user code and no world
 while it holds its lock. Whoever emits holds the lock of the world that changed, so the order in the log is the order
-in the world.
+in the world. If a sink can't keep a record or file, its RecordingError comes out of every function that appends.
 """
 
 from __future__ import annotations
@@ -33,21 +33,13 @@ class Sink(Protocol):
     """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Takes a record and its serialized form.
-
-        Raises:
-            RecordingError: it can't be kept.
-        """
+        """Take a record and its serialized form; raise RecordingError if it can't be kept."""
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file, once per content."""
 
     def flush(self) -> None:
-        """Makes all safe that was taken.
-
-        Raises:
-            RecordingError: it can't be kept.
-        """
+        """Make all records safe that were taken; raise RecordingError if they can't be kept."""
 
     def close(self) -> None:
         """Ends; all that was taken is safe afterwards."""
@@ -79,11 +71,8 @@ class RecordedWorld(KnownWorld, Protocol):
 class Journal:
     """One numbering of records, for several sinks.
 
-    Args:
-        sinks: where records go.
-        clock_ns: nanoseconds since the Unix epoch.
-        monotonic_ns: nanoseconds since any moment, by a clock that nobody sets.
-        local_variables: whether failures in it may hold the plan's local variables.
+    ``clock_ns`` gives ns since the Unix epoch, ``monotonic_ns`` those since any moment, by a clock that nobody sets.
+    With ``local_variables``, failures in the journal may hold the plan's local variables.
     """
 
     def __init__(
@@ -123,17 +112,10 @@ class Journal:
             self._expected.update(worlds)
 
     def append(self, record: Record) -> int:
-        """Numbers and keeps a record.
+        """Number and keep a record, which has neither number nor times; return its size in bytes.
 
-        Args:
-            record: without seq and wall time.
-
-        Returns:
-            Its size in bytes; 0 if it is skipped, see :meth:`expect_keyframes`, or kept after what this thread is
-            writing at the moment: so are the words of signal handlers, finalizers and sinks.
-
-        Raises:
-            RecordingError: a sink can't keep it.
+        The size is 0 if the record is skipped, see :meth:`expect_keyframes`, or is kept after the one that this thread
+        is just writing: so are the words of signal handlers, finalizers and sinks.
         """
         record.cause = _cause.get().get(self, 0)
         return self._take(record)
@@ -144,11 +126,7 @@ class Journal:
             self._strikes.append(strike)
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
-        """Keeps files, each content once.
-
-        Raises:
-            RecordingError: a sink can't keep one.
-        """
+        """Keep files, each content once."""
         for asset in assets:
             self._take(asset)
 
@@ -194,11 +172,7 @@ class Journal:
         return len(payload)
 
     def flush(self) -> None:
-        """Makes all safe that was appended, unless this thread is just appending.
-
-        Raises:
-            RecordingError: a sink can't keep it.
-        """
+        """Make all appended records safe, unless this thread is just appending."""
         with Uninterrupted(), self._lock:
             if not self._writing:
                 for sink in self._sinks:
@@ -291,20 +265,16 @@ def emit(
     task: int | None = None,
     number: Callable[[Journal], None] | None = None,
 ) -> Mapping[Journal, int]:
-    """Completes a record's envelope and appends it to every open journal.
+    """Complete a record's envelope and append it to every open journal; return its step in each.
 
     Args:
         record: without its envelope.
         world: name of the world that it is about.
         sim_step: simulated steps of that world.
         task: id of its task; by default the current one.
-        number: called before each journal takes it: sets what the record says of other steps, which are others in each.
-
-    Returns:
-        Its step in each journal.
+        number: called before each journal takes it: sets its references to other steps, which differ in each.
 
     Raises:
-        RecordingError: a sink can't keep it.
         RecursionError: there is no room on the stack for it; it isn't numbered.
     """
     context.require_stack_room(context.FOR_RECORD)
@@ -322,17 +292,7 @@ def emit(
 
 
 def publish(record: Record) -> int:
-    """Appends a record to every open journal.
-
-    Args:
-        record: with its envelope but for seq and wall time.
-
-    Returns:
-        Its size in bytes; 0 if there is no journal.
-
-    Raises:
-        RecordingError: a sink can't keep it.
-    """
+    """Append a record with its envelope to every open journal; return its size in bytes, 0 without any journal."""
     size = 0
     for journal in _listening():
         size = journal.append(record)
@@ -355,11 +315,11 @@ looks: Callable[[], int] = int
 
 
 def strike(look: int, which: Iterable[int]) -> None:
-    """Keeps in every open journal what the clock and workers have decided in the main thread, whatever it does now.
+    """Keep in every open journal what the clock and workers have decided in the main thread, whatever it does now.
 
     Args:
-        look: the number of the look that found it.
-        which: of what was looked for, from 0.
+        look: the number of the poll that found it.
+        which: which of the polled items it is, from 0.
     """
     for journal in _open:
         journal.strike(Strike(look=look, which=which))
@@ -373,11 +333,7 @@ def attach(assets: Iterable[AssetFile]) -> None:
 
 
 def flush() -> None:
-    """Makes all records of all open journals safe, before native code runs that lets no other thread run for long.
-
-    Raises:
-        RecordingError: a sink can't keep them.
-    """
+    """Make all records of all open journals safe, before native code runs that lets no other thread run for long."""
     for journal in _open:
         journal.flush()
 
@@ -416,14 +372,13 @@ def recording_number() -> int:
 
 
 def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Record]] | None = None) -> None:
-    """Begins recording to a journal; worlds that exist already give a keyframe first.
+    """Begin recording to a journal; existing worlds give a keyframe first.
 
     Args:
-        journal: the journal.
-        running: gives the records of the tasks that run already, which come first; none of them ends meanwhile.
+        journal: the journal; after an error nothing more is appended to it.
+        running: gives the records of the running tasks, which come first; none of them ends meanwhile.
 
     Raises:
-        RecordingError: a sink can't keep it; nothing is appended to the journal any more then.
         RecursionError: there is no room on the stack for the keyframes.
     """
     global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
@@ -445,11 +400,7 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
 
 
 def close_journal(journal: Journal) -> None:
-    """Ends recording to a journal, and closes its sinks.
-
-    Raises:
-        RecordingError: a sink could not keep all it had taken.
-    """
+    """End recording to a journal, and close its sinks."""
     with _registry:
         forget_journal(journal)
     journal.close()

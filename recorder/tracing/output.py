@@ -1,8 +1,8 @@
-"""What a plan prints and logs, as records: one for each line, with the plan's line that began it.
+"""Printed and logged lines of a plan as records: one for each line, with the plan's line that began it.
 
-Python's streams stand behind ones that pass everything on at once. What native code prints goes past them. A line that
-is printed bit by bit is put together for each thread and branch; of one that a progress bar writes over and over, its
-last form is kept. Messages of ``logging`` are recorded as such, not as the lines that handlers make of them.
+Python's streams are replaced by ones that pass everything on immediately. Output of native code isn't seen. A line that
+is printed bit by bit is put together for each thread and branch; of a line that a progress bar overwrites, the last
+form is kept. Messages of ``logging`` are recorded as such, not as the lines that handlers make of them.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ class _Origin:
 class RecordedStream:
     """A text stream that passes everything on to another one, and records the lines.
 
-    Whatever else is asked of it, the other one does. A plan doesn't end because nobody reads along any more, as after
-    ``| head``: then its lines are only recorded.
+    All other attributes are those of the other stream. A plan doesn't end when its reader has gone, as after ``|
+    head``: from then on its lines are only recorded.
     """
 
     def __init__(self, stream: TextIO, name: str, log: Journal) -> None:

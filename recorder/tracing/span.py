@@ -1,11 +1,11 @@
-"""Which task is running: spans, one per node of the task tree.
+"""The running task: spans, one per node of the task tree.
 
 A span is opened around each designator execution, process module, language block, branch and attempt. The current one
 is carried by the context, so that records made inside know their cause. A plain thread starts with an empty context:
 whoever starts a thread for a task runs it with ``contextvars.copy_context().run``.
 
-Every span makes its records, whether there is a recording or not: the tree of the running plan (:func:`tree`) is folded
-from them. Without a recording they hold no results and no tracebacks.
+Every span makes its records, also without a recording: the tree of the running plan (:func:`tree`) is folded from them.
+Without a recording they hold no results and no tracebacks.
 """
 
 from __future__ import annotations
@@ -60,10 +60,9 @@ class Cancelled(BaseException):
 
 
 def tree() -> Tree:
-    """The tasks of this process, which grow as it runs.
+    """Return the latest 20,000 tasks since the latest recording began; it grows as the process runs.
 
-    Returns:
-        Those since the latest recording began; where nothing is recorded, all. The last 20,000.
+    Where nothing is recorded, it has the latest of all tasks.
     """
     return _tree
 
@@ -95,10 +94,10 @@ class Span:
         self._emit_begin(Task.ASKED, Task.CREATED)
 
     def start(self, began_ns: int = 0) -> None:
-        """Records its start.
+        """Record the start.
 
         Args:
-            began_ns: when it began, by the performance counter, if that was earlier than now.
+            began_ns: time of an earlier start, by the performance counter.
 
         Raises:
             RecursionError: there would be no room for recording its end; nothing is recorded of it.
@@ -107,11 +106,7 @@ class Span:
         self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Records its end, once, if its beginning was recorded.
-
-        Args:
-            error: what it failed with, or was cancelled by; None if it succeeded.
-        """
+        """Record the end once, if the beginning was recorded; ``error`` failed or cancelled it, None if it succeeded."""
         if self._ended or not self._begun:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
@@ -184,7 +179,6 @@ class Span:
         self._emit(record)
 
     def _record(self, phase: Task.Phase, status: Task.Status) -> Task:
-        """The fields that all its records share."""
         world, sim_step = journal.current_world()
         return Task(
             world=world,
@@ -201,7 +195,6 @@ class Span:
         )
 
     def _emit(self, record: Task) -> None:
-        """Writes a record to the open journals and into the tree."""
         global _tree_of  # noqa: PLW0603  the tree is the process's
         if not self.parent and record.phase != _FINISHED and _tree_of != journal.recording_number():
             _tree_of = journal.recording_number()
@@ -227,10 +220,9 @@ def current() -> Span | None:
 
 @contextmanager
 def running() -> Iterator[list[Task]]:
-    """Keeps tasks from beginning and ending while its block runs, and gives those that run.
+    """Keep tasks from beginning and ending while the block runs, and yield those that run.
 
-    Yields:
-        The records of their beginnings as another recording has them that begins now, outer tasks before inner ones.
+    They are records of their beginnings for a recording that begins now, outer tasks before inner ones.
     """
     with _emitting:
         records = []

@@ -1,5 +1,4 @@
-"""What a Rerun viewer shows of a recording: live and afterwards, from the same records, by the same code.
+"""The view of a recording in Rerun, live and afterwards: from the same records, by the same code.
 
-:class:`recorder.viewer.translator.Translator` gives each record to all that show something of it: scene, marks and
-curves; log, tables, query, tasks over time and task tree. They send rows through :mod:`recorder.viewer.rerun_stream`.
+:class:`recorder.viewer.translator.Translator` gives each record to all parts that show some of it.
 """

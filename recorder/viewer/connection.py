@@ -1,9 +1,7 @@
-"""Addresses of viewers: which one is asked for, what listens there, which ports are free.
+"""Connections to viewers: which one is requested, what listens there, free ports, and this machine's own window.
 
 A viewer is started here, started elsewhere, or a page in browsers. All speak one protocol: a server at a ``rerun+http``
 address, to which records are sent, or from which pages fetch them.
-
-The viewer's own window on this machine's screen, as a process that outlives the one which opens it.
 """
 
 from __future__ import annotations
@@ -60,11 +58,7 @@ class Target:
 
     @classmethod
     def parse(cls, text: str) -> Target:
-        """Parses "spawn", "connect", "connect:URL", "serve" or just a URL.
-
-        Raises:
-            RecordingError: it is none of these, or the URL is no address of a viewer.
-        """
+        """Parse "spawn", "connect", "connect:URL", "serve" or a URL; raise RecordingError if it is none of these."""
         if text in (Kind.SPAWN.value, Kind.SERVE.value):
             return cls(Kind(text))
         if text == Kind.CONNECT.value:
@@ -138,13 +132,13 @@ END_TIMEOUT: Final = 2.0  # s that a viewer whose connection broke takes to end
 
 
 class ViewerWindow:
-    """This user's viewer that is open on this machine, or a new one that outlives this process.
+    """This user's viewer that is open on this machine, or a new process that outlives this one.
 
-    Its server answers before its window opens, and it ends then if there is no screen. So whoever can't reach it any
-    more calls :meth:`check`.
+    Its server answers before its window opens, and it ends then if there is no screen. So a caller that can't reach it
+    any more calls :meth:`check`.
 
     Raises:
-        ViewerGone: It ended at once, or can't be told from another user's.
+        ViewerGone: it ended immediately, or can't be distinguished from another user's.
     """
 
     def __init__(self) -> None:
@@ -169,13 +163,9 @@ class ViewerWindow:
             raise ViewerGone(f"another user's program listens at {self.url}")
 
     def check(self, timeout: float = 0.0) -> None:
-        """Check that it lives.
+        """Raise :class:`ViewerGone` if it was closed, or ended with an error, for example because there is no screen.
 
-        Args:
-            timeout: s to wait for its end, as it is ending when a connection to it broke.
-
-        Raises:
-            ViewerGone: It was closed, or ended with an error, for example because there is no screen.
+        It is ending when a connection to it broke: ``timeout`` (s) is the time to wait for that.
         """
         if self._process is None:
             return

@@ -1,27 +1,14 @@
-"""Shows a recording live in a Rerun viewer; one that is slow, stalls, dies or isn't there costs the plan nothing.
+"""Shows a recording live in a Rerun viewer; a viewer that is slow, stalls, dies or is missing costs the plan nothing.
 
-Records go into a bounded queue. A thread sends them, batch by batch, to a process of its own
-(:func:`main`) that translates them, and sends the next when the viewer has taken a batch. When
-the recording ends, the viewer gets a moment to take what is left; then that process gets the rest, and some time to
-deliver it. Records that the viewer did not get are counted and reported: the file has them all, and the number of those
-that were dropped.
+Records go into a bounded queue (:class:`LiveQueue`). A thread sends them in batches to a process of its own
+(:func:`main`) that translates them for the viewer, and sends the next batch when the viewer has taken one. When the
+recording ends, the viewer gets a moment to take the rest. Then the process gets the rest, and some time to deliver it,
+even if it is still loading the viewer's library. Records that the viewer did not get are counted and reported.
 
-Queue of items for a viewer, bounded in number and bytes.
-
-When it is full, the oldest transient items are dropped first, those that later records make up for: motions of bodies
-and simulations (the next keyframe has the poses), events, fluents and output. Models, tasks and the contents of worlds
-are dropped only when nothing else is left.
-
-The process between a recording and its viewer: translates records and sends them on.
-
-Whatever a viewer does to its clients, it does to this process: stall it, fill its memory, hang its exit. The recording
-(:mod:`recorder.viewer.live`) sends a batch and continues when the viewer has taken it. At its end it sends all
-that is left, and this process has some time to deliver that, also if it was still loading the viewer's library by then.
-That and translating cost the plan nothing either, but for the core that they run on.
-
-On the socket between them this side sends ``Status.ABSENT`` perhaps, ``Status.READY`` when there is a viewer, and then
-how many records of each batch the viewer took; one that can't be shown is not counted. The other side sends batch after
-batch, lists of topics with payloads and of files, and an empty one at the end.
+Whatever a viewer does to its clients, it does to that process: stall it, fill its memory, hang its exit. On the socket
+the process may send ``Status.ABSENT``, then ``Status.READY`` when there is a viewer, and then how many records of each
+batch the viewer took, without those that can't be shown. The recording sends batch after batch, lists of topics with
+payloads and of files, and an empty one at the end.
 """
 
 from __future__ import annotations
@@ -81,11 +68,7 @@ _lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that deliver 
 
 
 class RerunSink:
-    """A sink that is a viewer: "spawn", "connect", "connect:URL", "serve" or a URL.
-
-    Raises:
-        RecordingError: ``live`` is none of these.
-    """
+    """A sink that is a viewer: "spawn", "connect", "connect:URL", "serve" or a URL; else it raises RecordingError."""
 
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
@@ -165,7 +148,6 @@ class RerunSink:
             self._connection.send([])
 
     def _run(self) -> None:
-        """Sends one batch at a time, in a thread of its own."""
         try:
             while self._connection.recv() is not Status.READY:
                 self._settled.set()
@@ -219,7 +201,12 @@ _OVERHEAD: Final = 200  # bytes of an item in Python, about
 
 
 class LiveQueue:
-    """A queue that never makes its writer wait."""
+    """A queue that never makes its writer wait, bounded in number and bytes.
+
+    When it is full, the oldest transient items are dropped first, which later records make up for: motions of bodies
+    and simulations (the next keyframe has the poses), events, fluents and output. Models, tasks and the contents of
+    worlds are dropped only when nothing else is left.
+    """
 
     def __init__(self, max_items: int = 20_000, max_bytes: int = 128 << 20) -> None:
         self._max_items = max_items
@@ -309,11 +296,11 @@ class Status(Enum):
 
 
 def main(arguments: list[str]) -> None:
-    """Serves one recording to its end.
+    """Serve one recording to its end, in a process of its own.
 
     Args:
-        arguments: the socket's descriptor, the target, the recording's title, and how many seconds after its end a
-            viewer that is behind has.
+        arguments: the socket's descriptor, the target, the recording's title, and the seconds after its end that a late
+            viewer has.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the plan; a session of its own would undo the niceness
     connection = Connection(int(arguments[0]))
@@ -340,9 +327,9 @@ def _print(text: str) -> None:
 
 
 def _end_with_parent(absent: threading.Event, linger: float) -> None:
-    """Ends ``linger`` seconds after the recording, whose end of this pipe closes however its process ends.
+    """End ``linger`` seconds after the recording, whose end of this pipe closes however its process ends.
 
-    All is here then. Nobody who waits for the plan waits for that. Where no viewer is, it ends at once.
+    By then all records are here, and nobody waits. Without a viewer this process ends immediately.
     """
     sys.stdin.buffer.read()
     sys.stderr.flush()
@@ -471,11 +458,7 @@ class _Display:
 
 
 def _deliver(stream: rr.RecordingStream, window: ViewerWindow | None) -> None:
-    """Waits until the viewer has taken what was sent, however long that takes.
-
-    Raises:
-        ViewerGone: it never will.
-    """
+    """Wait until the viewer has taken everything, however long that takes; raise :class:`ViewerGone` if it won't."""
     while True:
         try:
             stream.flush(timeout_sec=_CALL_TIMEOUT)

@@ -1,20 +1,11 @@
-"""Marks in the scene, in the frame of the world's root: targets of motions, failures, and what the last query found.
+"""Marks in the scene: targets and failures of tasks, attachments, cameras, and paths of trajectories.
 
-A failure for a collision marks the links that would have met, where they are, joined by a line.
+A failure's mark and its line in the log are one entity: selecting the line shows the position. A failure for a
+collision marks the links that would have met, joined by a line. Attachments are lines from carriers to what they hold,
+cameras are frustums of where they look; both move with their links.
 
-A failure's mark and its line in the log are one entity: selecting the line shows the position. A query's marks are
-green where its answer is yes (or nothing blocks), red where it is no.
-
-Attachments in the scene: lines from carriers to what they hold, which move with the carriers' links.
-
-Cameras in the scene: where they are, and where those of robots look, as frustums that move with their links.
-
-Positions that recorded values give: of targets, given themselves or by an object's name.
-
-Paths of trajectories in the scene: where the tool frames of arms, and bases, are to go, and where they went.
-
-What is planned is a blue line, and what of it was driven a thicker green one that covers it. Both go when the body is
-at its end. Of a trajectory that was stopped on its way they stay, in grey what was planned, until the body begins the
+The planned path of a tool frame or base is a blue line; the driven part is a thicker green one that covers it. Both go
+when the body is at its end. The paths of a stopped trajectory stay, with the plan in grey, until the body begins the
 next one: what went wrong is looked at afterwards. The planned path of a tool moves with the robot's base.
 """
 
@@ -339,8 +330,6 @@ class _Path:
 
 @dataclass(slots=True)
 class _Followed:
-    """A trajectory, and its paths."""
-
     following: Following
     paths: list[_Path]
 
@@ -466,7 +455,6 @@ class TrajectoryPaths:
             self._draw_driven(path, now)
 
     def _remove(self, world: str, body: str | None, now: TimePoint) -> None:
-        """Removes the paths of a body, or of all."""
         for number, followed in list(self._followed[world].items()):
             if body in (None, followed.following.begin.body):
                 self._clear(self._followed[world].pop(number).paths, now)

@@ -1,13 +1,8 @@
-"""The last reasoning query as a page: what was asked, the answer and its evidence.
+"""The last reasoning query: a page with its answer and evidence, marks in the scene, the picture of its camera.
 
-What the camera of the last reasoning query saw, as an image whose pixels name bodies.
-
-The places that the last query for some considered: a coloured map on the floor, and what became of each sample.
-
-Where a place may do, a cell is coloured: blue where hardly, green where well. What was taken is a green point with its
-heading, what won't do a red one that says why, what nobody looked at a grey one.
-
-Maps of places on record, read with care: they may be a stranger's.
+Marks are green where the answer is yes (or nothing blocks), red where it is no. A query for places has a map on the
+floor, with cells from blue (hardly suitable) to green (suitable). A taken place is a green point with its heading, a
+rejected one a red point with the reason, an untried one grey. Maps on record may be a stranger's: they are checked.
 """
 
 from __future__ import annotations
@@ -159,11 +154,7 @@ class QueryPlaces:
         self._marks.clear(now)
 
     def show(self, record: Query, now: TimePoint) -> None:
-        """Shows a query for places.
-
-        Raises:
-            ValueError: The map is impossible.
-        """
+        """Show a query for places; raise ValueError if its map is impossible."""
         if not record.HasField("grid"):
             return
         self._marks.clear(now)
@@ -228,8 +219,7 @@ def scores_of(grid: Grid) -> NDArray[np.float64]:
     """Return the scores (height, width) of a map's cells, 0 to 1, rows along x from the lowest y.
 
     Raises:
-        ValueError: The map is impossible: too many cells for its bytes, a size that isn't positive, an origin that is
-            nowhere.
+        ValueError: too many cells for its bytes, a size that isn't positive, an origin that is nowhere.
     """
     width, height = grid.width, grid.height
     if width <= 0 or height <= 0 or width * height > MAX_CELLS:
@@ -250,11 +240,7 @@ def scores_of(grid: Grid) -> NDArray[np.float64]:
 
 
 def spots_of(grid: Grid) -> NDArray[np.float64]:
-    """Return the positions (n, 3) of the places that were drawn from a map, m.
-
-    Raises:
-        ValueError: One is nowhere, or faces nowhere.
-    """
+    """Return the positions (n, 3) of the places that were drawn from a map, m; raise ValueError if one is nowhere."""
     positions = [list(spot.position) for spot in grid.spots]
     for spot, place in zip(grid.spots, positions, strict=True):
         if len(place) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in place):

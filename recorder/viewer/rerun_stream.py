@@ -1,11 +1,8 @@
-"""Rerun streams that rows are sent to: to a viewer, or into an ``.rrd`` file.
-
-Rows of an entity's components, buffered and sent as columns: one call for many rows.
+"""Rerun streams, to a viewer or into an ``.rrd`` file: rows of components, buffered and sent as columns.
 
 Every row stands on three time lines: ``step`` (the record's number), ``sim`` (simulated time) and ``wall`` (the clock).
-Rows of one time point replace one another in the order in which they were added.
-
-Colours of marks, log lines and tasks, which can be read on the viewer's dark ground, and on its light one.
+Rows of one time point replace one another in the order in which they were added. Colours of marks, log lines and tasks
+can be read on the viewer's dark ground and on its light one.
 """
 
 from __future__ import annotations
@@ -35,10 +32,9 @@ _SWITCH: Final = "RERUN"  # the variable that silences programs which log to vie
 
 @contextlib.contextmanager
 def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None) -> Iterator[rr.RecordingStream]:
-    """A stream for rows; also where the environment has viewers switched off, as this one was asked for.
+    """Open a stream for rows, even if the environment has viewers switched off, as this one was requested.
 
-    Args:
-        connect: Gives the stream its sink, before a Ctrl-C is raised.
+    ``connect`` gives the stream its sink, before a Ctrl-C is raised.
     """
     switched = os.environ.pop(_SWITCH, None)
     try:
@@ -54,11 +50,7 @@ def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None
 
 @contextlib.contextmanager
 def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
-    """A stream for rows into a file, which is replaced and is complete at the end of the block.
-
-    Raises:
-        OSError: they can't be written.
-    """
+    """Open a stream into a file, replaced and complete at the block's end; raise OSError if it can't be written."""
     with stream_to_viewer(lambda stream: stream.save(file)) as stream:
         yield stream
         try:

@@ -1,12 +1,8 @@
 """Bodies in the viewer's 3D scene: their shapes at the poses that records give.
 
 A link's entity holds its transform, between frames named as on ``/tf``; entities below it hold shapes and name their
-frame. What isn't there yet, or no more, has no shapes; but its frames are there at any time, as the viewer complains of
-entities without a path to the root.
-
-A link's shapes, as the viewer draws them.
-
-What the recorded descriptions of robots say of tool frames and cameras; nothing where they don't say it.
+frame. What isn't there yet, or no more, has no shapes; but its frames always exist, as the viewer complains of entities
+without a path to the root.
 """
 
 from __future__ import annotations
@@ -280,12 +276,10 @@ _MEDIA_TYPES: Final = {"stl": "model/stl", "obj": "model/obj"}
 def draw(
     shapes: Sequence[Shape], meshes: Callable[[str], bytes | None], color: Color | None
 ) -> Iterator[tuple[str, list[rr.AsComponents]]]:
-    """Draws a link's shapes: one entity for all boxes, one for all cylinders, one for each mesh.
+    """Draw a link's shapes: one entity for all boxes, one for all cylinders, one for each mesh.
 
     ``meshes`` gives a mesh's content, None if it is not known; without a color of the body, shapes have their own.
-
-    Yields:
-        Names, unique within the link, and what is to be shown there.
+    Yields names, unique within the link, and what is shown there.
     """
     for kind, solids in _SOLIDS.items():
         alike = [shape for shape in shapes if shape.kind == kind]

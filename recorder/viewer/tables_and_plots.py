@@ -1,11 +1,9 @@
-"""The log: a line for each record, with its level. Each kind of record has an entity, so that kinds can be hidden.
+"""The log, the tables of records, and curves over time.
 
+The log has a line for each record, with its level. Each kind of record has an entity, so that kinds can be hidden.
 Lines begin with the step, which is what people type: the viewer's own column of times has room for two digits, and
-shows another time line when one is chosen.
-
-The typed records as columns of tables, one entity for each type.
-
-Curves over time: the heights of bodies, and the joints of robots and furniture.
+shows another time line when one is chosen. Typed records are columns of tables, one entity for each type. Curves are
+the heights of bodies, and the joints of robots and furniture.
 """
 
 from __future__ import annotations

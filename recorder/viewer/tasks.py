@@ -1,11 +1,10 @@
-"""Tasks over time: what ran when, and how it ended.
+"""Tasks in the viewer: lanes over time, and the task tree as a graph.
 
-A lane holds the tasks of one depth, one after the other; what runs side by side there has lanes of its own. When a task
-ends, its beginning is sent again with its outcome: later rows of a time point replace earlier ones.
+A lane holds the tasks of one depth, one after the other; parallel tasks have lanes of their own. When a task ends, its
+beginning is sent again with its outcome: later rows of a time point replace earlier ones.
 
-The task tree as a graph: what runs now and what it is part of, with what went before, and the path to a failure.
-
-What ended well is folded: of a task's children only the last few are shown, and of these only the last one's children.
+The graph shows what runs and what it is part of, what went before, and the path to a failure. Succeeded tasks are
+folded: of a task's children only the last few are shown, and of these only the last one's children.
 """
 
 from __future__ import annotations

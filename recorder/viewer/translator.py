@@ -1,8 +1,6 @@
-"""Translates records into rows for the viewer, live and afterwards: gives each to the parts that show it.
+"""Translates records into rows for the viewer, live and afterwards, and lays its views out.
 
-Worlds that a plan acts in: where the viewer looks in each, and which of them is in front.
-
-The viewer's layout: scene and tasks over time to the left; to the right task tree, query, log, curves and tables.
+Scene and tasks over time are to the left; task tree, query, log, curves and tables to the right.
 """
 
 from __future__ import annotations

@@ -1,22 +1,18 @@
 """A web page that shows the viewer in browsers of this machine, to the user who has its address.
 
-It works without a network, and where there is one it contacts nobody there: what the viewer's page gets from elsewhere,
-a font and examples, is left out, and a policy forbids other connections than to its own server
-(:class:`PageServer`). Records reach the page as one file that grows.
+Its server listens on the loopback only, which other machines don't reach. But other users of this machine do, and so
+does every page that one of its browsers shows. So each request must
 
-Serves a page and the records that it shows to browsers of one user of this machine.
-
-It listens on the loopback only, which other machines don't reach; but other users of this one do, and so does every
-page that one of its browsers shows. So each request has to
-
-- name this server as its ``Host``: a name of somebody else's that was made to lead here (DNS rebinding) is refused;
+- name this server as its ``Host``: another name that was made to lead here (DNS rebinding) is refused;
 - hold the token that only the address of the page has;
 - come from the page itself, where a browser says from where (``Origin``); no other page may read the answer.
 
-The files of the viewer's page: the viewer as WebAssembly, which its library holds in its program.
+The page works without a network, and contacts nobody there: a font and examples that the viewer's page would fetch are
+left out, and a policy forbids connections to other servers. Records reach the page as one file that grows.
 
-The library gives them over HTTP only. Its own server of pages listens on all addresses of the machine; that of its
-program can be told to listen on the loopback alone. So the program is started, asked, and ended again.
+The viewer's files, as WebAssembly, are in the viewer's program, which gives them over HTTP only. The library's own
+server of pages listens on all addresses of the machine, the program's can listen on the loopback alone. So the program
+is started, asked, and ended again.
 """
 
 from __future__ import annotations
@@ -54,12 +50,9 @@ _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 
 
 class WebPage:
-    """Serves what a stream gets, and the viewer as a page, while this process lives.
+    """Serves a stream's rows and the viewer as a page, while this process lives; raises ViewerGone if it can't.
 
     Pages that are opened late get everything from the beginning.
-
-    Raises:
-        ViewerGone: nothing can be served.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:
@@ -126,12 +119,10 @@ class _GrowingFile:
             self._file = file.open("rb", buffering=0)
 
     def notify(self) -> None:
-        """Wakes who waits for more."""
         with self._grown:
             self._grown.notify_all()
 
     def pieces(self) -> Iterator[bytes]:
-        """All from the beginning, and then what comes."""
         at = 0
         while True:
             with self._grown:
@@ -173,12 +164,9 @@ class PageServer(ThreadingHTTPServer):
     """Serves the page from threads of its own until it is closed, or this process ends.
 
     Args:
-        port: where; 0 for one that is free.
+        port: 0 for one that is free; OSError is raised if it isn't.
         files: gives the content of each file of the page, when one is asked for.
-        records: what the page shows, at ``RECORDS`` beside the files.
-
-    Raises:
-        OSError: the port isn't free.
+        records: the records that the page shows, at ``RECORDS`` beside the files.
     """
 
     daemon_threads = True
@@ -211,7 +199,6 @@ class _Request(BaseHTTPRequestHandler):
     timeout = _REQUEST_TIMEOUT
 
     def do_GET(self) -> None:
-        """Sends a file, or the records."""
         if self.headers.get_all("Host") != [self.server.host]:
             self._refuse(HTTPStatus.MISDIRECTED_REQUEST)
             return
@@ -276,11 +263,7 @@ os.execv(sys.argv[1], sys.argv[1:])
 
 
 def read_viewer_files() -> dict[str, bytes]:
-    """Returns the content of each of ``NAMES``.
-
-    Raises:
-        ViewerGone: the library's program doesn't give them.
-    """
+    """Return the content of each of ``NAMES``; raise ViewerGone if the viewer's program doesn't give them."""
     with subprocess.Popen(  # noqa: S603  the viewer that came with the library
         [sys.executable, "-c", _END_WITH_PARENT, str(_PROGRAM), *_OPTIONS],
         stdin=subprocess.DEVNULL,
