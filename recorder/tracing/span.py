@@ -106,7 +106,7 @@ class Span:
         self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Record the end once, if the beginning was recorded; ``error`` failed or cancelled it, None if it succeeded."""
+        """Record the end once, if the beginning was recorded; ``error`` ended it, None if it succeeded."""
         if self._ended or not self._begun:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
