@@ -26,7 +26,7 @@ import recorder.viewer
 from recorder.errors import RecordingError
 from recorder.records.values import AssetFile
 from recorder.user_folders import cache_folder, is_own
-from recorder.viewer.connection import END_TIMEOUT, PORT, Kind, Target, ViewerGone, ViewerWindow, address, answers
+from recorder.viewer.connection import END_TIMEOUT, PORT, Target, ViewerGone, ViewerKind, ViewerWindow, address, answers
 from recorder.viewer.rerun_stream import stream_to_file
 from recorder.viewer.translator import ORIGIN, Translator, acts, blueprint, side_by_side
 from replay.errors import Damaged, ReplayError
@@ -158,7 +158,7 @@ def check(url: str | None) -> None:
     if url is None:
         return
     try:
-        viewer = Target.parse(f"{Kind.CONNECT.value}:{url}").url
+        viewer = Target.parse(f"{ViewerKind.CONNECT.value}:{url}").url
     except RecordingError as error:
         raise ReplayError(f"{url} is no address of a viewer; one on this machine is {address(PORT)}") from error
     if not answers(viewer):

@@ -106,7 +106,7 @@ class McapSink:
         self._begin(start, metadata)
         raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
-        self._watched = Watched(path, raw)
+        self._watched = WatchedFile(path, raw)
         try:
             with self._guarded():
                 self._writer.move(self._file, start.getvalue())
@@ -397,7 +397,7 @@ class Changed(OSError):
     """Others have deleted, replaced or changed a file while it was written."""
 
 
-class Watched:
+class WatchedFile:
     """A file that nobody but this process may change; pipes and devices have no content that could change."""
 
     def __init__(self, path: Path, file: io.FileIO) -> None:

@@ -498,6 +498,12 @@ def _outcome(record: Task) -> dict[str, Any]:
 
 # Values
 
+
+def timeout_text(name: str, clock: object) -> str:
+    """Return a timeout in words; its name is its limit."""
+    return f"timeout of {name}{' of simulated time' if clock == 'simulated' else ''}"
+
+
 _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
 
 

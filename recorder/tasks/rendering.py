@@ -17,32 +17,27 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import format_failure
-from recorder.records.text import chosen_name, decision_text, foreseen, rejection_lines, text_of, values
-from recorder.tasks.node import Node, State, walk
+from recorder.records.text import chosen_name, decision_text, foreseen, rejection_lines, text_of, timeout_text, values
+from recorder.tasks.node import Node, State
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from recorder.records import Decision, Output, Query
+    from recorder.records import Output, Query
     from recorder.tasks.node import Moment
+    from recorder.tasks.tree import Tree
 
 
 _MARKS: Final = {State.SUCCEEDED: "+", State.FAILED: "X", State.CANCELLED: "-", State.RUNNING: "?", State.CREATED: "."}
 _MAX_ALIKE: Final = 6  # siblings that are shown one by one
 _MAX_WIDTH: Final = 100  # characters of parameters
-_WITH_PARAMETERS: Final = (
-    "action",
-    "projection",
-    "motion",
-    "attempt",
-    "failure-handling",
-    "handler",
-)  # whose parameters nothing else shows
+#: Kinds whose parameters nothing else shows.
+_WITH_PARAMETERS: Final = frozenset({"action", "projection", "motion", "attempt", "failure-handling", "handler"})
 _WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")  # whose names imply it
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TreeRow:
     """A line of a tree."""
 
     depth: int  # from 0
@@ -51,30 +46,24 @@ class Row:
     failing: bool = False  # whether it is on the path down to the failure
 
 
-def rows(
-    roots: Sequence[Node],
-    failure_path: Sequence[Node],
-    depth: int | None = None,
-    *,
-    whole: bool = False,
-    output: Mapping[int, Sequence[Output]] | None = None,
-) -> Iterator[Row]:
-    """All tasks down to a depth, each before its children; siblings alike are folded unless ``whole``.
+def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: bool = True) -> Iterator[TreeRow]:
+    """Yield all tasks down to a depth, each before its children; siblings alike are folded unless ``whole``.
 
-    Lines that the plan printed or logged, if they are given by their tasks' ids, stand among the children.
+    Lines that the plan printed or logged stand among the children, unless they are left out.
     """
-    failing = {node.id for node in failure_path}
-    said = output or {}
-    stack: list[tuple[int, Node | str]] = [(0, item) for item in reversed(_parts(roots, said.get(0, ()), whole=whole))]
+    failing = {node.id for node in tree.failure_path()}
+    said = tree.output if output else {}
+    items = _parts(tree.roots, said.get(0, ()), whole=whole)
+    stack: list[tuple[int, Node | str]] = [(0, item) for item in reversed(items)]
     while stack:
         level, item = stack.pop()
         if isinstance(item, str):
-            yield Row(level, None, item)
+            yield TreeRow(level, None, item)
             continue
-        yield Row(level, item, label(item), item.id in failing)
-        yield from (Row(level + 2, None, text) for choice in item.choices for text in _choice_lines(choice))
+        yield TreeRow(level, item, label(item), item.id in failing)
+        yield from (TreeRow(level + 2, None, text) for choice in item.choices for text in _choice_lines(choice))
         if item.is_origin and item.failure is not None:
-            yield from (Row(level + 2, None, text) for text in format_failure(item.failure).splitlines())
+            yield from (TreeRow(level + 2, None, text) for text in format_failure(item.failure).splitlines())
         if item.forgotten:
             stack.append((level + 1, f"... {item.forgotten} more, forgotten"))
         if depth is None or level + 1 < depth:
@@ -84,24 +73,12 @@ def rows(
             stack.append((level + 1, f"... {sum(1 for _ in item.walk()) - 1} below"))
 
 
-def lines(
-    roots: Sequence[Node],
-    failure_path: Sequence[Node],
-    depth: int | None = None,
-    *,
-    whole: bool = False,
-    output: Mapping[int, Sequence[Output]] | None = None,
-) -> Iterator[str]:
-    """The tree as lines of text; see :func:`rows`."""
-    for row in rows(roots, failure_path, depth, whole=whole, output=output):
+def lines(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
+    """Yield the tree as lines of text; see :func:`rows`."""
+    for row in rows(tree, depth, whole=whole):
         mark = f"{_MARKS.get(row.node.status, '?')} " if row.node is not None else ""
         extent = f"  [{_extent(row.node)}]" if row.node is not None else ""
         yield f"{'> ' if row.failing else '  '}{'  ' * row.depth}{mark}{row.text}{extent}"
-
-
-def timeout_text(name: str, clock: object) -> str:
-    """A timeout in words; its name is its limit."""
-    return f"timeout of {name}{' of simulated time' if clock == 'simulated' else ''}"
 
 
 def label(node: Node) -> str:
@@ -118,14 +95,9 @@ def label(node: Node) -> str:
     return f"{node.name}{shown}{'' if node.kind in _WITHOUT_KIND else ' ' + node.kind}{foreseen_text}"
 
 
-def facts(
-    roots: Sequence[Node],
-    failure_path: Sequence[Node],
-    max_depth: int | None = None,
-    output: Mapping[int, Sequence[Output]] | None = None,
-) -> Iterator[dict[str, object]]:
-    """All tasks as data for JSON, each before its children; see :func:`rows`."""
-    failing = {node.id for node in failure_path}
+def facts(tree: Tree, max_depth: int | None = None) -> Iterator[dict[str, object]]:
+    """Yield all tasks as data for JSON, each before its children; see :func:`rows`."""
+    failing = {node.id for node in tree.failure_path()}
     return (
         {
             "id": node.id,
@@ -144,11 +116,13 @@ def facts(
             "failure": format_failure(node.failure) if node.failure is not None else "",
             "on_failure_path": node.id in failing,
             "source": node.source,
-            "output": [text_of(record)[0] for record in (output or {}).get(node.id, ())],
-            "decision": _fields(node.decision) if node.decision is not None else None,
+            "output": [text_of(record)[0] for record in tree.output.get(node.id, ())],
+            "decision": {each.name: getattr(decision, each.name) for each in decision.DESCRIPTOR.fields}
+            if (decision := node.decision) is not None
+            else None,
             "choices": ["\n".join(_choice_lines(choice)) for choice in node.choices],
         }
-        for depth, node in walk(roots)
+        for depth, node in tree.walk()
         if max_depth is None or depth < max_depth
     )
 
@@ -157,10 +131,6 @@ def _choice_lines(query: Query) -> Iterator[str]:
     """A choice: what was asked and chosen, then why others were rejected, indented."""
     yield f"{query.name}({values(query.arguments)}): {chosen_name(query) or 'none'}"
     yield from (f"    {line}" for line in rejection_lines(query))
-
-
-def _fields(decision: Decision) -> dict[str, object]:
-    return {each.name: getattr(decision, each.name) for each in decision.DESCRIPTOR.fields}
 
 
 def _extent(node: Node) -> str:
@@ -242,11 +212,11 @@ _Clock: TypeAlias = "Callable[[Moment], int]"
 _escape = partial(escape_quotes, quote=False)
 
 
-def dot(roots: Sequence[Node], failure_path: Sequence[Node]) -> str:
-    """The tree for Graphviz: ``dot -Tsvg``; see :func:`recorder.tasks.rendering.rows`."""
-    failing = {node.id for node in failure_path}
+def dot(tree: Tree) -> str:
+    """Return the tree for Graphviz: ``dot -Tsvg``."""
+    failing = {node.id for node in tree.failure_path()}
     out = ["digraph tasks {", '  node [shape=box, style="rounded,filled", fontname="sans-serif", fontsize=10];']
-    for _, node in walk(roots):
+    for _, node in tree.walk():
         text = f"{label(node)}\n{_outcome(node)}"
         width = 3 if node.id in failing else 1
         out.append(
@@ -258,11 +228,11 @@ def dot(roots: Sequence[Node], failure_path: Sequence[Node]) -> str:
     return "\n".join([*out, "}"]) + "\n"
 
 
-def svg(roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None = None, *, whole: bool = False) -> str:
-    """The tree and its times as an SVG document; see :func:`recorder.tasks.rendering.rows`."""
-    shown = list(rows(roots, failure_path, depth, whole=whole))
-    moments = [node.created for _, node in walk(roots)]
-    moments += [node.end for _, node in walk(roots) if node.end is not None]
+def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
+    """Return the tree and its times as an SVG document; see :func:`rows`."""
+    shown = list(rows(tree, depth, whole=whole, output=False))
+    moments = [node.created for _, node in tree.walk()]
+    moments += [node.end for _, node in tree.walk() if node.end is not None]
     steady = all(moment.monotonic_ns for moment in moments)  # the wall clock may be set while a plan runs
     clock: _Clock = attrgetter("monotonic_ns" if steady else "wall_ns")
     times = [clock(moment) for moment in moments]
@@ -290,7 +260,7 @@ def _axis(seconds: float, height: int) -> Iterator[str]:
         yield f'<text x="{x:.1f}" y="{_TOP - 12}" fill="#555" font-size="9">{number * step:g} s</text>'
 
 
-def _drawn(row: Row, top: int, clock: _Clock, begin: int, length: int) -> Iterator[str]:
+def _drawn(row: TreeRow, top: int, clock: _Clock, begin: int, length: int) -> Iterator[str]:
     x = 12 + _INDENT * row.depth
     room = max(8, int((_NAMES - x - 24) / _LETTER))
     text = row.text if len(row.text) <= room else row.text[: room - 1] + "\u2026"

@@ -125,7 +125,7 @@ class Tree:
 
     def lines(self, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
         """Lines of text; see :func:`recorder.tasks.rendering.rows`."""
-        return rendering.lines(self.roots, self.failure_path(), depth, whole=whole, output=self.output)
+        return rendering.lines(self, depth, whole=whole)
 
     def text(self, depth: int | None = None, *, whole: bool = False) -> str:
         """The same in one string."""
@@ -133,7 +133,7 @@ class Tree:
 
     def facts(self, depth: int | None = None) -> Iterator[dict[str, object]]:
         """All tasks down to a depth as data for JSON, each before its children."""
-        return rendering.facts(self.roots, self.failure_path(), depth, self.output)
+        return rendering.facts(self, depth)
 
     def to_json(self) -> str:
         """The same as JSON."""
@@ -141,11 +141,11 @@ class Tree:
 
     def to_dot(self) -> str:
         """A graph for Graphviz."""
-        return rendering.dot(self.roots, self.failure_path())
+        return rendering.dot(self)
 
     def to_svg(self, depth: int | None = None, *, whole: bool = False) -> str:
         """A picture of the tree with its times, as an SVG document; see :func:`recorder.tasks.rendering.rows`."""
-        return rendering.svg(self.roots, self.failure_path(), depth, whole=whole)
+        return rendering.svg(self, depth, whole=whole)
 
     def __str__(self) -> str:
         return self.text()

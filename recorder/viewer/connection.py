@@ -41,7 +41,7 @@ class ViewerGone(Exception):
     """The viewer has ended, or didn't begin."""
 
 
-class Kind(Enum):
+class ViewerKind(Enum):
     """Which viewer."""
 
     SPAWN = "spawn"
@@ -53,17 +53,17 @@ class Kind(Enum):
 class Target:
     """Where a plan is shown."""
 
-    kind: Kind
+    kind: ViewerKind
     url: str = ""  # its address, where somebody else starts it
 
     @classmethod
     def parse(cls, text: str) -> Target:
         """Parse "spawn", "connect", "connect:URL", "serve" or a URL; raise RecordingError if it is none of these."""
-        if text in (Kind.SPAWN.value, Kind.SERVE.value):
-            return cls(Kind(text))
-        if text == Kind.CONNECT.value:
-            return cls(Kind.CONNECT, address(PORT))
-        url = text.removeprefix(f"{Kind.CONNECT.value}:")
+        if text in (ViewerKind.SPAWN.value, ViewerKind.SERVE.value):
+            return cls(ViewerKind(text))
+        if text == ViewerKind.CONNECT.value:
+            return cls(ViewerKind.CONNECT, address(PORT))
+        url = text.removeprefix(f"{ViewerKind.CONNECT.value}:")
         try:
             parts = urlsplit(url)
             valid = parts.scheme in _SCHEMES and parts.hostname and parts.port != 0
@@ -71,7 +71,7 @@ class Target:
             raise RecordingError(text, f"is no address of a viewer ({error}); {_HINT}") from error
         if not valid or parts.path.rstrip("/") != "/proxy":
             raise RecordingError(text, f"is no address of a viewer; {_HINT}")
-        return cls(Kind.CONNECT, url)
+        return cls(ViewerKind.CONNECT, url)
 
 
 def address(port: int) -> str:

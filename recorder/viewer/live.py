@@ -35,7 +35,15 @@ from recorder.records import TOPICS, Event, Fluent, Mutation, Output
 from recorder.records.values import AssetFile
 from recorder.tracing.forking import own
 from recorder.tracing.journal import unrecorded
-from recorder.viewer.connection import END_TIMEOUT, Kind, Target, ViewerGone, ViewerWindow, answers, wait_for_answer
+from recorder.viewer.connection import (
+    END_TIMEOUT,
+    Target,
+    ViewerGone,
+    ViewerKind,
+    ViewerWindow,
+    answers,
+    wait_for_answer,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,7 +55,11 @@ if TYPE_CHECKING:
 
 
 _END_TIMEOUT: Final = 1.8  # s for the viewer to take what is left
-_START_TIMEOUTS: Final = {Kind.SPAWN: 5.0, Kind.CONNECT: 3.0, Kind.SERVE: 3.0}  # s, for plans that are shorter
+_START_TIMEOUTS: Final = {
+    ViewerKind.SPAWN: 5.0,
+    ViewerKind.CONNECT: 3.0,
+    ViewerKind.SERVE: 3.0,
+}  # s, for plans that are shorter
 _LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a viewer that is behind
 _HAND_OVER_TIMEOUT: Final = 0.5  # s for the process to read the rest
 _BATCH_PERIOD: Final = 0.2  # s: many small batches cost more than they show
@@ -110,7 +122,7 @@ class RerunSink:
         started = self._started + _START_TIMEOUTS[self._target.kind] - time.monotonic()
         settled = self._settled.wait(max(_END_TIMEOUT, started))
         behind = not settled and self._hand_over()
-        served = self._target.kind is Kind.SERVE
+        served = self._target.kind is ViewerKind.SERVE
         if served and (behind or settled) and self._process.poll() is None:
             atexit.register(_stop, self._process, os.getpid())
         elif not behind:
@@ -135,7 +147,7 @@ class RerunSink:
             return False
         with socket.socket(fileno=os.dup(self._connection.fileno())) as ending:
             ending.shutdown(socket.SHUT_RD)
-        if self._target.kind is Kind.SERVE:  # pages have until this process ends
+        if self._target.kind is ViewerKind.SERVE:  # pages have until this process ends
             return self._process.poll() is None
         if self._process.stdin is not None:
             self._process.stdin.close()  # its timeout begins
@@ -376,13 +388,13 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
     window: ViewerWindow | None = None
     stream = rr.RecordingStream(APPLICATION)
     stream.send_recording_name(title)
-    if target.kind is Kind.SERVE:
+    if target.kind is ViewerKind.SERVE:
         absent.set()  # pages end with the plan
         page = WebPage(stream)
         _print(f"live at {page.address}")
     else:
         url = target.url
-        if target.kind is Kind.SPAWN:
+        if target.kind is ViewerKind.SPAWN:
             window = ViewerWindow()
             url = window.url
         elif not answers(url):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Vector
     from recorder.records import Attachment, Mutation
     from recorder.viewer.rerun_stream import Color, Columns, TimePoint
-    from recorder.viewer.scene import Scene, SceneBody
+    from recorder.viewer.scene import SceneBody, ViewerScene
 
 
 FAILURES: Final = "failures"
@@ -50,7 +50,7 @@ _MAX_PAIRS: Final = 5  # of links that would meet
 class Marks:
     """Marks that are cleared together."""
 
-    def __init__(self, columns: Columns, scene: Scene) -> None:
+    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
         self._paths: list[str] = []
@@ -72,7 +72,7 @@ class Marks:
 class TaskMarks:
     """Targets of motions while they run; where a task failed, until the next one begins."""
 
-    def __init__(self, columns: Columns, scene: Scene) -> None:
+    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
         self._running: dict[int, tuple[str, Marks]] = {}  # name and marks of running motions
@@ -177,7 +177,7 @@ _ATTACHMENT_LINE: Final = 0.003  # m
 class Attachments:
     """The lines of all attachments; the scene has shown a record before they do."""
 
-    def __init__(self, columns: Columns, scene: Scene) -> None:
+    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
         self._paths: dict[tuple[str, str, str], str] = {}  # by world, carrier and body
@@ -226,7 +226,7 @@ _FRUSTUM_LINE: Final = 0.003  # m
 class CameraFrustums:
     """The frustums of all robots' cameras."""
 
-    def __init__(self, columns: Columns, scene: Scene) -> None:
+    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
         self._paths: dict[tuple[str, str], str] = {}  # by world and robot
@@ -258,7 +258,7 @@ class CameraFrustums:
         self._columns.send(path, now, rr.LineStrips3D(strips, colors=[BLUE], radii=[_FRUSTUM_LINE]))
 
 
-def camera_position(scene: Scene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
+def camera_position(scene: ViewerScene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
     """Where a camera is, given as position, pose or frame, by default the robot's own; None if that isn't known."""
     robot = scene.robot(world, robot_name)
     if isinstance(camera, list) or robot is None:
@@ -294,7 +294,7 @@ def position(value: object) -> Vector | None:
     return (numbers[0], numbers[1], numbers[2]) if numbers is not None else None
 
 
-def target_position(scene: Scene, world: str, values: Values) -> Vector | None:
+def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | None:
     """The target position among values: a position, else that of an object; None if there is neither."""
     for value in values.values():
         point = position(value)
@@ -337,7 +337,7 @@ class _Followed:
 class TrajectoryPaths:
     """The paths of all trajectories; the scene has shown a record before they do."""
 
-    def __init__(self, columns: Columns, scene: Scene) -> None:
+    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
         self._followed: dict[str, dict[int, _Followed]] = {}  # by world and number

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from recorder.records.log_pb2 import Grid
     from recorder.viewer.marks import Values
     from recorder.viewer.rerun_stream import Color, Columns, TimePoint
-    from recorder.viewer.scene import Scene
+    from recorder.viewer.scene import ViewerScene
 
 
 QUERIES: Final = "queries"
@@ -146,7 +146,7 @@ _COLORS: Final = {TAKEN: GREEN, NOT_TRIED: GREY}
 class QueryPlaces:
     """The map and the samples of the last query for places, until the next one, or until a task begins that moves."""
 
-    def __init__(self, columns: Columns, scene: Scene) -> None:
+    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._marks = Marks(columns, scene)
 
     def clear(self, now: TimePoint) -> None:
@@ -259,7 +259,7 @@ _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}  # by
 class QueryMarks:
     """Target and posture of the last query, and what touches, hides or blocks; until the next task begins."""
 
-    def __init__(self, columns: Columns, scene: Scene) -> None:
+    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._scene = scene
         self._marks = Marks(columns, scene)
 

@@ -59,7 +59,7 @@ class SceneBody:
     links: dict[str, _Link] = field(default_factory=dict)  # those that records gave poses for, by name; "" is its base
 
 
-class Scene:
+class ViewerScene:
     """The bodies of all worlds; the names of all frames begin with a prefix."""
 
     def __init__(self, columns: Columns, prefix: str = "") -> None:

@@ -76,21 +76,8 @@ def _lines(rows: Sequence[tuple[Any, ...]]) -> list[rr.ComponentColumn]:
 RECORDS: Final = "records"
 
 
-def _failure(record: Task | Query | Refusal | Run) -> str:
-    return format_failure(record.failure) if record.HasField("failure") else ""
-
-
 def _word(enum: EnumTypeWrapper, number: int) -> str:
     return enum.Name(number).lower() if number in enum.values() else str(number)
-
-
-def _source(record: _Sourced | Output) -> str:
-    return _line(record.source_file, record.source_line) if record.source_file else ""
-
-
-def _callers(record: _Sourced) -> str:
-    callers = record.callers[:]
-    return ", ".join([_line(caller.file or record.source_file, caller.line) for caller in callers]) if callers else ""
 
 
 def _line(file: str, line: int) -> str:
@@ -117,11 +104,13 @@ _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
     "arguments": lambda record: values(record.arguments),
     "before": lambda record: by_name(record.before_json),
     "bodies": lambda record: ", ".join([state.body for state in record.effect.bodies[:]]),
-    "callers": _callers,
+    "callers": lambda record: ", ".join(
+        [_line(caller.file or record.source_file, caller.line) for caller in record.callers[:]]
+    ),
     "command": lambda record: record.WhichOneof("command") or "change",
     "duration_ms": lambda record: record.duration_ns / 1e6,
     "evidence": lambda record: values(record.evidence),
-    "failure": _failure,
+    "failure": lambda record: format_failure(record.failure) if record.HasField("failure") else "",
     "handlers": lambda record: len(record.handlers),
     "parameters": lambda record: values(record.parameters),
     "phase": lambda record: _word(Run.Phase, record.phase),
@@ -162,7 +151,8 @@ class RecordTables:
 
     def _source(self, record: _Sourced | Output) -> str:
         """Call site of a record, or of its task."""
-        source = _source(record) or self._sources.get(record.task, "")
+        source = _line(record.source_file, record.source_line) if record.source_file else ""
+        source = source or self._sources.get(record.task, "")
         if type(record) is Task:
             if record.phase == Task.FINISHED:
                 self._sources.pop(record.task, None)

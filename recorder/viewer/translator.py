@@ -1,6 +1,6 @@
 """Translates records into rows for the viewer, live and afterwards, and lays its views out.
 
-Scene and tasks over time are to the left; task tree, query, log, curves and tables to the right.
+ViewerScene and tasks over time are to the left; task tree, query, log, curves and tables to the right.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from recorder.records.text import text_of
 from recorder.viewer.marks import FAILURES, Attachments, CameraFrustums, QueryMarks, TaskMarks, TrajectoryPaths
 from recorder.viewer.queries import PAGE, PICTURE, QUERIES, QueryPage, QueryPicture, QueryPlaces
 from recorder.viewer.rerun_stream import Columns, TimePoint, sim_ns
-from recorder.viewer.scene import COLLISION, Scene
+from recorder.viewer.scene import COLLISION, ViewerScene
 from recorder.viewer.tables_and_plots import HEIGHTS, JOINTS, KINDS, LOG, RECORDS, LogLines, Plots, RecordTables
 from recorder.viewer.tasks import GRAPH, LANES, TaskGraph, TaskTimeline
 
@@ -42,7 +42,7 @@ class Translator:
         self._lines, self._tables = LogLines(columns), RecordTables(columns)
         self._timeline, self._graph = TaskTimeline(columns), TaskGraph(columns)
         self._page, self._picture = QueryPage(columns), QueryPicture(columns)
-        scene = self.scene = Scene(columns, f"{root}/" if root else "")  # the bodies of all worlds
+        scene = self.scene = ViewerScene(columns, f"{root}/" if root else "")  # the bodies of all worlds
         self._plots, self.worlds = Plots(columns), ActiveWorlds(scene)
         self._attachments, self._cameras = Attachments(columns, scene), CameraFrustums(columns, scene)
         self._paths = TrajectoryPaths(columns, scene)
@@ -138,7 +138,7 @@ _KEYFRAME: Final = "keyframe"
 class ActiveWorlds:
     """The worlds that plans have acted in so far."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ViewerScene) -> None:
         self._scene = scene
         self._open: dict[str, None] = {}  # worlds that a plan acted in
         self.centres: dict[str, Vector] = {}  # their centres in m when plans began to act in them, by name

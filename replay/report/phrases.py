@@ -164,7 +164,7 @@ def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
     if kind == "timeout":
-        from recorder.tasks.rendering import timeout_text  # noqa: PLC0415  most verbs show no tasks
+        from recorder.records.text import timeout_text  # noqa: PLC0415  most verbs show no tasks
 
         return timeout_text(name, parameters.get("clock"))
     called = name if kind == "process-module" else call(name, parameters)

@@ -21,7 +21,7 @@ import pytest
 import recorder
 import replay
 from recorder.viewer import live
-from recorder.viewer.connection import Kind, Target, free_port
+from recorder.viewer.connection import Target, ViewerKind, free_port
 from replay.restore.verify import verify
 from replay.view import convert
 from tests.viewer.conftest import processes, rows_of, wait_until
@@ -57,14 +57,14 @@ Path("begun").touch()
 
 HURRY = """
 from recorder.viewer import live
-live._START_TIMEOUTS = dict.fromkeys(live.Kind, 0.0)
+live._START_TIMEOUTS = dict.fromkeys(live.ViewerKind, 0.0)
 live._END_TIMEOUT = 0.0
 """
 
 
 PATIENT = """
 from recorder.viewer import live
-live._START_TIMEOUTS = dict.fromkeys(live.Kind, 60.0)
+live._START_TIMEOUTS = dict.fromkeys(live.ViewerKind, 60.0)
 live._HAND_OVER_TIMEOUT = 60.0
 """
 
@@ -426,6 +426,6 @@ def test_the_command_line_refuses_an_invalid_target(
 
 
 def test_targets_are_parsed() -> None:
-    assert Target.parse("connect") == Target(Kind.CONNECT, "rerun+http://127.0.0.1:9876/proxy")
-    assert Target.parse("connect:rerun://robot/proxy") == Target(Kind.CONNECT, "rerun://robot/proxy")
-    assert Target.parse("rerun+http://robot:1/proxy") == Target(Kind.CONNECT, "rerun+http://robot:1/proxy")
+    assert Target.parse("connect") == Target(ViewerKind.CONNECT, "rerun+http://127.0.0.1:9876/proxy")
+    assert Target.parse("connect:rerun://robot/proxy") == Target(ViewerKind.CONNECT, "rerun://robot/proxy")
+    assert Target.parse("rerun+http://robot:1/proxy") == Target(ViewerKind.CONNECT, "rerun+http://robot:1/proxy")
