@@ -13,8 +13,8 @@ from rerun import new_entity_path
 from recorder.records import Keyframe, Mutation, Output, Query, Run, Task
 from recorder.records.motion import ROOT
 from recorder.records.text import text_of
-from recorder.viewer.marks import FAILURES, Attachments, CameraFrustums, QueryMarks, TaskMarks, TrajectoryPaths
-from recorder.viewer.queries import PAGE, PICTURE, QUERIES, QueryPage, QueryPicture, QueryPlaces
+from recorder.viewer.marks import FAILURES, Attachments, CameraFrustums, TaskMarks, TrajectoryPaths
+from recorder.viewer.queries import PAGE, PICTURE, QUERIES, QueryMarks, QueryPage, QueryPicture, QueryPlaces
 from recorder.viewer.rerun_stream import Columns, TimePoint, sim_ns
 from recorder.viewer.scene import COLLISION, ViewerScene
 from recorder.viewer.tables_and_plots import HEIGHTS, JOINTS, KINDS, LOG, RECORDS, LogLines, Plots, RecordTables
