@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import math
-import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message, print_result
-from replay.cli.main import FAILED, FINE, INCOMPLETE
+from replay.cli.main import FAILED, FINE, INCOMPLETE, opened
 from replay.compare import states
 from replay.compare.runs import compare, lines as run_lines
 from replay.errors import ReplayError
@@ -19,13 +17,7 @@ from replay.recording import Recording
 from replay.report import report
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from replay.runs.comparison import FolderComparison
     from replay.runs.runs import Runs
-
-_MAX_CAUSES: Final = 10  # of failures that are named
-_MAX_PAIRS: Final = 3  # of runs that are named
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -71,8 +63,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Print the difference between two folders of recordings."""
-    from replay.cli.reading_runs import opened  # noqa: PLC0415  what these need is an extra
-    from replay.runs.comparison import compare_folders  # noqa: PLC0415  as above
+    from replay.runs.comparison import compare_folders, lines  # noqa: PLC0415  what it needs is an extra
 
     if options.second is not None or not Path(options.first).is_dir():
         raise ReplayError("two folders are compared, or steps of one recording, or two recordings")
@@ -80,38 +71,6 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         found = compare_folders(runs, second)
         for left_out in second.skipped:
             print_message(f"left out: {second.path}: {left_out.name}: {left_out.reason}")
-        text = _folder_lines(found, runs.path, second.path)
-        print_result(lambda: _folder_data(found), text, as_json=options.json)
+        text = lines(found, runs.path, second.path)
+        print_result(lambda: report.data(found), text, as_json=options.json)
         return INCOMPLETE if second.skipped else FAILED if found else FINE
-
-
-def _folder_data(found: FolderComparison) -> dict[str, object]:
-    facts = dataclasses.asdict(found)
-    for name, share in (("first", found.first), ("second", found.second)):
-        facts[name] |= {"interval": share.interval}
-    facts["causes"] = [{"cause": cause, "first": a, "second": b} for cause, a, b in found.causes]
-    return facts | {"effect": found.effect, "interval": list(found.interval)}
-
-
-def _folder_lines(found: FolderComparison, first: Path, second: Path) -> Iterator[str]:
-    from replay.cli.reading_runs import percent, plural, success  # noqa: PLC0415  as above
-
-    def signed(share: float) -> str:
-        return f"{'+' if share > 0 else ''}{percent(share) if share >= 0 else f'-{percent(-share)}'}"
-
-    low, high = found.interval
-    yield f"plan     {found.plan}"
-    yield f"first    {success(found.first)}: {first}"
-    yield f"second   {success(found.second)}: {second}"
-    yield f"change   {signed(found.effect)} (95 %: {signed(low)} to {signed(high)})"
-    yield f"paired   {plural(found.paired, 'run')} of both with the same number, seed and parameters"
-    for what, pairs in (("fail no more", found.mended), ("fail only in the second", found.broken)):
-        if pairs:
-            yield from ("", f"{len(pairs)} of them {what}")
-        for a, b in pairs[:_MAX_PAIRS]:
-            yield f"  pycram-replay diff {shlex.quote(str(first / a))} {shlex.quote(str(second / b))}"
-    if found.causes:
-        yield from ("", "Failures by cause, first -> second")
-    yield from (f"  {a:4} -> {b:<4} {cause}" for cause, a, b in found.causes[:_MAX_CAUSES])
-    if len(found.causes) > _MAX_CAUSES:
-        yield f"  {plural(len(found.causes) - _MAX_CAUSES, 'more cause')}"

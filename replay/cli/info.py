@@ -39,7 +39,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Print the summary of a folder of recordings."""
-    from replay.cli.stats_text import data, summary_lines  # noqa: PLC0415  what they need is an extra
+    from replay.cli.stats import data, summary_lines  # noqa: PLC0415  what they need is an extra
     from replay.runs.statistics import statistics  # noqa: PLC0415
 
     stats = statistics(runs)

@@ -12,6 +12,8 @@ import io
 import os
 import re
 import sys
+import time
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -22,10 +24,11 @@ from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from types import ModuleType
 
     from replay.recording import Recording
+    from replay.runs.runs import Runs
 
 #: A verb's module is imported when it is called: some need libraries that others don't.
 VERBS: Final = {
@@ -60,6 +63,7 @@ _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.f
 )
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
+_PROGRESS_PERIOD: Final = 1.0  # s before the first progress
 _MAX_SKIPPED: Final = 8  # files of a folder that are named
 _POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")
@@ -208,9 +212,7 @@ def _run_on_folder(verb: ModuleType, options: argparse.Namespace) -> int:
         takes = ", ".join(name for name in VERBS if name in _LOG_HELP)
         return _report(f"{options.log}: {options.verb} takes one recording; of a folder there are {takes}", USAGE)
     try:
-        with needed("runs"):
-            from replay.cli.reading_runs import opened  # noqa: PLC0415  what it needs is an extra
-        with needed(), opened(options.log) as runs:  # what a verb needs beside it is another extra's
+        with needed(), opened(options.log) as runs:  # a verb may need another extra
             code: int = verb.run_folder(runs, options)
             skipped = runs.skipped
     except NotInstalled as error:
@@ -220,6 +222,26 @@ def _run_on_folder(verb: ModuleType, options: argparse.Namespace) -> int:
     if len(skipped) > _MAX_SKIPPED:
         print_message(f"left out: {len(skipped) - _MAX_SKIPPED} more")
     return code or (INCOMPLETE if skipped else FINE)
+
+
+@contextmanager
+def opened(path: str) -> Iterator[Runs]:
+    """Open a folder of recordings, with a line of progress on a terminal."""
+    with needed("runs"):
+        from replay.runs.runs import Runs  # noqa: PLC0415  an extra
+    began, shown = time.monotonic(), False
+
+    def progress(done: int, of: int) -> None:
+        nonlocal shown
+        if sys.stderr.isatty() and time.monotonic() - began > _PROGRESS_PERIOD:
+            shown = True
+            print(f"\rpycram-replay: reading recordings: {done} of {of}", end="", file=sys.stderr, flush=True)
+
+    runs = Runs(path, progress)
+    if shown:
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+    with runs:
+        yield runs
 
 
 def _report(text: str, code: int) -> int:

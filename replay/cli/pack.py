@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from replay.cli.console import print_result
-from replay.cli.copies import add_output, write_copy
+from replay.cli.repair import add_output, write_copy
 
 if TYPE_CHECKING:
     import argparse

@@ -1,21 +1,29 @@
-"""``repair``: a sound copy of whatever can be read of a recording, and a list of what is lost."""
+"""``repair``: a sound copy of the readable parts of a recording, and a list of the lost parts.
+
+A verb writes a copy of a recording atomically, and overwrites nothing but recordings.
+"""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, TypeVar
 
-from replay.cli.console import print_result
-from replay.cli.copies import add_output, write_copy
+from recorder.mcap.sink import open_output
+from recorder.mcap.writer import MAGIC
+from replay.cli.console import print_message, print_result
+from replay.errors import ReplayError
+from replay.file.record_reader import is_locked
 from replay.file.repair import range_text
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import Callable, Iterator
 
     from replay.file.repair import Losses
     from replay.recording import Recording
+
+R = TypeVar("R")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -52,3 +60,46 @@ def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:
     yield from (f"lost   the attached file {name}: {cause}" for name, cause in losses.files.items())
     if not (losses.steps or losses.chunks or losses.messages or losses.files):
         yield "lost   nothing that can be known of"
+
+
+def add_output(parser: argparse.ArgumentParser, kind: str) -> None:
+    """Add the copy's path."""
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", type=Path, help=f"the copy; by default LOG's name.{kind}.mcap"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace a recording that is there")
+
+
+def write_copy(log: Recording, target: Path, write: Callable[[BinaryIO], R], *, overwrite: bool) -> R:
+    """Write a copy of a recording with a function, and return its result.
+
+    Raises:
+        ReplayError: the copy can't be written there.
+    """
+    _check(log, target, overwrite=overwrite)
+    part = target.with_name(f"{target.name}.part")  # whole or not at all
+    try:
+        with open_output(part) as file:
+            result = write(file)
+        if target.exists():
+            print_message(f"{target} is replaced")
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+    return result
+
+
+def _check(log: Recording, target: Path, *, overwrite: bool) -> None:
+    if log.live:
+        raise ReplayError(f"{log.path}: it is still being written; copy it when its process has ended")
+    if not target.exists():
+        return
+    if target.samefile(log.path):
+        raise ReplayError(f"{target}: that is the recording itself, which is kept as it is; name another file")
+    if not overwrite:
+        raise ReplayError(f"{target}: it is there already; name another file, or add --overwrite")
+    with target.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            raise ReplayError(f"{target}: there is a file that is no recording; move it away or name another file")
+        if is_locked(file):
+            raise ReplayError(f"{target}: another recording is writing it; name another file")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FINE
-from replay.cli.reading_runs import percent, plural
 from replay.errors import ReplayError
+from replay.report.phrases import percent, plural
 from replay.runs.separation import LEVEL, separate
 from replay.runs.statistics import causes, names_of, plan_of
 

@@ -11,6 +11,7 @@ from replay.cli.main import FINE, INCOMPLETE, USAGE
 from replay.errors import Damaged, ReplayError
 from replay.explain import why_report
 from replay.history.steps import HINT
+from replay.report.phrases import percent, plural
 
 if TYPE_CHECKING:
     import argparse
@@ -47,7 +48,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Print the commonest causes of the failures of a folder's recordings, each as its first run tells it."""
-    from replay.cli.reading_runs import percent, plural  # noqa: PLC0415  what they need is an extra
     from replay.recording import Recording  # noqa: PLC0415  as above
     from replay.runs.statistics import statistics  # noqa: PLC0415
 

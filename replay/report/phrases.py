@@ -58,6 +58,16 @@ def one_line(text: str) -> str:
     return f"{first} ..." if more else first
 
 
+def percent(share: float) -> str:
+    """Return a share."""
+    return f"{share:.0%}" if share in (0, 1) or 0.01 <= share <= 0.99 else f"{share:.1%}"
+
+
+def plural(count: int, what: str) -> str:
+    """Return a count with its noun."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 def names(items: Sequence[str]) -> str:
     """Return the first few names as "a, b and 3 more"."""
     shown = list(items[:_MAX_NAMES])

@@ -6,15 +6,26 @@ between the sweeps, such as the plan, or because a seed doesn't determine everyt
 
 from __future__ import annotations
 
+import dataclasses
+import shlex
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from replay.errors import ReplayError
+from replay.report import report
+from replay.report.phrases import percent, plural
 from replay.runs.statistics import Share, difference, plan_of, statistics
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
     from replay.runs.runs import Runs
+
+
+_MAX_CAUSES: Final = 10
+_MAX_PAIRS: Final = 3  # of runs that are named
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,3 +91,36 @@ def _ended(runs: Runs, plan: str) -> dict[tuple[str, str, str], tuple[str, bool]
         [plan],
     )
     return {(number, seed, given): (run, succeeded) for number, seed, given, run, succeeded in rows.rows()}
+
+
+@report.data.register(FolderComparison)
+def _(found: FolderComparison) -> dict[str, object]:
+    facts = dataclasses.asdict(found)
+    for name, share in (("first", found.first), ("second", found.second)):
+        facts[name] |= {"interval": share.interval}
+    facts["causes"] = [{"cause": cause, "first": a, "second": b} for cause, a, b in found.causes]
+    return facts | {"effect": found.effect, "interval": list(found.interval)}
+
+
+def lines(found: FolderComparison, first: Path, second: Path) -> Iterator[str]:
+    """Yield a comparison as text, given the two folders."""
+
+    def signed(share: float) -> str:
+        return f"{'+' if share > 0 else ''}{percent(share) if share >= 0 else f'-{percent(-share)}'}"
+
+    low, high = found.interval
+    yield f"plan     {found.plan}"
+    yield f"first    {found.first}: {first}"
+    yield f"second   {found.second}: {second}"
+    yield f"change   {signed(found.effect)} (95 %: {signed(low)} to {signed(high)})"
+    yield f"paired   {plural(found.paired, 'run')} of both with the same number, seed and parameters"
+    for what, pairs in (("fail no more", found.mended), ("fail only in the second", found.broken)):
+        if pairs:
+            yield from ("", f"{len(pairs)} of them {what}")
+        for a, b in pairs[:_MAX_PAIRS]:
+            yield f"  pycram-replay diff {shlex.quote(str(first / a))} {shlex.quote(str(second / b))}"
+    if found.causes:
+        yield from ("", "Failures by cause, first -> second")
+    yield from (f"  {a:4} -> {b:<4} {cause}" for cause, a, b in found.causes[:_MAX_CAUSES])
+    if len(found.causes) > _MAX_CAUSES:
+        yield f"  {plural(len(found.causes) - _MAX_CAUSES, 'more cause')}"

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import from_json
+from replay.report.phrases import percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +35,11 @@ class Share:
     def interval(self) -> tuple[float, float]:
         """The 95 % interval of the rate."""
         return wilson(self.succeeded, self.of)
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        rate = percent(self.succeeded / self.of) if self.of else "none"
+        return f"{self.succeeded} of {self.of} succeeded, {rate} (95 %: {percent(low)} to {percent(high)})"
 
 
 @dataclass(frozen=True, slots=True)
