@@ -61,7 +61,9 @@ def reference() -> str:
         module = modules[motion.cmd]
         failures |= {*module.failures, *module.failures_in_time}
         parts.append(_motion(motion, module))
-    parts += ["## Failures\n", *map(_failure, sorted(failures, key=lambda kind: kind.__name__))]
+    # Failures are on record under their public module, which isn't the file that they stand in.
+    source = "".join(file.read_text(encoding="utf-8") for file in Path(__file__).parent.rglob("*.py"))
+    parts += ["## Failures\n", *(_failure(kind, source) for kind in sorted(failures, key=lambda kind: kind.__name__))]
     return "\n".join(parts)
 
 
@@ -124,15 +126,15 @@ def _names(failures: Iterable[type[PlanFailure]]) -> str:
     return ", ".join(f"`{kind.__name__}`" for kind in failures)
 
 
-def _failure(kind: type[PlanFailure]) -> str:
-    """Return what a failure says and holds, by its docstring."""
-    text, _, fields = (inspect.getdoc(kind) or "").partition("\n\nAttributes:\n")
-    text = re.sub(r":class:`(\w+)`", r"`\1`", _line(text))
-    found = re.findall(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", fields, re.MULTILINE)
-    described = "; ".join(f"`{name}`: {_line(meaning)}" for name, meaning in found)
+def _failure(kind: type[PlanFailure], source: str) -> str:
+    """Return the entry of a failure: its docstring, and its own fields with the comments beside them."""
+    text = re.sub(r":class:`(\w+)`", r"`\1`", _line(inspect.getdoc(kind) or ""))
+    body = re.search(rf"^class {kind.__name__}\b.*?(?=^\S)", source, re.DOTALL | re.MULTILINE)
+    fields = re.findall(r"^ {4}(?: {4}self\.)?([a-z]\w*)(?:: | = ).*?  # (.*)$", body[0] if body else "", re.MULTILINE)
+    described = "; ".join(f"`{name}`: {_line(meaning)}" for name, meaning in fields)
     base = kind.__mro__[1]
     more = "" if base is PlanFailure else f", a kind of `{base.__name__}`"
-    return f"- **{kind.__name__}**{more}: {text}." + (f" Its fields: {described}." if described else "")
+    return f"- **{kind.__name__}**{more}: {text}." + (f" Fields: {described}." if described else "")
 
 
 def main(arguments: Sequence[str]) -> None:

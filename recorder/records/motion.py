@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 
-from recorder.geometry.urdf import Urdf
 from recorder.records import STEPS_PER_SECOND, Keyframe, LoadBody, Mutation
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from recorder.geometry import Pose
-    from recorder.geometry.urdf import Joint
+    from recorder.geometry.urdf import Joint, Urdf
     from recorder.records import BodyState, Following, Record
 
 
@@ -95,6 +94,8 @@ class FrameTree:
 
     def add_urdf(self, sha256: str, content: bytes) -> None:
         """Takes a model, before the records that use it."""
+        from recorder.geometry.urdf import Urdf  # noqa: PLC0415  loads NumPy
+
         self._models[sha256] = Urdf.parse(content)
 
     def model(self, world: str, body: str) -> Urdf | None:
