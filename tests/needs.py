@@ -83,7 +83,6 @@ _FOUND: Final[dict[str, Callable[[], bool]]] = {
     "Vulkan driver": lambda: _runs(sys.executable, "-c", _DEVICES),
     "window libraries": lambda: _loads(*_WINDOW_LIBRARIES),
     "Chromium": lambda: _runs(browser() or "", "--version"),
-    "tmux": lambda: shutil.which("tmux") is not None,
     "network namespaces": lambda: _runs("unshare", "-rn", *_CABLE),
     **{name: functools.partial(_is_installed, module) for name, module in _PACKAGES.items()},
 }

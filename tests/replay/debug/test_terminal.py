@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import codecs
+import fcntl
 import os
+import pty
 import re
 import select
-import shlex
+import struct
 import subprocess
 import sys
-import tempfile
+import termios
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pyte
 import pytest
 
 from tests.replay.documented import REPO
@@ -20,87 +24,98 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 _TIMEOUT, _AGAIN = 120.0, 5.0  # s
-_COLOURS = re.compile(r"\x1b\[[\d;]*m")
+_COLUMNS, _ROWS = 300, 60
+ENTER, TAB, UP = "\r", "\t", "\x1b[A"
 _PROMPT = "(debug)"
 
 
 class Terminal:
-    """A tmux server with one window, in which the debugger runs."""
+    """A terminal of 300 columns in which the debugger runs."""
 
     def __init__(self, folder: Path, cache: Path, *arguments: str | Path) -> None:
-        self._socket, self._written = folder / "tmux", folder / "written"
-        self._environment = os.environ | {"PYTHONPATH": str(REPO), "PYCRAM_CACHE": str(cache)}
-        os.mkfifo(self._written)
-        self._output = os.open(self._written, os.O_RDWR | os.O_NONBLOCK)  # tells when the window has changed
-        command = shlex.join([sys.executable, "-m", "replay", "debug", *map(str, arguments)])
-        command += "; echo ended with $?; cat"  # the window stays
-        self._tmux("-u", "-f", "/dev/null", "new-session", "-d", "-x", "180", "-y", "60", "-c", str(folder), command)
-        self._tmux("pipe-pane", f"cat > {self._written}")
-
-    def _tmux(self, *arguments: str) -> str:
-        command = ["tmux", "-S", str(self._socket), *arguments]
-        return subprocess.run(command, env=self._environment, check=True, capture_output=True, text=True).stdout
-
-    @property
-    def coloured(self) -> str:
-        """All that was shown, with the terminal's sequences for colours."""
-        return self._tmux("capture-pane", "-p", "-e", "-J", "-S", "-")
+        environment = os.environ | {"PYTHONPATH": str(REPO), "PYCRAM_CACHE": str(cache), "TERM": "linux"}
+        command = [sys.executable, "-m", "replay", "debug", *map(str, arguments)]
+        self.coloured = ""  # all output, with the terminal's sequences for colours
+        self._screen = pyte.HistoryScreen(_COLUMNS, _ROWS, history=10_000)
+        self._stream = pyte.Stream(self._screen)
+        self._decoder = codecs.getincrementaldecoder("utf-8")()
+        end, self._fd = pty.openpty()[::-1]
+        fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack("HHHH", _ROWS, _COLUMNS, 0, 0))
+        # The child makes the terminal its controlling one, so that Ctrl-C interrupts it.
+        start = "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY); os.execv(sys.argv[1], sys.argv[1:])"
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", start, *command],
+            stdin=end,
+            stdout=end,
+            stderr=end,
+            cwd=folder,
+            env=environment,
+            start_new_session=True,
+        )
+        os.close(end)
 
     @property
     def lines(self) -> list[str]:
-        return _COLOURS.sub("", self.coloured).rstrip().splitlines()
+        past = ["".join(line[column].data for column in range(_COLUMNS)).rstrip() for line in self._screen.history.top]
+        return "\n".join([*past, *(line.rstrip() for line in self._screen.display)]).rstrip().splitlines()
 
-    def keys(self, text: str, *names: str) -> None:
-        """Presses keys: those of a text, then others by their names."""
-        if text:
-            self._tmux("send-keys", "-l", text)
-        if names:
-            self._tmux("send-keys", *names)
+    def keys(self, text: str) -> None:
+        os.write(self._fd, text.encode())
 
-    def type(self, text: str, *names: str) -> str:
-        """Types a command, then presses keys and Enter, and gives what is shown up to the next prompt."""
+    def type(self, text: str, key: str = "") -> str:
+        """Types a command, then presses a key and Enter, and returns the output up to the next prompt."""
         before = len(self.lines)
-        self.keys(text, *names)
-        self.keys("", "Enter")
+        self.keys(text + key)
+        self.keys(ENTER)
         return self.shown(before)
 
     def shown(self, before: int = 0) -> str:
-        """What is shown after a number of lines, when there is a prompt below it."""
+        """Return the output after a number of lines, once a prompt follows it."""
         self._wait(lambda lines: len(lines) > before and lines[-1].rstrip() == _PROMPT)
         return "\n".join(self.lines[max(before - 1, 0) :])
 
     def interrupt(self, typed: str) -> None:
         """Types something, presses Ctrl-C when it is on the screen, and waits for the next prompt.
 
-        Again, if nothing comes of it: Python misses what is pressed while it handles a key, until the next one.
+        Presses it again if nothing happens: Python misses an interrupt while it handles a key, until the next key.
         """
         before = len(self.lines)
-        self.keys(typed.rstrip("\n"), *["Enter"] * typed.endswith("\n"))
+        self.keys(typed.replace("\n", ENTER))
         self._wait(lambda lines: typed.strip() in lines[before - 1])
         while True:
-            self.keys("", "C-c")
-            if self._came(lambda lines: len(lines) > before and lines[-1].rstrip() == _PROMPT, _AGAIN):
+            self.keys("\x03")
+            if self._reached(lambda lines: len(lines) > before and lines[-1].rstrip() == _PROMPT, _AGAIN):
                 return
 
     def _wait(self, is_all: Callable[[list[str]], bool]) -> None:
-        assert self._came(is_all, _TIMEOUT), "\n".join(self.lines)
+        assert self._reached(is_all, _TIMEOUT), "\n".join(self.lines)
 
-    def _came(self, is_all: Callable[[list[str]], bool], timeout: float) -> bool:
+    def _reached(self, is_all: Callable[[list[str]], bool], timeout: float) -> bool:
         while not is_all(self.lines):
-            if not select.select([self._output], (), (), timeout)[0]:
+            if not select.select([self._fd], (), (), timeout)[0] or not self._read():
                 return False
-            os.read(self._output, 1 << 16)
         return True
 
-    def end(self, *keys: str) -> int:
-        """Presses keys that end the debugger, and gives its exit code."""
-        self.keys("", *keys)
-        self._wait(lambda lines: "ended with" in lines[-1])
-        return int(self.lines[-1].split()[-1])
+    def _read(self) -> bool:
+        try:
+            read = self._decoder.decode(os.read(self._fd, 1 << 16))
+        except OSError:  # Linux' way to say that no process has the terminal any more
+            return False
+        self.coloured += read
+        self._stream.feed(read)
+        return True
+
+    def end(self, keys: str) -> int:
+        """Presses keys that end the debugger, and returns its exit code."""
+        self.keys(keys)
+        while select.select([self._fd], (), (), _TIMEOUT)[0] and self._read():
+            pass
+        return self._process.wait(_TIMEOUT)
 
     def close(self) -> None:
-        self._tmux("kill-server")
-        os.close(self._output)
+        self._process.kill()
+        self._process.wait()
+        os.close(self._fd)
 
 
 @pytest.fixture
@@ -114,17 +129,16 @@ def cache(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def terminal(cache: Path) -> Iterator[Callable[..., Terminal]]:
+def terminal(cache: Path, tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
     opened = []
-    with tempfile.TemporaryDirectory(prefix="tmux-") as folder:  # names of sockets are short
 
-        def opening(*arguments: str | Path) -> Terminal:
-            opened.append(Terminal(Path(folder), cache, *arguments))
-            return opened[-1]
+    def opening(*arguments: str | Path) -> Terminal:
+        opened.append(Terminal(tmp_path, cache, *arguments))
+        return opened[-1]
 
-        yield opening
-        for each in opened:
-            each.close()
+    yield opening
+    for each in opened:
+        each.close()
 
 
 def step(shown: str) -> int:
@@ -132,7 +146,6 @@ def step(shown: str) -> int:
     return int(re.findall(r"^step (\d+) of", shown, re.MULTILINE)[-1])
 
 
-@pytest.mark.needs("tmux")
 @pytest.mark.slow
 def test_a_person_finds_out_why_a_demo_failed(
     terminal: Callable[..., Terminal], failed_log: Path, tmp_path: Path
@@ -140,12 +153,12 @@ def test_a_person_finds_out_why_a_demo_failed(
     prompt = terminal(failed_log)
     assert "PickUp failed" in prompt.shown()
     assert "\x1b[36mstep 161" in prompt.coloured
-    assert "try_to_take()" in prompt.type("whe", "Tab")
-    assert "'r_gripper_tool_frame'" in prompt.type("p grip", "Tab")
-    assert "Breakpoint 1: task pick-up" in prompt.type("b pick", "Tab")
+    assert "try_to_take()" in prompt.type("whe", TAB)
+    assert "'r_gripper_tool_frame'" in prompt.type("p grip", TAB)
+    assert "Breakpoint 1: task pick-up" in prompt.type("b pick", TAB)
     assert step(prompt.type("rc")) == 158
     assert step(prompt.type("")) == 120, "an empty line does the same again"
-    prompt.keys("p milk.get_posi", "Tab")
+    prompt.keys("p milk.get_posi" + TAB)
     assert "1.72" in prompt.type("()[0]")
     prompt.interrupt("p wro")
     prompt.interrupt("p [0 for _ in iter(int, 1)]\n")
@@ -160,10 +173,9 @@ def test_a_person_finds_out_why_a_demo_failed(
     assert step(prompt.type("g 0")) == 0
     prompt.interrupt("c\n")  # it comes to the breakpoint, or is interrupted before
     prompt.type("s")
-    assert prompt.end("C-d") == 0
+    assert prompt.end("\x04") == 0
 
 
-@pytest.mark.needs("tmux")
 @pytest.mark.costly
 def test_a_person_follows_the_demo_to_and_fro(
     terminal: Callable[..., Terminal], recorded_demo: Callable[[str], Path], cache: Path
@@ -172,26 +184,26 @@ def test_a_person_follows_the_demo_to_and_fro(
     history.write_text("locals\nwatch milk.z\n")
     prompt = terminal(recorded_demo("set_the_table"), "0")
     assert step(prompt.shown()) == 0
-    assert "Watch 1: milk.z: step" in prompt.type("", "Up"), "the last line of the session before"
+    assert "Watch 1: milk.z: step" in prompt.type("", UP), "the last line of the session before"
     loaded = step(prompt.type("c"))
     assert "\x1b[33mwatch milk.z: None -> 1" in prompt.coloured
     prompt.type("clear 1")
-    assert "Breakpoint 2: task pick-up" in prompt.type("b pick", "Tab")
+    assert "Breakpoint 2: task pick-up" in prompt.type("b pick", TAB)
     shown = prompt.type("c")
     assert "Breakpoint 2, task pick-up" in shown
     begun = step(shown)
     assert "move_object()" in prompt.type("u")
-    prompt.keys("p obj", "Tab")
-    assert "\n'bowl'" in prompt.type("_t", "Tab")
+    prompt.keys("p obj" + TAB)
+    assert "\n'bowl'" in prompt.type("_t", TAB)
     assert step(prompt.type("s")) == begun + 1
     assert step(prompt.type("rs")) == begun
     over = step(prompt.type("n"))
     assert over > begun + 1
     assert step(prompt.type("rn")) == begun
     assert "pick-up" in prompt.type("tree")
-    assert "bowl" in prompt.type("state bow", "Tab")
+    assert "bowl" in prompt.type("state bow", TAB)
     assert "stable(bowl): yes" in prompt.type("ask stable(bowl)")
     assert "bowl moved in simulation" in prompt.type("blame bowl")
     assert loaded < step(prompt.type("rwatch milk.z")) < begun
-    assert prompt.end("q", "Enter") == 0
+    assert prompt.end("q" + ENTER) == 0
     assert history.read_text().endswith("ask stable(bowl)\nblame bowl\nrwatch milk.z\nq\n")
