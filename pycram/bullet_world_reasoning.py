@@ -6,9 +6,8 @@ name of a camera's frame or a pair of position and orientation will do as well.
 """
 
 from pycram.foundation.failures import ReasoningError
-from pycram.reasoning.queries.blocking import blocking
 from pycram.reasoning.queries.contact import contact, supporting
-from pycram.reasoning.queries.reachability import reachable, reachable_object, reachable_pose, reachable_poses
+from pycram.reasoning.queries.reachability import blocking, reachable, reachable_object, reachable_pose, reachable_poses
 from pycram.reasoning.queries.stability import stable
 from pycram.reasoning.queries.visibility import occluding, visible
 

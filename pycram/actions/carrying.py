@@ -23,7 +23,7 @@ from pycram.language.retries import failure_handling
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.driving import drives
 from pycram.reasoning.places import PutDown, standing_places
-from pycram.reasoning.queries.blocking import blocking
+from pycram.reasoning.queries.reachability import blocking
 from pycram.scheduling.cancellation import Binding
 from pycram.world.world import BulletWorld
 from recorder import geometry
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pycram.actions.containers import Access
     from pycram.models.surfaces import Surface
     from pycram.reasoning.places import Place
-    from pycram.reasoning.places.place import Target
+    from pycram.reasoning.places.goals import Target
     from pycram.world.object import Object
 
 

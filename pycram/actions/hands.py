@@ -16,7 +16,7 @@ from pycram.motions import slot_checks
 from pycram.motions.designator import MotionDesignator
 from pycram.reasoning.collision import checker
 from pycram.reasoning.driving import drives
-from pycram.reasoning.kinematics.solver import postures
+from pycram.reasoning.kinematics.inverse import postures
 from pycram.world import carried
 from pycram.world.world import BulletWorld
 from recorder import geometry

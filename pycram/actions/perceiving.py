@@ -19,8 +19,7 @@ from pycram.knowledge import beliefs
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.modules.perception import RECOGNISABLE
 from pycram.reasoning.places import standing_places
-from pycram.reasoning.places.seeing import in_sight
-from pycram.reasoning.queries.visibility import visible
+from pycram.reasoning.queries.visibility import in_sight, visible
 from pycram.world.world import BulletWorld
 from recorder import geometry
 

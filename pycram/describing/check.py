@@ -12,8 +12,7 @@ from pycram.describing.hand import Corners
 from pycram.describing.postures import chain_of
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.kinematics import pan_tilt
-from pycram.reasoning.kinematics.descent import spread
-from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.kinematics.inverse import Solver, spread
 from recorder import geometry
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models.surfaces import DOOR, DRAWER
-from pycram.vision.camera import Camera, drawable
+from pycram.vision import Camera, drawable
 from recorder import geometry
 from recorder.packages import needed
 

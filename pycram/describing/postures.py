@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning.collision.checker import CollisionChecker
-from pycram.reasoning.kinematics.chain import Chain
-from pycram.reasoning.kinematics.descent import spread
+from pycram.reasoning.kinematics.forward import Chain
+from pycram.reasoning.kinematics.inverse import spread
 from recorder import geometry
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
-from pycram.reasoning.grasping.sides import GRASPS
+from pycram.reasoning.grasping.grasps import GRASPS
 from pycram.world.world import BulletWorld, Object
 
 if TYPE_CHECKING:

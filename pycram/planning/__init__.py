@@ -1,11 +1,14 @@
-"""Motions that take time: paths on which nothing is touched, and their times. Nothing here changes a world.
+"""Motions that take time: collision-free paths, and the fastest timing of each. Nothing here changes a world.
 
-General layout: a query is a start and a goal in a space (:mod:`space`); what is in the way there says :mod:`clearance`;
-:mod:`path` takes the straight line, or what :mod:`rrt_connect` finds, and :mod:`timing` makes it as fast as
-:mod:`rates` allow.
+A query has a start and a goal in a :mod:`space`, which tells the free configurations. :mod:`path` takes the straight
+line, or the path that :mod:`rrt_connect` finds. :mod:`timing` makes it as fast as the velocity limits allow.
 """
 
-from pycram.planning.base_motion import base_motion as base_motion
-from pycram.planning.joint_motion import joint_motion as joint_motion, through as through, together as together
-from pycram.planning.planned import Planned as Planned
-from pycram.planning.tool_line import line as line
+from pycram.planning.motions import (
+    base_motion as base_motion,
+    joint_motion as joint_motion,
+    line as line,
+    through as through,
+    together as together,
+)
+from pycram.planning.path import Planned as Planned

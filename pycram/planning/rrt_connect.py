@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.planning.clearance import Clearance
-    from pycram.planning.space import Space
+    from pycram.planning.space import Clearance, Space
 
     Array = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.vision.camera import Camera, Drawable, Rendering
+    from pycram.vision import Camera, Drawable, Rendering
     from recorder.geometry import Pose, Quaternion, Vector
     from replay.explain.why import Why
     from replay.file.record_reader import RecordReader
@@ -38,8 +38,7 @@ with needed("render"):
     from PIL import Image
 
     from pycram.models.visual import shapes_of
-    from pycram.vision.camera import Camera, drawable_link
-    from pycram.vision.rasterizer import Window
+    from pycram.vision import Camera, Window, drawable_link
     from replay.restore.recorded_world import description_of, model_of, world_state
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, of cameras without one

@@ -22,9 +22,9 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.models import rigid_parts, visual
 from pycram.models.convex_pieces import solids_of
 from pycram.physics.engine import bullet
-from pycram.reasoning.collision import boxes, moving_links, simulation_clone
-from pycram.reasoning.kinematics import articulation
-from pycram.vision.camera import FAR, NEAR
+from pycram.reasoning.collision import boxes, simulation_clone
+from pycram.reasoning.kinematics import forward
+from pycram.vision import FAR, NEAR
 from recorder import geometry
 from tests import large_kitchen
 from tests.benchmarks.timing import amount, goal, ratio, seconds
@@ -144,7 +144,7 @@ def forget() -> None:
         cached.cache_clear()
     for cached in (rigid_parts.divided, rigid_parts.single_link):
         cached.cache_clear()
-    for cached in (articulation.drivers, moving_links._structure, moving_links.joint_counts):
+    for cached in (forward.drivers, boxes._structure, boxes.joint_counts):
         cached.cache_clear()
     for clones in simulation_clone._clones.values():
         for clone in clones.values():

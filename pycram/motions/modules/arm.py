@@ -8,7 +8,7 @@ from pycram.foundation.failures import BadArgument, Blocked, NoPath, PostureInCo
 from pycram.motions.modules.simulated import AS_ASKED, FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
-from pycram.reasoning.kinematics import solver
+from pycram.reasoning.kinematics import inverse
 from pycram.reasoning.rejections import OutOfReach, Touching
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def _posture(
     Raises:
         Unreachable: There is none that gets there; Blocked if something is in the way.
     """
-    postures = solver.postures(robot, arm.tool_frame, target, orientation, thorough=True)
+    postures = inverse.postures(robot, arm.tool_frame, target, orientation, thorough=True)
     if not postures[0].reaches():
         choice.reject("the nearest posture", OutOfReach(postures[0].position_error, postures[0].turn_error))
         raise Unreachable(arm.name, target, postures[0].position_error)

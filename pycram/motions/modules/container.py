@@ -21,9 +21,7 @@ from pycram.motions.modules.simulated import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.grasping.handle_path import DeadEnd, plan, plan_with_torso
-from pycram.reasoning.grasping.handles import Handle
-from pycram.reasoning.grasping.remedies import arms_in_the_way, remedies
+from pycram.reasoning.grasping.handles import DeadEnd, Handle, arms_in_the_way, plan, plan_with_torso, remedies
 from pycram.reasoning.rejections import Touching
 from pycram.world import carried
 
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
     from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.grasping.handle_path import HandlePath
+    from pycram.reasoning.grasping.handles import HandlePath
     from pycram.world.object import Object
 
 _STEP: Final = 0.1  # m or rad of the opened joint from one posture to the next

@@ -21,7 +21,7 @@ from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import fingers
-from pycram.reasoning.grasping.taking import ways_to_hold
+from pycram.reasoning.grasping.choice import ways_to_hold
 from pycram.reasoning.rejections import Touching, Unreached, short
 from pycram.world import overlaps
 from recorder import geometry

@@ -14,7 +14,7 @@ from pycram.motions.modules.simulated import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing
-from pycram.reasoning.grasping.putting import Refusals, placements
+from pycram.reasoning.grasping.placing import Refusals, placements
 from pycram.reasoning.rejections import Unreached, short
 from recorder import geometry
 

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final, TypedDict
 import numpy as np
 
 from pycram.foundation.collision_pair import CollisionPair
-from pycram.reasoning.collision.boxes import Boxes, overlaps
-from pycram.reasoning.collision.moving_links import MovingLinks, joint_counts
+from pycram.reasoning.collision.boxes import Boxes, MovingLinks, joint_counts, overlaps
 from pycram.reasoning.collision.simulation_clone import clone_of
 from recorder import geometry
 

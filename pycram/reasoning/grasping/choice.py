@@ -8,12 +8,15 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
-from pycram.reasoning.choosing import UNRECORDED
+from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, PlanFailure, Unreachable
+from pycram.reasoning.choosing import UNRECORDED, Choice
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.grasping.grasps import Grasp, candidates
-from pycram.reasoning.kinematics.solver import Solver
-from pycram.reasoning.rejections import OutOfReach, Touching, Untried
+from pycram.reasoning.grasping import fingers
+from pycram.reasoning.grasping.grasps import FREE, Grasp, candidates, leaning
+from pycram.reasoning.kinematics.inverse import Solver
+from pycram.reasoning.rejections import Misfit, OutOfReach, Slips, Touching, Untried
+from recorder import geometry
 from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
@@ -22,20 +25,21 @@ if TYPE_CHECKING:
     from pycram.foundation.collision_pair import CollisionPair
     from pycram.models.robots.description import Arm
     from pycram.physics.contacts import ClosestPoint
-    from pycram.reasoning.choosing import Choice
     from pycram.reasoning.collision.checker import Collision, Pair
-    from pycram.reasoning.kinematics.arm import Posture
+    from pycram.reasoning.grasping.fingers import Closing
+    from pycram.reasoning.kinematics.inverse import Posture
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
-    #: Two links that touch, and where.
     Touch = tuple[Pair, list[ClosestPoint]]
-    #: Whether something is in the target, numbers of fixed objects and of others, the sum of the depths in m.
     Cost = tuple[bool, float, float, float]
+
 
 _FREE: Final = (False, 0, 0, 0.0)  # what a posture costs that touches nothing
 _INFINITE: Final = (True, math.inf, math.inf, math.inf)  # more than any posture costs
 _HAND: Final = -1  # stands for the hand alone, before all postures for the same grasp
+_MAX_GRASPS: Final = 6  # that are tried, one after the other
+_LEANING: Final = math.radians(5)  # that the message tells
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,3 +277,74 @@ class _Choice:
         counted = {body: depth for body, depth in depths.items() if body is not self._target}
         furniture = sum(body.fixed for body in counted)
         return self._target in depths, furniture, len(counted) - furniture, sum(sorted(counted.values()))
+
+
+def ways_to_hold(
+    robot: Object,
+    arm: Arm,
+    body: Object,
+    names: Sequence[str] | None,
+    failures: list[PlanFailure],
+    choice: Choice,
+    base: Pose | None = None,
+) -> Iterator[tuple[Grasp, Posture, Closing]]:
+    """Yield grasps with the arm's posture and how the gripper closes then, the one that touches least first.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm.
+        body: the object.
+        names: the sides that are allowed; None for all.
+        failures: gets why others won't do; the caller may add its own, and it ends after a few of either.
+        choice: gets the same, by grasp.
+        base: pose that the robot's base is taken to have; where it stands by default.
+    """
+    refused: list[Grasp] = []
+    while len(failures) < _MAX_GRASPS:
+        plan = best(body, robot, arm.tool_frame, names, refused, choice, base)
+        if plan.grasp is None or plan.posture is None:
+            failures.append(_nothing(robot, arm, body, names, plan, base))
+            return
+        closing = fingers.closed_around(robot, arm, plan.posture.positions, body, base)
+        failure = _problem(arm, body, plan, closing)
+        if failure is not None:
+            failures.append(failure)
+            slips = Slips(closing.sides if closing else 0)
+            choice.reject(str(plan.grasp), Touching(failure.pairs) if isinstance(failure, Blocked) else slips)
+        elif closing is not None:
+            yield plan.grasp, plan.posture, closing
+        refused.append(plan.grasp)
+
+
+def _nothing(
+    robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, plan: GraspPlan, base: Pose | None
+) -> PlanFailure:
+    """Return why no grasp was found."""
+    if plan.posture is None:
+        tilt = geometry.angle(leaning(body), geometry.IDENTITY[1])
+        lies = f"as it leans, by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
+        if arm.gripper.suction:
+            return GraspFailed(arm.name, body.name, f"{lies}it is nowhere flat enough for the suction cup")
+        sides = Choice("grasp", {})  # also where nobody records
+        candidates(body, robot, arm, names, base=base, choice=sides)
+        misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]
+        widths = [misfit.width for misfit in misfits if misfit.width is not None]
+        return DoesNotFit(arm.name, body.name, widths, arm.gripper.gap, arm.gripper.aperture - FREE, lies)
+    if plan.self_collisions:
+        return Blocked(arm.name, center(body), plan.self_collisions)
+    return Unreachable(arm.name, center(body), plan.posture.position_error)
+
+
+def _problem(arm: Arm, body: Object, plan: GraspPlan, closing: Closing | None) -> PlanFailure | None:
+    """Return why a grasp doesn't do; None if it does."""
+    if plan.obstacles:
+        return Blocked(arm.name, center(body), [collision["pair"] for collision in plan.obstacles.values()])
+    if plan.penetrating is not None:
+        return Blocked(arm.name, center(body), [plan.penetrating])
+    if closing is None:
+        return GraspFailed(arm.name, body.name, "its fingers would close on nothing")
+    if closing.obstacles:
+        return Blocked(arm.name, center(body), closing.obstacles, "when the fingers close")
+    if closing.sides < 2:
+        return GraspFailed(arm.name, body.name, "its fingers would touch it on one side only")
+    return None

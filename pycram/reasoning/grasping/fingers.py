@@ -210,6 +210,14 @@ def closed_around(
     return Closing(positions, sides, _pairs(robot, deep))
 
 
+def held(robot: Object, arm: Arm | None = None) -> list[Object]:
+    """Return what a robot carries, directly and through other things; with an arm, what hangs on its tool frame."""
+    found = [each.body for each in robot.carried if arm is None or each.carrier_link == arm.tool_frame]
+    for body in found:
+        found.extend(each.body for each in body.carried)
+    return found
+
+
 def sides_held(robot: Object, arm: Arm, body: Object) -> int:
     """Return on how many sides of an object the fingers of an arm are now: 0, 1 or 2; see :class:`Closing`."""
     engine, gripper = robot.world.engine, arm.gripper

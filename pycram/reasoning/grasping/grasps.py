@@ -16,21 +16,23 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from pycram.foundation import checks
+from pycram.foundation.failures import UnknownName
 from pycram.models.convex_pieces import solids_of
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
-from pycram.reasoning.grasping.sides import GRASPS, heading
 from pycram.reasoning.rejections import Misfit, Uneven
 from recorder import geometry
 from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
+
 
 FREE: Final = 0.004
 """Metres of the aperture that have to stay free."""
@@ -48,6 +50,13 @@ _LEANING: Final = math.radians(5)  # from which on the gripper leans as the obje
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
 _biases: WeakKeyDictionary[Object, dict[str, float]] = WeakKeyDictionary()
+GRASPS: Final[Mapping[str, Quaternion]] = {
+    "front": (0.0, 0.0, 0.0, 1.0),
+    "top": geometry.from_rpy(0.0, math.pi / 2, 0.0),
+    "left": geometry.from_rpy(0.0, 0.0, -math.pi / 2),  # from the robot's left side to its right
+    "right": geometry.from_rpy(0.0, 0.0, math.pi / 2),
+}
+"""Tool orientations in a frame that has the robot's heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,3 +338,35 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice
         grasp_x, grasp_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))
         between = (grasp_x, grasp_y, tips), turn
         yield Grasp("top", geometry.transform(between, (0.0, -gripper.middle(width, bias), 0.0)), turn, width, label)
+
+
+def grasp_orientation(grasp: str, robot: Object, base: Pose | None = None) -> Quaternion:
+    """Return the orientation of the tool for a grasp, in the world.
+
+    Args:
+        grasp: "front", "top", "left" or "right".
+        robot: whose heading says what is front.
+        base: pose that its base is taken to have.
+
+    Raises:
+        UnknownName: another grasp.
+    """
+    if checks.text("grasp", grasp) not in GRASPS:
+        raise UnknownName("grasp", grasp, "a gripper", GRASPS)
+    return geometry.product(heading(robot, base), GRASPS[grasp])
+
+
+def heading(robot: Object, base: Pose | None = None) -> Quaternion:
+    """Return a robot's orientation about the vertical, as it stands or with its base at another pose."""
+    return geometry.from_rpy(0.0, 0.0, yaw(robot) if base is None else yaw_of(base[1]))
+
+
+def yaw(body: Object) -> float:
+    """Return the angle about the vertical by which an object's x axis is turned, rad."""
+    return yaw_of(body.get_orientation())
+
+
+def yaw_of(orientation: Sequence[float]) -> float:
+    """Return the angle about the vertical by which an orientation turns the x axis, rad."""
+    x, y, _ = geometry.rotate(orientation, (1.0, 0.0, 0.0))
+    return math.atan2(y, x)

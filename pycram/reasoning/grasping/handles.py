@@ -15,25 +15,52 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.foundation.collision_pair import CollisionPair
 from pycram.models.surfaces import closed_position
 from pycram.models.visual import shapes_of
+from pycram.reasoning.choosing import UNRECORDED
+from pycram.reasoning.collision import checker
+from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import half_extent
-from pycram.reasoning.grasping.sides import grasp_orientation
+from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.grasping.grasps import grasp_orientation
+from pycram.reasoning.kinematics.inverse import Solver
+from pycram.reasoning.rejections import Contorted, OutOfReach, Touching
 from pycram.world import carried
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from pycram.models.robots.description import Gripper
+    from numpy.typing import NDArray
+
+    from pycram.models.robots.description import Arm, Gripper
+    from pycram.physics.body import Body
+    from pycram.reasoning.choosing import Choice
+    from pycram.reasoning.collision.checker import Candidate, Pair
+    from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
+
+    Array = NDArray[np.float64]
+
 
 ANGLES: Final = tuple(math.radians(angle) for angle in range(-90, 91, 30))
 """Rad about the bar, by which a gripper may be turned from the front."""
 
 #: Of the way from the bar's middle to where the gripper would reach over its end.
 _SHIFTS: Final = {"middle": 0.0, "one side": 0.5, "other side": -0.5}
+_MAX_TURN: Final = math.radians(31)  # about the bar from one value to the next
+_MAX_JUMP: Final = 1.6  # rad of a joint from one value to the next
+_TURNED: Final = 1.0  # cost of a square rad about the bar, against a square rad of a joint
+_TURNING: Final = 1.0  # of a square rad about the bar from one value to the next
+_APPROACH: Final = 0.01  # of a square rad of a joint from the present posture to the first
+_MAX_PATHS: Final = 40  # that are checked
+_MAX_QUICK_PATHS: Final = 8
+_SAME_HEIGHT: Final = 0.02  # m
+_STEP: Final = 0.15  # m between places that are tried
+_STEPS: Final = 5  # to each side
+_MAX_PLACES: Final = 4  # for which a path is looked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,3 +173,484 @@ class Handle:
         if across > width[2]:  # a bar that lies
             tool = geometry.product(tool, geometry.from_rpy(math.pi / 2, 0.0, 0.0))
         return tool
+
+
+@dataclass(frozen=True, slots=True)
+class HandlePath:
+    """Postures of an arm, one a value of the joint; with the torso's height, if that is another one."""
+
+    values: Sequence[float]
+    postures: Sequence[Mapping[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class DeadEnd:
+    """Why there is no path.
+
+    Attributes:
+        value: of the joint, which the arm doesn't get to.
+        reached: the last value that it gets to; None if not even the first.
+        position: of the tool there, in the world, m.
+        orientation: of the tool there when it comes from the front, xyzw.
+        distance: m that the tool stays away at least; None if it gets there.
+        turn: rad that remain to that orientation where it comes nearest.
+        pairs: what would touch what, where it gets there.
+    """
+
+    value: float
+    reached: float | None
+    position: Vector
+    orientation: Quaternion
+    distance: float | None = None
+    turn: float = 0.0
+    pairs: Sequence[CollisionPair] = ()
+
+    def rejection(self) -> Rejection:
+        """Return it as the reason why a path is rejected."""
+        if self.pairs:
+            return Touching(self.pairs)
+        return Contorted(self.value) if self.distance is None else OutOfReach(self.distance, self.turn)
+
+
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """Postures for one value of the joint.
+
+    Attributes:
+        joints: (n, joints) of the arm, rad or m.
+        angles: (n,) of the gripper about the bar, rad.
+    """
+
+    joints: Array
+    angles: Array
+
+
+def plan(
+    robot: Object,
+    arm: Arm,
+    handle: Handle,
+    values: Sequence[float],
+    base: Pose | None = None,
+    *,
+    others: Mapping[str, float] | None = None,
+    quick: bool = False,
+    choice: Choice = UNRECORDED,
+) -> HandlePath | DeadEnd:
+    """Return the path of an arm that holds a handle while its joint goes through values.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm.
+        handle: the handle.
+        values: of its joint, rad or m, from the present one on.
+        base: where the robot's base is taken to stand; where it does by default.
+        others: values at which other joints are taken to be, of other arms or of the torso, rad or m; they are where
+            they are by default.
+        quick: don't look long; a dead end then proves nothing.
+        choice: gets which ways to hold the handle end where, and which one is taken.
+    """
+    moved = carried.moved_links(handle.container.urdf, [handle.joint])
+    ignored = {(handle.container, link) for link in moved}
+    kept = arm.gripper.positions("open") | dict(others or {})
+    joints = [*arm.joints, *kept]
+    grips = handle.grips(robot, arm.gripper, base)
+    ends: list[DeadEnd] = []
+    try:
+        with CollisionChecker(robot, joints, handle.contents, ignored_links=ignored) as checker:
+            search = _Search(robot, arm, handle, values, base, kept, checker, quick=quick)
+            holds = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
+            for grip, angles in holds:
+                found = search.path(grip, angles)
+                name = f"{grip.name}, {'from the front' if len(angles) == 1 else 'turned'}"
+                if isinstance(found, HandlePath):
+                    choice.take(name)
+                    return found
+                choice.reject(name, found.rejection())
+                ends.append(found)
+    finally:
+        clone_of(robot.world, "reach").invalidate(handle.container.name, *(body.name for body in handle.contents))
+    return max(ends, key=lambda end: -1.0 if end.reached is None else abs(end.reached - values[0]))
+
+
+def plan_with_torso(
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
+) -> HandlePath | None:
+    """Return the path with the torso at the nearest other height for which there is one; see :func:`plan`."""
+    for height in _torso_heights(robot):
+        found = plan(robot, arm, handle, values, others=height, choice=choice)
+        if isinstance(found, HandlePath):
+            return found
+    return None
+
+
+def _torso_heights(robot: Object) -> list[dict[str, float]]:
+    """Return heights of the torso, if it has one, but for the present one, nearest first: m by its joint."""
+    torso = robot.description.torso if robot.description else None
+    if torso is None:
+        return []
+    lower, upper = robot.joint_limits(torso.joint)
+    now = robot.get_joint_position(torso.joint)
+    heights = sorted((lower, (lower + upper) / 2, upper), key=lambda height: abs(height - now))
+    return [{torso.joint: height} for height in heights if abs(height - now) > _SAME_HEIGHT]
+
+
+class _Search:
+    """The search for a path; see :func:`plan` for the arguments, of which those kept are joints but the arm's."""
+
+    def __init__(
+        self,
+        robot: Object,
+        arm: Arm,
+        handle: Handle,
+        values: Sequence[float],
+        base: Pose | None,
+        kept: dict[str, float],
+        checker: CollisionChecker,
+        *,
+        quick: bool,
+    ) -> None:
+        self._robot, self._arm, self._handle = robot, arm, handle
+        self._quick = quick
+        self._values, self._base, self._checker = values, base, checker
+        self._clone = clone_of(robot.world, "reach")
+        self._solver = Solver(robot, arm.tool_frame)
+        torso = robot.description.torso if robot.description else None
+        self._torso = torso.joint if torso is not None and torso.joint in kept else None
+        self._lifted = base if self._torso is None else self._base_lifted(self._torso, kept[self._torso])
+        self._poses = [handle.pose(value) for value in values]
+        now = robot.get_joint_positions()
+        self._now = np.array([now[name] for name in arm.joints])
+        self._endless = np.array([not math.isfinite(robot.joint_limits(name)[1]) for name in arm.joints])
+        self._kept = kept
+        self._links = set(carried.moved_links(robot.urdf, arm.joints))
+        self._hand = checker.links_beyond(arm.joints)
+
+    def _base_lifted(self, torso: str, height: float) -> Pose:
+        """Return where the base would stand if the arm came there by the base, with the torso as it is."""
+        robot, joint = self._robot, self._robot.urdf.joint(torso)
+        base = robot.get_position_and_orientation()
+        below = geometry.multiply(geometry.invert(base), robot.get_link_position_and_orientation(joint.parent))
+        lift = geometry.multiply(joint.pose(height), geometry.invert(joint.pose(robot.get_joint_position(torso))))
+        lift = geometry.multiply(geometry.multiply(below, lift), geometry.invert(below))
+        return geometry.multiply(self._base or base, lift)
+
+    def path(self, grip: Grip, angles: Sequence[float]) -> HandlePath | DeadEnd:
+        """Return a path for one place of the gripper on the bar, or the end of the longest."""
+        layers = self._rigid(grip) if len(angles) == 1 else self._turning(grip, angles)
+        edges = [self._edges(before, after) for before, after in itertools.pairwise(layers)]
+        free = [np.zeros(len(layer.angles)) for layer in layers]  # infinite where something would be touched
+        obstacles: dict[int, list[CollisionPair]] = {}
+        nodes: list[int] = []
+        checked: set[tuple[int, int]] = set()  # paths have most of their nodes in common
+        for _ in range(_MAX_QUICK_PATHS if self._quick else _MAX_PATHS):
+            nodes = self._cheapest(layers, edges, free)
+            postures = [self._posture(layers[step].joints[node]) for step, node in enumerate(nodes)]
+            unchecked = [step for step, node in enumerate(nodes) if (step, node) not in checked]
+            checked.update((step, nodes[step]) for step in unchecked)
+            touching = False
+            candidates = self._checker.predict([postures[step] for step in unchecked], self._base)
+            own_pairs = self._checker.self_pairs(candidates)  # all at once: it takes little longer than one
+            for step, candidate, own in zip(unchecked, candidates, own_pairs, strict=True):
+                pairs = self._touching(candidate, own, self._values[step])
+                if pairs:
+                    touching = True
+                    obstacles.setdefault(step, pairs)
+                    free[step][self._alike(layers[step], nodes[step], pairs)] = np.inf
+            if not touching and len(nodes) == len(layers):
+                moved = [*self._arm.joints, *([self._torso] if self._torso else [])]
+                return HandlePath(self._values, [{name: posture[name] for name in moved} for posture in postures])
+            if not touching:
+                break
+        else:
+            nodes = nodes[: min(obstacles)]
+        return self._end(grip, layers, len(nodes), obstacles)
+
+    def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
+        """Return the nodes for which the same links are at the same place: all of a robot's body, many of a hand."""
+        if any(self._links.isdisjoint(self._own_links(pair)) for pair in pairs):
+            alike: Sequence[int] = range(len(layer.angles))
+        elif any(pair.link in self._hand for pair in pairs):
+            alike = np.flatnonzero(layer.angles == layer.angles[node]).tolist()
+        else:
+            alike = [node]
+        return alike
+
+    def _own_links(self, pair: CollisionPair) -> list[str]:
+        return [pair.link, pair.body_link] if pair.body == self._robot.name else [pair.link]
+
+    def _posture(self, joints: Array) -> dict[str, float]:
+        return dict(zip(self._arm.joints, joints.tolist(), strict=True)) | self._kept
+
+    def _rigid(self, grip: Grip) -> list[_Layer]:
+        """Return postures in which the gripper comes from the front, each looked for from the one before."""
+        layers = []
+        seed = None
+        for pose in self._poses:
+            position, orientation = geometry.multiply(pose, grip.tool(0.0))
+            target = position, orientation, self._lifted
+            (found,) = self._solver.closed_form([target], seed)
+            if not found:  # an arm that has none, or can't get there so
+                (found,) = self._solver.search([target], seed=seed)
+            rows = [posture.positions for posture in found if posture.reaches()]
+            layers.append(self._layer([(row, 0.0) for row in rows]))
+            if not rows:
+                break
+            seed = rows[0]
+        return layers + [self._layer([])] * (len(self._poses) - len(layers))
+
+    def _turning(self, grip: Grip, angles: Sequence[float]) -> list[_Layer]:
+        """Return postures in which the gripper is turned about the bar."""
+        tools = [geometry.multiply(pose, grip.tool(angle)) for pose in self._poses for angle in angles]
+        targets = [(*tool, self._lifted) for tool in tools]
+        found = self._solver.closed_form(targets)
+        if not any(found) and not (self._quick and self._solver.in_closed_form):  # it has none, or hardly gets there
+            found = self._solver.search(targets, quick=True)
+        count = len(angles)
+        return [
+            self._layer(
+                [
+                    (posture.positions, angle)
+                    for angle, each in zip(angles, found[start : start + count], strict=True)
+                    for posture in each
+                    if posture.reaches()
+                ]
+            )
+            for start in range(0, len(found), count)
+        ]
+
+    def _layer(self, found: Sequence[tuple[Mapping[str, float], float]]) -> _Layer:
+        rows = [[positions[name] for name in self._arm.joints] for positions, _ in found]
+        joints = np.array(rows, dtype=np.float64).reshape(-1, len(self._arm.joints))
+        return _Layer(joints, np.array([angle for _, angle in found]))
+
+    def _edges(self, before: _Layer, after: _Layer) -> Array:
+        """Return what it costs to get from nodes of a layer to those of the next; infinite where that is impossible."""
+        change = self._change(before.joints, after.joints)
+        turning = after.angles - before.angles[:, None]
+        costs: Array = (change**2).sum(axis=2) + _TURNING * turning**2
+        costs[(np.abs(change) > _MAX_JUMP).any(axis=2) | (np.abs(turning) > _MAX_TURN)] = np.inf
+        return costs
+
+    def _cheapest(self, layers: Sequence[_Layer], edges: Sequence[Array], free: Sequence[Array]) -> list[int]:
+        """Return the nodes of the cheapest path through all layers, or through as many of the first as it gets to."""
+        first = _APPROACH * (self._change(self._now[None], layers[0].joints) ** 2).sum(axis=2)[0]
+        costs = [first + _TURNED * layers[0].angles ** 2 + free[0]]
+        origins: list[NDArray[np.intp]] = []
+        while np.isfinite(costs[-1]).any():
+            step = len(costs)
+            if step == len(layers) or not len(layers[step].angles):
+                break
+            sums = costs[-1][:, None] + edges[step - 1]
+            origins.append(sums.argmin(axis=0))
+            costs.append(sums.min(axis=0) + _TURNED * layers[step].angles ** 2 + free[step])
+        reached = [cost for cost in costs if np.isfinite(cost).any()]
+        if not reached:
+            return []
+        nodes = [int(reached[-1].argmin())]
+        for origin in reversed(origins[: len(reached) - 1]):
+            nodes.append(int(origin[nodes[-1]]))
+        return nodes[::-1]
+
+    def _change(self, before: Array, after: Array) -> Array:
+        """Return by how much joints move (n, m, joints) between postures (n, joints) and (m, joints), rad or m."""
+        change = after - before[:, None]
+        wrapped = (change + math.pi) % (2 * math.pi) - math.pi
+        return np.where(self._endless, wrapped, change)
+
+    def _touching(self, candidate: Candidate, own_pairs: Sequence[Pair], value: float) -> list[CollisionPair]:
+        """Return what would touch what while the joint is at a value: also the door or drawer, and what is in it.
+
+        Args:
+            candidate: the robot's posture.
+            own_pairs: of its links that could touch in it.
+            value: of the joint.
+        """
+        robot = self._robot.name
+        pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
+        for body, link, part, pose in self._moving_along(value) if not pairs else ():
+            self._clone.engine.set_pose(part, pose)
+            depths: dict[str, float] = {}  # two links may touch with several shapes each
+            for touch in self._checker.closest_points(candidate, part):
+                gripped = link == self._handle.link and touch.link_a in self._hand
+                if touch.distance <= -DEPTH and not gripped:
+                    depths[touch.link_a] = max(depths.get(touch.link_a, 0.0), -touch.distance)
+            pairs += [CollisionPair(robot, own, body, link, depth) for own, depth in depths.items()]
+        pairs.sort(key=lambda pair: -pair.depth)
+        return pairs or self._checker.self_collisions(candidate, own_pairs)
+
+    def _moving_along(self, value: float) -> Iterator[tuple[str, str, Body, Pose]]:
+        """Yield name, link, copy and pose of what the joint moves when it is at a value: links and what they carry."""
+        container = self._handle.container
+        for link in self._handle.moved:
+            yield container.name, link, self._clone.link(container, link), self._handle.pose(value, link)
+        for body, (link, pose) in self._handle.contents.items():
+            at = geometry.multiply(self._handle.pose(value, link), pose)
+            yield body.name, "", self._clone.body(body.name), at
+
+    def _end(
+        self, grip: Grip, layers: Sequence[_Layer], step: int, obstacles: Mapping[int, list[CollisionPair]]
+    ) -> DeadEnd:
+        """Return what ends all paths at a step."""
+        position, orientation = geometry.multiply(self._poses[step], grip.tool(0.0))
+        reached = self._values[step - 1] if step else None
+        if not len(layers[step].angles):
+            nearest = self._solver.search([(position, orientation, self._lifted)], quick=self._quick)[0][0]
+            miss = nearest.position_error, nearest.turn_error
+            return DeadEnd(self._values[step], reached, position, orientation, *miss)
+        return DeadEnd(self._values[step], reached, position, orientation, pairs=obstacles.get(step, ()))
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """An arm that could do it.
+
+    Attributes:
+        arm: its name.
+        parked: name of another arm that would have to be parked first; "" for none.
+        base: where the robot would have to stand, m, with its present heading; None where it does.
+        distance: m from where it stands.
+    """
+
+    arm: str
+    base: Vector | None = None
+    distance: float = 0.0
+    parked: str = ""
+
+    def __str__(self) -> str:
+        place = "here" if self.base is None else f"[{', '.join(f'{part:.2f}' for part in self.base[:2])}]"
+        return f"{self.arm} arm from {place}"
+
+    def phrase(self) -> str:
+        """Return it in words."""
+        if self.parked:
+            return f"the {self.arm} arm could from here with the {self.parked} arm parked"
+        if self.base is None:
+            return f"the {self.arm} arm could from here"
+        place = ", ".join(f"{part:.2f}" for part in self.base)
+        return f"the {self.arm} arm could with the robot at [{place}], {self.distance:.2f} m from here"
+
+
+@dataclass(frozen=True, slots=True)
+class InTheWay:
+    """An arm that is in the way even where it is parked.
+
+    Attributes:
+        arm: its name.
+    """
+
+    arm: str
+
+    def phrase(self) -> str:
+        """Return it in words."""
+        return f"the {self.arm} arm is in the way, also when it is parked"
+
+
+def arms_in_the_way(
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], pairs: Sequence[CollisionPair]
+) -> list[Remedy | InTheWay]:
+    """Return for the other arms that are in an arm's way whether parking them would do.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm that can't.
+        handle: of what should be moved.
+        values: of its joint, rad or m, from the present one on.
+        pairs: what would touch what.
+    """
+    found: list[Remedy | InTheWay] = []
+    for other in robot.description.arms.values() if robot.description else ():
+        if other is not arm and any(_meets(robot, other, pair) for pair in pairs):
+            path = plan(robot, arm, handle, values, others=other.posture("park"))
+            found.append(Remedy(arm.name, parked=other.name) if isinstance(path, HandlePath) else InTheWay(other.name))
+    return found
+
+
+def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
+    """Whether a link of an arm, or what it holds, is one of a pair."""
+    links = carried.moved_links(robot.urdf, arm.joints)
+    own = {pair.link} if pair.mover == robot.name else set()
+    own |= {pair.body_link} if pair.body == robot.name else set()
+    holds = any(held.body.name == pair.body and held.carrier_link in links for held in robot.carried)
+    return holds or pair.gripper == arm.name or not own.isdisjoint(links)
+
+
+def remedies(
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
+) -> list[Remedy]:
+    """Return what would do instead of an arm that can't, nearest first; an empty list says that nothing nearby would.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm that can't.
+        handle: of what should be moved.
+        values: of its joint, rad or m, from the present one on.
+        choice: gets what was tried.
+    """
+    description = robot.description
+    free = [
+        other
+        for other in (description.arms.values() if description else ())
+        if all(held.carrier_link != other.tool_frame for held in robot.carried)
+    ]
+    found: list[Remedy] = []
+    for other in free:
+        if other is not arm:
+            remedy, path = Remedy(other.name), plan(robot, other, handle, values)
+            if isinstance(path, HandlePath) or plan_with_torso(robot, other, handle, values) is not None:
+                found.append(remedy)
+            else:
+                choice.reject(str(remedy), path.rejection())
+    drives = description is not None and description.drives
+    places = (
+        _from_elsewhere(robot, other, handle, values, choice)
+        for other in sorted(free if drives else (), key=lambda other: other is not arm)
+    )
+    elsewhere = next((place for place in places if place is not None), None)
+    found += [elsewhere] if elsewhere is not None else []
+    if found:
+        choice.take(str(found[0]))
+    return found
+
+
+def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> Remedy | None:
+    """Return the nearest place, of those on a grid, from which an arm could do it."""
+    position, heading = robot.get_position_and_orientation()
+    now: Pose = (position[0], position[1], position[2]), (heading[0], heading[1], heading[2], heading[3])
+    tried = 0
+    for base in _promising(robot, arm, handle, values, list(_places(now))):
+        remedy = Remedy(arm.name, base[0], math.dist(base[0], position))
+        touched = checker.touched(robot, {}, base, all_links=True)
+        if touched:
+            choice.reject(str(remedy), Touching([collision["pair"] for collision in touched.values()]))
+            continue
+        path = plan(robot, arm, handle, values, base, quick=True)
+        if isinstance(path, HandlePath):
+            return remedy
+        choice.reject(str(remedy), path.rejection())
+        tried += 1
+        if tried == _MAX_PLACES:
+            break
+    return None
+
+
+def _places(now: Pose) -> Iterator[Pose]:
+    """Yield places around the robot, nearest first, with its heading."""
+    steps = [_STEP * step for step in range(-_STEPS, _STEPS + 1)]
+    for x, y in sorted(itertools.product(steps, steps), key=lambda at: math.hypot(*at)):
+        if (x, y) != (0.0, 0.0):
+            yield geometry.transform(now, (x, y, 0.0)), now[1]
+
+
+def _promising(
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], bases: Sequence[Pose]
+) -> Iterator[Pose]:
+    """Yield places from which the arm gets to the handle at the first, the middle and the last value, in some way."""
+    solver = Solver(robot, arm.tool_frame)
+    grip = handle.grips(robot, arm.gripper)[0]
+    picked = sorted({0, len(values) // 2, len(values) - 1})
+    tools = [geometry.multiply(handle.pose(values[number]), grip.tool(angle)) for number in picked for angle in ANGLES]
+    for base in bases:
+        found = solver.closed_form([(*tool, base) for tool in tools])
+        reached = np.array([bool(each) for each in found]).reshape(len(picked), len(ANGLES))
+        if reached.any(axis=1).all():
+            yield base

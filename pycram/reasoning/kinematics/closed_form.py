@@ -1,7 +1,7 @@
 """Inverse kinematics in closed form, of arms of seven joints with a spherical shoulder and wrist.
 
 Where axes 2 and 3 meet in a shoulder and axes 5, 6 and 7 in a wrist, as in the PR2's arms, one turn of joint 1 leaves
-at most eight postures for a pose of the tool, and each is a chain of :mod:`pycram.reasoning.kinematics.subproblems`.
+at most eight postures for a pose of the tool, and each is a chain of :mod:`pycram.reasoning.kinematics.closed_form`.
 Joint 1 is sampled all over its range, in steps of 4 degrees. Where no orientation is asked for, joints 5 and 6 are
 sampled as well, more coarsely. A narrow range of postures can slip through; the nearest misses are returned then, to
 search from.
@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.kinematics import screws, subproblems
+from pycram.reasoning.kinematics import forward
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,12 +25,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
+    Hinge = tuple[Array, Array, Array]
+
 
 _ROUNDING: Final = 1e-9  # rad beyond a limit
 _MEET: Final = 1e-6  # m between axes that meet
 _SAMPLES: Final = 44  # of joint 1 for a pose
 _SAMPLES_AROUND_A_MISS: Final = 13  # of joint 1
 _SAMPLES_FOR_A_POSITION: Final = (8, 6, 4)  # of joints 1, 5 and 6
+_ROUNDING_ANGLE: Final = 1e-9  # of a cosine: no miss
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +53,7 @@ class ClosedForm:
         shoulders: (n, 3) positions of the shoulder for samples of joint 1.
         swing: m by which the shoulder is away at most from the nearest of these.
         elbow: how joint 4 opens the distance between the shoulder and the wrist.
-        rotations: (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.screws`).
+        rotations: (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.forward`).
         hand: (2, 3) unit vectors across the last axis at zero, the second a quarter of a turn after the first.
     """
 
@@ -64,7 +68,7 @@ class ClosedForm:
     span: tuple[float, float]
     shoulders: Array
     swing: float
-    elbow: subproblems.Hinge
+    elbow: Hinge
     rotations: Array
     hand: Array
 
@@ -91,12 +95,12 @@ class ClosedForm:
         if float(np.linalg.norm(np.cross(wrist - origins[6], axes[6]))) > _MEET or _parallel(axes[5], axes[6]):
             return None
         q4 = np.linspace(lower[3], upper[3], _SAMPLES)
-        bent = subproblems.turned(axes[3], q4, (wrist - origins[3])[:, None])
+        bent = turned(axes[3], q4, (wrist - origins[3])[:, None])
         spans = np.linalg.norm(bent + (origins[3] - shoulder)[:, None], axis=0)
         slack = _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2  # between samples
         span = float(spans.min()) - slack, float(spans.max()) + slack
         q1 = np.linspace(lower[0], upper[0], _SAMPLES)
-        shoulders = (subproblems.turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
+        shoulders = (turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
         swing = _radius(shoulder, origins[0], axes[0]) * float(q1[1] - q1[0]) / 2
         across = _across(axes[6])
         return cls(
@@ -112,7 +116,7 @@ class ClosedForm:
             shoulders=shoulders,
             swing=swing,
             elbow=_hinge(origins[3], axes[3], wrist[:, None], shoulder),
-            rotations=screws.constant_parts(axes, origins, np.zeros(7, dtype=bool))[:, :3, :3, :3],
+            rotations=forward.constant_parts(axes, origins, np.zeros(7, dtype=bool))[:, :3, :3, :3],
             hand=np.array([across, np.cross(axes[6], across)]),
         )
 
@@ -232,11 +236,11 @@ class ClosedForm:
     def _to_turn(self, arm: Array, rotations: Array, target: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return values (2n, 3) of the wrist's joints that turn the hand to targets (n,), and their strain (n,)."""
         w = self.axes
-        first, second, third, fourth = screws.transforms(self.rotations[:4], arm.T)
+        first, second, third, fourth = forward.transforms(self.rotations[:4], arm.T)
         # what the wrist has to turn: the rotation that is left when joints 1 to 4 are taken back
         left = (first @ second @ third @ fourth).transpose(0, 2, 1) @ rotations[target]
-        q5, q6, short = subproblems.two_turns(w[4], w[5], w[6][:, None], (left @ w[6]).T)
-        outer, inner = screws.transforms(self.rotations[4:6], np.array([q5.ravel(), q6.ravel()]))
+        q5, q6, short = two_turns(w[4], w[5], w[6][:, None], (left @ w[6]).T)
+        outer, inner = forward.transforms(self.rotations[4:6], np.array([q5.ravel(), q6.ravel()]))
         side = np.concatenate([left @ self.hand[0]] * 2)
         across, beside = self.hand @ ((outer @ inner).transpose(0, 2, 1) @ side[:, :, None])[:, :, 0].T
         return np.array([q5.ravel(), q6.ravel(), np.arctan2(beside, across)]).T, short
@@ -252,7 +256,7 @@ class ClosedForm:
         q1 = np.repeat(q1.ravel(), len(q5) // q1.size)
         tool = (self.tool[:3, 3] - self.wrist)[:, None]
         for joint, angle in ((6, home[6:]), (5, q6), (4, q5)):
-            tool = subproblems.turned(w[joint], angle, tool)
+            tool = turned(w[joint], angle, tool)
         goals = np.repeat(positions.T, len(q1) // len(positions), axis=1)
         arm, strain = self._to_point(q1, self.wrist[:, None] + tool, goals)
         rest = (np.tile(values, len(strain) // len(q1)) for values in (q5, q6, np.full(len(q1), home[6])))
@@ -262,21 +266,21 @@ class ClosedForm:
         """Return values (4n, 4) of joints 1 to 4 that bring a forearm's point at zero to goals, and their strain."""
         elbow = _hinge(self.origins[3], self.axes[3], point, self.shoulder)
         away, q4, strain = self._bent(q1, elbow, goals)
-        q2, q3, short = self._pointed(q4, subproblems.twice(point), subproblems.twice(away))
+        q2, q3, short = self._pointed(q4, twice(point), twice(away))
         return np.stack([np.tile(q1, 4), q2, q3, np.tile(q4, 2)], axis=1), np.tile(strain, 2) + short
 
-    def _bent(self, q1: Array, elbow: subproblems.Hinge, goals: Array) -> tuple[Array, Array, Array]:
+    def _bent(self, q1: Array, elbow: Hinge, goals: Array) -> tuple[Array, Array, Array]:
         """Return vectors (3, n) from shoulder to goals, joint 1 taken back; values (2n,) of joint 4; their strain."""
         base = self.origins[0][:, None]
-        away = base + subproblems.turned(self.axes[0], -q1, goals - base) - self.shoulder[:, None]
-        q4, strain = subproblems.opened(elbow, np.sqrt((away * away).sum(axis=0)))
+        away = base + turned(self.axes[0], -q1, goals - base) - self.shoulder[:, None]
+        q4, strain = opened(elbow, np.sqrt((away * away).sum(axis=0)))
         return away, q4.ravel(), np.concatenate([strain, strain])
 
     def _pointed(self, q4: Array, point: Array, away: Array) -> tuple[Array, Array, Array]:
         """Return values (2n,) of joints 2 and 3 that bring a forearm's point to vectors (3, n), and their strain."""
         elbow = self.origins[3][:, None]
-        bent = subproblems.turned(self.axes[3], q4, point - elbow) + elbow - self.shoulder[:, None]
-        q2, q3, short = subproblems.two_turns(self.axes[1], self.axes[2], bent, away)
+        bent = turned(self.axes[3], q4, point - elbow) + elbow - self.shoulder[:, None]
+        q2, q3, short = two_turns(self.axes[1], self.axes[2], bent, away)
         return q2.ravel(), q3.ravel(), np.concatenate([short, short])
 
     @property
@@ -293,7 +297,7 @@ class ClosedForm:
     def _with_straight(self, points: Array, samples: Array) -> Array:
         """Return values (m, n) of joint 1: the samples, and that which points straight at each target."""
         base = self.origins[0][:, None]
-        straight = subproblems.angle_between(self.axes[0], self.shoulder[:, None] - base, points.T - base)
+        straight = angle_between(self.axes[0], self.shoulder[:, None] - base, points.T - base)
         values = np.empty((len(points), len(samples) + 1))
         values[:, :-1] = samples
         values[:, -1] = np.minimum(np.maximum(straight, self.lower[0]), self.upper[0])
@@ -322,9 +326,9 @@ def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None
     return (on_a + on_b) / 2 if float(np.linalg.norm(on_a - on_b)) < _MEET else None
 
 
-def _hinge(origin: Array, axis: Array, points: Array, end: Array) -> subproblems.Hinge:
+def _hinge(origin: Array, axis: Array, points: Array, end: Array) -> Hinge:
     """Return how an axis opens the distance between points (3, n) that it turns and another."""
-    return subproblems.hinge(axis, points - origin[:, None], (end - origin)[:, None])
+    return hinge(axis, points - origin[:, None], (end - origin)[:, None])
 
 
 def _radius(point: Array, origin: Array, axis: Array) -> float:
@@ -342,3 +346,132 @@ def _across(axis: Sequence[float] | Array) -> Array:
     vector = (0.0, z, -y) if abs(x) <= min(abs(y), abs(z)) else (-z, 0.0, x) if abs(y) <= abs(z) else (y, -x, 0.0)
     unit: Array = np.array(vector) / math.hypot(*vector)
     return unit
+
+
+def turned(axis: Array, angle: Array, vector: Array) -> Array:
+    """Return vectors turned about an axis through the origin (Rodrigues' formula)."""
+    along, across, beside = _parts(axis, vector)
+    result: Array = along + np.cos(angle) * across + np.sin(angle) * beside
+    return result
+
+
+def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
+    """Return the parts of vectors along an axis and across it, and the latter turned on by a right angle."""
+    along, across, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
+    return along, across, beside
+
+
+@lru_cache(maxsize=256)
+def _split(axis: bytes) -> Array:
+    """Return the matrix (9, 3) of these parts, for an axis that comes again and again."""
+    x, y, z = unit = np.frombuffer(axis)
+    along = np.outer(unit, unit)
+    return np.vstack([along, np.eye(3) - along, [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])
+
+
+def _dot(some: Array, others: Array) -> Array:
+    """Return scalar products, column by column."""
+    products: Array = np.einsum("in,in->n", some, others)
+    return products
+
+
+def angle_between(axis: Array, start: Array, end: Array) -> Array:
+    """Return the angle about an axis through the origin that turns a vector's direction into another's: subproblem 1.
+
+    Args:
+        axis: of the turn.
+        start: the vector before.
+        end: the vector after; what of both lies along the axis doesn't count.
+    """
+    _, across, beside = _parts(axis, start)
+    result: Array = np.arctan2(_dot(beside, end), _dot(across, end))
+    return result
+
+
+def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Array, Array, Array]:
+    """Return angles about two axes through the origin, not parallel, that turn a vector into another: subproblem 2.
+
+    Args:
+        first: the outer axis.
+        second: the inner axis, about which the vector is turned first.
+        start: the vector before.
+        end: the vector after; its direction counts.
+
+    Returns:
+        Angles (2, n) about the outer and about the inner axis, of both solutions, within two turns, and their strain
+        (n,).
+    """
+    cosine, sine, outer_frame, inner_frame = _crossing(first.tobytes(), second.tobytes())
+    # the vector before, and after, each by its parts beside the other axis, across both axes, and along its own axis
+    x, y, z = inner_frame @ start
+    squares = x * x + y * y
+    lengths = squares + z * z
+    ends = outer_frame @ end
+    u, v, w = ends * np.sqrt(lengths / np.maximum((ends * ends).sum(axis=0), 1e-12))
+    # between both turns it has the parts along both axes, and either of two across them
+    inner, outer = (w - cosine * z) / sine, (z - cosine * w) / sine
+    rest = squares - inner * inner
+    across = np.sqrt(np.maximum(rest, 0.0))
+    inner, outer = np.arctan2(across, inner), np.arctan2(across, outer)
+    before, after = np.arctan2(y, x), np.arctan2(v, u)
+    short = -rest / (sine * sine * np.maximum(lengths, 1e-12))
+    return (
+        np.array([after - outer, after + outer]),
+        np.array([-inner - before, inner - before]),
+        np.sqrt(np.maximum(short - _ROUNDING_ANGLE, 0.0)),
+    )
+
+
+@lru_cache(maxsize=64)
+def _crossing(first: bytes, second: bytes) -> tuple[float, float, Array, Array]:
+    """Return cosine and sine between two axes, and frames (3, 3) around each: towards the other, across, along it."""
+    a, b = np.frombuffer(first), np.frombuffer(second)
+    cosine = float(a @ b)
+    sine = math.sqrt(1.0 - cosine * cosine)
+    frames = []
+    for axis, beside in ((a, b), (b, a)):
+        towards = (beside - cosine * axis) / sine
+        frames.append(np.stack([towards, np.cross(axis, towards), axis]))
+    return cosine, sine, frames[0], frames[1]
+
+
+def twice(vectors: Array) -> Array:
+    """Return vectors (3, n) once more beside themselves, (3, 1) as they are."""
+    return vectors if vectors.shape[1] == 1 else np.concatenate([vectors, vectors], axis=1)
+
+
+def hinge(axis: Array, start: Array, end: Array) -> Hinge:
+    """Return what of subproblem 3 doesn't depend on the distance.
+
+    Args:
+        axis: of the turn.
+        start: the point that turns.
+        end: the point that stays.
+
+    Returns:
+        The angle where the points are nearest, the mean of the squares of their least and greatest distance, and half
+        of what these differ by; (n,) or (1,) each.
+    """
+    _, a, beside = _parts(axis, start)
+    _, b, _ = _parts(axis, end)
+    apart = axis @ (start - end)
+    squares = _dot(a, a), _dot(b, b)
+    straight = np.arctan2(_dot(beside, b), _dot(a, b))
+    return straight, squares[0] + squares[1] + apart * apart, 2.0 * np.sqrt(squares[0] * squares[1])
+
+
+def opened(hinge: Hinge, distance: Array) -> tuple[Array, Array]:
+    """Return the angle about an axis that brings a point to a distance from another: subproblem 3.
+
+    Args:
+        hinge: of the axis and both points.
+        distance: wanted between them, (n,), m.
+
+    Returns:
+        Angles (2, n) of both solutions, and their strain (n,).
+    """
+    straight, mean, half = hinge
+    cosine = (mean - distance * distance) / np.maximum(half, 1e-12)
+    away = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
+    strain = np.sqrt(2.0 * np.maximum(np.abs(cosine) - 1.0 - _ROUNDING_ANGLE, 0.0))
+    return np.array([straight + away, straight - away]), strain

@@ -6,7 +6,8 @@ run's seed, and each is checked by the very rules that the motions apply to it, 
 """
 
 from pycram.reasoning.places.free import free_places
-from pycram.reasoning.places.place import Place, Pull, PutDown
+from pycram.reasoning.places.goals import Pull, PutDown
+from pycram.reasoning.places.search import Place
 from pycram.reasoning.places.standing import standing_places
 
 __all__ = ["Place", "Pull", "PutDown", "free_places", "standing_places"]

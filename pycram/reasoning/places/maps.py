@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.grasping.fingers import held
+from pycram.reasoning.kinematics.forward import Chain
+from pycram.scheduling.schedule import run_seed
+from recorder import geometry
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from pycram.models.robots.description import Arm
     from pycram.reasoning.collision.boxes import Boxes
+    from pycram.world.object import Object
+    from recorder.geometry import Vector
+    from recorder.geometry.urdf import Urdf
 
     Array = NDArray[np.float64]
+
 
 _UPRIGHT: Final = 0.999  # of a unit axis along the vertical
 _LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the other axes of a box, by the one that is vertical
@@ -22,6 +37,17 @@ _DIRECTIONS: Final = 36
 _BEHIND: Final = 1e-4  # of its score that a place keeps with something between: where all have that, none is better
 _AT_ONCE: Final = 1 << 15  # pairs of a rectangle and a point
 _SURE: Final = 0.85  # of the radius of a circle within an outline: boxes are a little wider than what they are around
+RESOLUTION: Final = 0.05  # m
+_MAX_CELLS: Final = 1 << 16
+_FLOOR: Final = 0.03  # m above the ground; lower things are driven over, or don't reach up
+_LAYERS: Final = (0.35, 0.7, 1.0, 1.4)  # m: heights between which a robot has one outline
+_POSTURES: Final = 60_000
+_PARTS: Final = 30  # of them, one after the other: so many as a processor's cache holds
+_LEVEL: Final = math.sin(math.radians(30))  # of the tool's axis along the vertical
+_DOWN: Final = -math.cos(math.radians(30))
+_CELL: Final = 0.08  # m of distance and height
+_SECTORS: Final = 24  # of the bearing, in a full turn
+_FULL: Final = 0.9  # quantile of the counts from which on it counts as well reached
 
 
 def scattered(scores: Array, cells: NDArray[np.intp], count: int) -> Array:
@@ -154,3 +180,193 @@ def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> 
     sure = _SURE * inner
     score: Array = np.clip((distance - sure) / max(outer - sure, 1e-6), 0.0, 1.0)
     return np.where(distance < sure, 0.0, 0.5 + 0.5 * score)
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cells of a horizontal rectangle in the world.
+
+    Attributes:
+        origin: corner with the lowest x and y, m.
+        resolution: from cell to cell, m.
+        shape: cells along y, cells along x.
+    """
+
+    origin: Vector
+    resolution: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def over(cls, low: Sequence[float], high: Sequence[float], height: float, resolution: float = RESOLUTION) -> Grid:
+        """Return a grid over a rectangle, coarser than asked where that would be too many cells.
+
+        Args:
+            low: its lowest x and y, m.
+            high: its highest x and y, m.
+            height: z of it, m.
+            resolution: from cell to cell, m.
+        """
+        width, depth = (max(high[axis] - low[axis], resolution) for axis in (0, 1))
+        resolution = max(resolution, (width * depth / _MAX_CELLS) ** 0.5)
+        shape = int(np.ceil(depth / resolution)), int(np.ceil(width / resolution))
+        return cls((float(low[0]), float(low[1]), float(height)), resolution, shape)
+
+    def centers(self) -> Array:
+        """Return the middles (cells, 2) of the cells in the world, rows along x one after the other, m."""
+        rows, columns = np.indices(self.shape).reshape(2, -1).astype(np.float64)
+        x, y, _ = self.origin
+        half = self.resolution / 2
+        return np.column_stack([columns * self.resolution + (x + half), rows * self.resolution + (y + half)])
+
+
+def generator(seed: int | None, name: str, *about: object) -> np.random.Generator:
+    """Return random numbers that depend on the run's seed and on what is asked, not on what was drawn before.
+
+    Args:
+        seed: instead of the run's.
+        name: of the query.
+        about: what tells it from others.
+    """
+    text = f"{name} {run_seed() if seed is None else seed} {about}"
+    return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
+
+
+def spread(grid: Grid, scores: Array, count: int, random: np.random.Generator) -> list[tuple[int, tuple[float, float]]]:
+    """Return some cells, drawn without putting back with a probability by their scores, the best of them first.
+
+    Args:
+        grid: the cells.
+        scores: (cells,) 0 and more.
+        count: how many, at most.
+        random: decides.
+
+    Returns:
+        Their numbers, each with x and y of a point in the cell, m.
+    """
+    possible = np.flatnonzero(scores > 0.0)
+    # the largest of log scores with Gumbel noise are such a sample (Yellott 1977; Efraimidis, Spirakis 2006)
+    keys = np.log(scores[possible]) + random.gumbel(size=len(possible))
+    taken = possible[np.argsort(-keys, kind="stable")[:count]]
+    taken = taken[np.argsort(-scores[taken], kind="stable")]
+    points = grid.centers()[taken] + random.uniform(-0.5, 0.5, (len(taken), 2)) * grid.resolution
+    return list(zip(taken.tolist(), map(tuple, points.round(4).tolist()), strict=True))
+
+
+def surroundings(robot: Object, *without: Object) -> Boxes:
+    """Return boxes around everything but a robot, what it holds, and some other objects."""
+    clone = clone_of(robot.world, "reach")
+    own = {robot, *held(robot), *without}
+    return clone.all_boxes(body for body in robot.world.objects if body not in own)[0]
+
+
+def room(robot: Object, centers: Array) -> Array:
+    """Return 0 where a robot would touch something whatever its heading, up to 1 where nothing is near.
+
+    Args:
+        robot: the robot, with what it holds; its world's lock is held, and its clone in sync.
+        centers: (cells, 2) where its base would be, m.
+    """
+    clone = clone_of(robot.world, "reach")
+    others = surroundings(robot)
+    position, turn = robot.get_position_and_orientation()
+    yaw, ground = geometry.to_rpy(turn)[2], position[2]
+    back = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    score = np.ones(len(centers))
+    for low, high in itertools.pairwise((_FLOOR, *_LAYERS)):
+        outline = Footprints(clone.boxes(robot), ground + low, ground + high).corners()
+        inner, outer = radii((outline - np.asarray(position[:2])) @ back)
+        left = np.flatnonzero(score)
+        score[left] *= clear(centers[left], Footprints(others, ground + low, ground + high), inner, outer)
+    return score
+
+
+class ArmReach:
+    """How well an arm gets to places around the robot.
+
+    Args:
+        urdf: of the robot.
+        arm: the arm.
+
+    Attributes:
+        radius: m from the robot's axis that it gets to at most.
+    """
+
+    def __init__(self, urdf: Urdf, arm: Arm) -> None:
+        chain = Chain(urdf, arm.base_link, arm.tool_frame, arm.joints, tool=arm.tool_offset)
+        random = np.random.default_rng(0)
+        postures = chain.lower + random.random((_POSTURES, len(arm.joints))) * (chain.upper - chain.lower)
+        base_T_root = geometry.pose_matrix(urdf.forward_kinematics({}, arm.base_link))
+        tools = np.concatenate([chain.poses(some) for some in np.array_split(postures, _PARTS)])
+        turns = base_T_root[:3, :3] @ tools[:, :3, :3]
+        points = tools[:, :3, 3] @ base_T_root[:3, :3].T
+        across = turns[:, 2, 0]
+        points = points[(np.abs(across) < _LEVEL) | (across < _DOWN)]
+        flat = points[:, :2] + base_T_root[:2, 3]
+        distance = np.hypot(*flat.T)
+        self.radius = float(distance.max(initial=0.0))
+        self._low = float(points[:, 2].min(initial=0.0))
+        shape = (
+            int((points[:, 2].max(initial=0.0) - self._low) / _CELL) + 1,
+            int(self.radius / _CELL) + 1,
+            _SECTORS,
+        )
+        counts = np.zeros(shape)
+        bearing = np.arctan2(flat[:, 1], flat[:, 0])
+        np.add.at(counts, self._cells(points[:, 2], distance, bearing, shape), 1.0)
+        for axis, wrap in ((0, False), (1, False), (2, True)):  # few postures a cell: neighbours count too
+            counts = _smoothed(counts, axis, wrap=wrap)
+        counts /= np.maximum(np.arange(shape[1]) + 0.5, 0.5)[None, :, None]  # cells farther out are larger
+        full = np.quantile(counts[counts > 0.0], _FULL) if counts.any() else 1.0
+        self._scores = np.sqrt(np.minimum(counts / full, 1.0))
+
+    def _cells(
+        self, height: Array, distance: Array, bearing: Array, shape: tuple[int, ...]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        z = ((height - self._low) / _CELL).astype(np.intp).clip(0, shape[0] - 1)
+        rho = (distance / _CELL).astype(np.intp).clip(0, shape[1] - 1)
+        sector = np.round(bearing / (2 * math.pi / _SECTORS)).astype(np.intp) % _SECTORS
+        return z, rho, sector
+
+    def scores(self, height: float, distance: Array, bearing: Array) -> Array:
+        """Return how well the hand gets to points.
+
+        Args:
+            height: of them above the arm's base link, m.
+            distance: (...) of them from the robot's axis, m.
+            bearing: (...) of them from its heading, counterclockwise, rad.
+        """
+        every = np.full(distance.shape, height)
+        found: Array = self._scores[self._cells(every, distance, bearing, self._scores.shape)]
+        outside = (distance > self.radius) | (every < self._low) | (every > self._low + len(self._scores) * _CELL)
+        return np.where(outside, 0.0, found)
+
+    def best(self, height: float, distance: Array) -> Array:
+        """Return how well the hand gets to points (...), whatever the robot's heading; see :meth:`scores`."""
+        z = int((height - self._low) / _CELL)
+        if not 0 <= z < len(self._scores):
+            return np.zeros(distance.shape)
+        by_distance = np.append(self._scores[z].max(axis=1), 0.0)
+        found: Array = by_distance[(distance / _CELL).astype(np.intp).clip(0, len(by_distance) - 1)]
+        return found
+
+
+def _smoothed(counts: Array, axis: int, *, wrap: bool) -> Array:
+    before, after = (np.roll(counts, step, axis=axis) for step in (1, -1))
+    if not wrap:
+        first: list[slice | int] = [slice(None)] * counts.ndim
+        last = list(first)
+        first[axis], last[axis] = 0, -1
+        before[tuple(first)], after[tuple(last)] = 0.0, 0.0
+    smoothed: Array = (before + 2 * counts + after) / 4
+    return smoothed
+
+
+_known: dict[tuple[Path, str, str], ArmReach] = {}  # by model, description and arm
+
+
+def arm_reach(robot: Object, arm: Arm) -> ArmReach:
+    """Return where an arm of a robot gets to; it is worked out once for a model."""
+    key = (robot.model.path, robot.description.text if robot.description else "", arm.name)
+    if key not in _known:
+        _known[key] = ArmReach(robot.urdf, arm)
+    return _known[key]

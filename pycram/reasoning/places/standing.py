@@ -6,22 +6,22 @@ import itertools
 import math
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from pycram.foundation import checks
 from pycram.foundation.failures import MissingPart, UnknownName
 from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.driving import drives
-from pycram.reasoning.grasping.sides import GRASPS
-from pycram.reasoning.kinematics.solver import Solver
-from pycram.reasoning.places import maps, reaching
-from pycram.reasoning.places.batch import Batch, Spot
-from pycram.reasoning.places.constraints import ConstraintCounts
-from pycram.reasoning.places.grid import Grid, generator, spread
-from pycram.reasoning.places.place import Place
-from pycram.reasoning.places.seeing import seen_share
-from pycram.reasoning.places.standing_maps import StandingMaps
+from pycram.reasoning.grasping.grasps import GRASPS
+from pycram.reasoning.kinematics.inverse import Solver
+from pycram.reasoning.places import maps
+from pycram.reasoning.places.goals import Pulling, Taking, Target, description_of, goal_of, promising
+from pycram.reasoning.places.maps import Grid, arm_reach, generator, room, spread, surroundings
+from pycram.reasoning.places.search import Batch, ConstraintCounts, Place, Spot
 from pycram.reasoning.queries.query import world_of
-from pycram.reasoning.queries.visibility import VISIBLE_SHARE
+from pycram.reasoning.queries.visibility import VISIBLE_SHARE, seen_share
 from pycram.reasoning.rejections import OutOfReach, Touching, Unseen, Untried
 from pycram.scheduling.future import unwrap
 from pycram.world.trajectory import BaseFrame
@@ -30,17 +30,16 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from pycram.models.robots.description import Arm
-    from pycram.reasoning.places.place import Target
-    from pycram.reasoning.places.reaching import Goal
+    from pycram.reasoning.places.goals import Goal
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
     from recorder.geometry import Pose, Vector
 
     Array = NDArray[np.float64]
+
 
 _SPOTS: Final = (30, 120, 120)  # that are drawn at once, and again where none of them will do
 _AT_FIRST: Final = 4  # of them that are looked at together, then twice as many: mostly one of the first will do
@@ -51,6 +50,13 @@ _APART: Final = 0.07  # m between places that are offered
 _TRIED: Final = 0.02  # m around places that won't do: another heading may
 _POOR: Final = 1e-3  # of the best score, below which a place isn't drawn
 _HERE: Final = "where it stands"
+_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
+_FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
+_SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
+_ROOM: Final = 1.5  # m around a point that a place is to be near
+_NEAR: Final = 0.7  # m at which a place near a point counts half
+_SHORT_WAY: Final = 8.0  # m of driving that count half
+_LEVEL: Final = 0.05  # m above what is reached: what is lower isn't between
 
 
 def standing_places(
@@ -89,7 +95,7 @@ def standing_places(
         NoPlace: when the first is asked for: there is none.
     """
     robot = unwrap(robot)
-    description = reaching.description_of("robot", robot)
+    description = description_of("robot", robot)
     targets = [unwrap(target) for target in reach]
     chosen = [description.arm(name) for name in (description.arms if arms is None else arms)]
     if targets and not chosen:
@@ -102,7 +108,7 @@ def standing_places(
     points = [None if near is None else _point("near", near), *(_point("avoid", each) for each in avoid)]
     if grasp is not None and grasp not in GRASPS:
         raise UnknownName("side", grasp, "a grasp", GRASPS)
-    goals = [reaching.goal_of(robot, target, grasp) for target in targets]
+    goals = [goal_of(robot, target, grasp) for target in targets]
     avoided = [each for each in points[1:] if each]
     return _Search(robot, goals, chosen, both, see, points[0], avoided, grasp, seed).places()
 
@@ -242,10 +248,10 @@ class _Search:
 
     def _struck(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
         """Return for each place what a drawer or door would hit there, where that is what is to be reached."""
-        return goal.struck(self._arms, bases) if isinstance(goal, reaching.Pulling) else [None] * len(bases)
+        return goal.struck(self._arms, bases) if isinstance(goal, Pulling) else [None] * len(bases)
 
     def _out_of_reach(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
-        promises = reaching.promising(self._robot, goal, self._arms, bases)
+        promises = promising(self._robot, goal, self._arms, bases)
         return [None if promising else OutOfReach(None) for promising in promises]
 
     def _collisions(self, spots: Sequence[Spot]) -> list[tuple[str, Rejection] | None]:
@@ -295,3 +301,110 @@ def _growing(spots: Sequence[Spot]) -> Iterator[Sequence[Spot]]:
     while start < len(spots):
         yield spots[start : start + size]
         start, size = start + size, 2 * size
+
+
+class StandingMaps:
+    """Maps of the floor for a robot.
+
+    Args:
+        robot: the robot.
+        goals: what shall be reached, all of it.
+        arms: that may reach.
+        both: whether each of these arms shall.
+        see: what the camera shall see; None for nothing.
+        near: that the robot shall be near, m; None for anywhere.
+        purpose: what it stands there for, in words.
+    """
+
+    def __init__(
+        self,
+        robot: Object,
+        goals: Sequence[Goal],
+        arms: Sequence[Arm],
+        both: bool,
+        see: Object | None,
+        near: Vector | None,
+        purpose: str,
+    ) -> None:
+        self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
+        self._see, self._near, self._purpose = see, near, purpose
+
+    def is_near(self, place: Sequence[float]) -> bool:
+        """Whether a place is as near as it shall be."""
+        return self._near is None or math.dist(place[:2], self._near[:2]) <= _ROOM
+
+    def of(self) -> tuple[Grid, list[tuple[str, Array]], Array]:
+        """Return the cells, a map (cells,) for each constraint by its name, and the heading (cells,) for each, rad."""
+        robot = self._robot
+        here, turn = robot.get_position_and_orientation()
+        grid = self._grid(here)
+        centers = grid.centers()
+        factors: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
+        yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
+        cells = np.arange(len(centers))  # what isn't excluded yet: the others need no further look
+        if self._goals or self._see is not None:
+            faced, yaws = self._faced(centers, here[2])
+            cells = np.flatnonzero(faced)
+            factors.append((self._purpose, faced))
+            for goal in self._goals:
+                straight = self._straight(centers[cells], goal)
+                factors.append((self._purpose, maps.scattered(straight, cells, len(centers))))
+        if drives(robot):
+            factors.append(("collision", maps.scattered(room(robot, centers[cells]), cells, len(centers))))
+        if self._near is not None:
+            factors.append(("near", maps.near(centers, self._near, _NEAR, _ROOM)))
+        return grid, factors, yaws
+
+    def _straight(self, centers: Array, goal: Goal) -> Array:
+        """Return little where something is between a place and a goal, at the height of what would be reached."""
+        x, y, z = goal.position
+        target = [goal.body] if isinstance(goal, Taking) else []
+        between = maps.Footprints(surroundings(self._robot, *target), z, z + _LEVEL)
+        return maps.straight(centers, (x, y), between)
+
+    def _grid(self, here: Sequence[float]) -> Grid:
+        """Return the cells from which everything may be reached and seen."""
+        areas: list[tuple[Sequence[float], float]] = []
+        if self._goals:
+            radius = max(arm_reach(self._robot, arm).radius for arm in self._arms)
+            areas += [(goal.position, radius) for goal in self._goals]
+        if self._see is not None:
+            areas.append((center(self._see), _SIGHT[1]))
+        if not areas:
+            areas.append((self._near or here, _ROOM))
+        low = [max(point[axis] - radius for point, radius in areas) for axis in (0, 1)]
+        high = [min(point[axis] + radius for point, radius in areas) for axis in (0, 1)]
+        return Grid.over(low, high, here[2])
+
+    def _faced(self, centers: Array, ground: float) -> tuple[Array, Array]:
+        """Return for all cells how well everything is reached or seen with the best heading, and that heading."""
+        points = [goal.position for goal in self._goals] or ([center(self._see)] if self._see is not None else [])
+        offsets = np.asarray(points)[None, :, :2] - centers[:, None]  # (cells, points, 2)
+        distances, bearings = np.hypot(offsets[..., 0], offsets[..., 1]), np.arctan2(offsets[..., 1], offsets[..., 0])
+        middle = offsets.mean(axis=1)
+        facing = np.arctan2(middle[:, 1], middle[:, 0])
+        best, yaws = np.full(len(centers), -1.0), facing.copy()
+        for offset in _OFFSETS if self._goals else (0.0,):
+            score = np.full(len(centers), 1.0 - _FACING * abs(offset) / (math.pi / 2))
+            for number, point in enumerate(points):
+                if self._goals:
+                    score *= self._by_arms(
+                        point[2] - ground, distances[:, number], bearings[:, number] - facing - offset
+                    )
+            if self._see is not None:
+                good, far = _SIGHT
+                away = np.hypot(*(np.asarray(center(self._see)[:2]) - centers).T)
+                score *= np.where(away < good, away / good, np.clip((far - away) / (far - good), 0.0, 1.0))
+            better = score > best
+            best[better], yaws[better] = score[better], (facing + offset)[better]
+        return best, yaws
+
+    def _by_arms(self, height: float, distance: Array, bearing: Array) -> Array:
+        """Return how well one of the arms, or each of them, reaches points."""
+        every = []
+        base_T_world = geometry.invert(self._robot.get_position_and_orientation())
+        for arm in self._arms:
+            shoulder = geometry.transform(base_T_world, self._robot.get_link_position(arm.base_link))
+            every.append(arm_reach(self._robot, arm).scores(height - shoulder[2], distance, bearing))
+        together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
+        return together

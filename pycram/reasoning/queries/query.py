@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 P = ParamSpec("P")
 
+RECORDED_AS: Final = {"gripper_name": "gripper"}
+"""What records call arguments whose parameter has another name."""
+_OBJECTS: Final = ("object", "object1", "object2", "robot")
+
 
 class Verdict(int):
     """Yes or no, and why: behaves as a bool.
@@ -96,9 +100,6 @@ def _not_negative(name: str, value: object) -> float:
     return checks.in_range(name, value, 0.0)
 
 
-RECORDED_AS: Final = {"gripper_name": "gripper"}
-"""What records call arguments whose parameter has another name."""
-_OBJECTS: Final = ("object", "object1", "object2", "robot")
 _CHECKS: Final[Mapping[str, Callable[[str, Any], object]]] = {
     "margin": _not_negative,
     "threshold": _not_negative,

@@ -10,9 +10,9 @@ from pycram.foundation.failures import BadArgument
 from pycram.reasoning.choosing import considering
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.grasping.sides import grasp_orientation
-from pycram.reasoning.kinematics.arm import THRESHOLD
-from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.grasping import choice
+from pycram.reasoning.grasping.grasps import grasp_orientation
+from pycram.reasoning.kinematics.inverse import THRESHOLD, Solver
 from pycram.reasoning.queries.query import Found, Verdict, query
 from pycram.reasoning.rejections import OutOfReach, Touching
 from pycram.scheduling.future import unwrap
@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.kinematics.arm import Posture
+    from pycram.reasoning.kinematics.inverse import Posture
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
     from recorder.geometry import Pose, Quaternion
+
 
 T = TypeVar("T")
 
@@ -281,3 +282,40 @@ def _judge(
         if any(not constant.isdisjoint(info["links"]) for info in touched.values()):
             break  # no other posture will be better
     return Verdict(False, evidence, considered=considered)
+
+
+@query
+def blocking(
+    object: Object,
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    *,
+    grasp: str | None = None,
+) -> Found[Object]:
+    """Return what a robot would touch if it reached for an object (thesis 4.4.6).
+
+    Of the postures that reach, the one that touches least counts: a plan would take that one.
+
+    Args:
+        object: the object.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: their world.
+        grasp: "front", "top", "left" or "right"; by default the one that touches least.
+
+    Returns:
+        The objects in the way, deepest first, without the target and what the robot holds, and without the floor it
+        stands on; the environment has the type "environment". Empty if it can't be reached at all, which the
+        evidence says.
+
+    Raises:
+        UnknownName: another grasp, or a link that the robot doesn't have.
+    """
+    if grasp is not None:
+        grasp_orientation(grasp, robot)  # refuses unknown ones
+    considered = considering()
+    plan = choice.best(object, robot, gripper_name, None if grasp is None else (grasp,), choice=considered)
+    if plan.grasp is not None:
+        considered.take(str(plan.grasp))
+    return Found(plan.obstacles, plan.evidence(), considered=considered)

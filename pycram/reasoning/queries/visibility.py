@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Final, cast
 import numpy as np
 
 from pycram.foundation import checks
-from pycram.foundation.failures import BadArgument, NoWorld
+from pycram.foundation.failures import BadArgument, MissingPart, NoWorld
 from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.grasping.fingers import held
+from pycram.reasoning.kinematics import pan_tilt
 from pycram.reasoning.queries.query import Found, Verdict, query
-from pycram.vision.camera import NEAR, Camera
-from pycram.vision.rasterizer import Window
+from pycram.vision import NEAR, Camera, Window
 from recorder import geometry
 from recorder.geometry import IDENTITY
 from recorder.records import Picture
@@ -30,9 +31,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.vision.camera import Rendering
+    from pycram.vision import Rendering
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
+    from recorder.geometry import Pose, PoseLike
+
 
 VISIBLE_SHARE: Final = 0.8
 """Share of an object's pixels that make it visible (thesis 4.4.3)."""
@@ -41,6 +44,8 @@ _PIXELS: Final = 80**2  # of the part that is rendered
 _FIELD: Final = math.tan(math.radians(60) / 2)  # of half the field of view where no camera says another
 _MAX_NAMES: Final = 250  # in a picture; beyond them it shows nothing
 _MARGIN: Final = 0.05  # of the part's size around the object
+_RAY: Final = 1e-3  # half the width of a ray, at 1 m
+_AT: Final = 0.05  # m before a point that belong to it, as of the board that it lies on
 
 
 @query
@@ -239,3 +244,44 @@ def _inside(window: Window, frame: Window, size: tuple[int, int]) -> NDArray[np.
     rows: NDArray[np.bool_] = (y >= frame.top) & (y <= frame.bottom)
     both: NDArray[np.bool_] = rows[:, None] & columns[None, :]
     return both
+
+
+def seen_share(robot: Object, body: Object, base: Pose) -> View:
+    """Return what a robot's camera would see of an object; the robot itself and what it holds hide nothing.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        body: the object.
+        base: pose of the robot's base.
+    """
+    return view(body, _eye(robot, center(body), base), without=(robot, *held(robot)))
+
+
+def in_sight(robot: Object, point: Sequence[float], base: PoseLike) -> bool:
+    """Return whether nothing fixed is between a robot's camera, with its head turned there, and a point.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        point: xyz in the world, m.
+        base: pose of the robot's base.
+    """
+    eye = _eye(robot, point, base)
+    x, y, z = eye.to_frame(np.asarray(point, dtype=np.float64))
+    if not eye.near < z < eye.far or abs(x) > eye.right * z or abs(y) > eye.down * z:
+        return False
+    ray = Window(x / z - _RAY, y / z - _RAY, x / z + _RAY, y / z + _RAY)
+    fixed = [body for body in robot.world.objects if body.fixed and not body.is_robot]
+    return bool(eye.render(fixed, ray, (1, 1), float(z)).depth[0, 0] > z - _AT)
+
+
+def _eye(robot: Object, point: Sequence[float], base: PoseLike) -> Camera:
+    """Return a robot's camera with its base at a pose and its head turned to a point."""
+    description = robot.description
+    if description is None or description.camera is None:
+        raise MissingPart(robot.name, "camera")
+    camera, now = description.camera, robot.get_joint_positions()
+    joints = description.head.joints if description.head else ()
+    turned, _ = pan_tilt.look(robot.urdf, joints, camera, geometry.transform(geometry.invert(base), point), now)
+    link = robot.urdf.forward_kinematics({**now, **turned}, camera.frame)
+    pose = camera.pose(geometry.multiply(base, link))
+    return Camera(pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far)

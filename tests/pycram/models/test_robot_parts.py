@@ -19,7 +19,7 @@ from pycram.failures import AssetError, GraspFailed, LookingFailed, MissingPart,
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import NoProcessModule, ProcessModule
 from pycram.reasoning.collision.checker import CollisionChecker
-from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.kinematics.inverse import Solver
 from recorder import geometry
 from tests.pycram.models import gantry
 from tests.pycram.models.test_robot_descriptions import PR2

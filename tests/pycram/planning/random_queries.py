@@ -11,10 +11,10 @@ import numpy as np
 
 from pycram.bullet_world import Object
 from pycram.planning import Planned, base_motion, joint_motion, timing
-from pycram.planning.planned import given
-from pycram.planning.rates import base_rates, joint_rates
+from pycram.planning.path import given
+from pycram.planning.timing import base_rates, joint_rates
 from pycram.reasoning.collision import checker
-from pycram.reasoning.kinematics import solver
+from pycram.reasoning.kinematics import inverse
 from recorder import geometry
 from tests.pycram.motions import household
 from tests.pycram.motions.household import HOUSEHOLD, PLACES
@@ -127,7 +127,7 @@ def _free_posture(robot: Object, arm, place: household.Place, dice: random.Rando
             target = [x + dice.uniform(-0.3, 0.15), y + dice.uniform(-0.6, 0.5), place.top + dice.uniform(-0.4, 0.5)]
             turn = geometry.from_rpy(dice.uniform(-0.5, 0.5), dice.uniform(0.0, 1.6), dice.uniform(-1.5, 1.5))
             found = [
-                each for each in solver.postures(robot, arm.tool_frame, target, turn, thorough=True) if each.reaches()
+                each for each in inverse.postures(robot, arm.tool_frame, target, turn, thorough=True) if each.reaches()
             ]
             if not found:
                 continue

@@ -15,7 +15,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument, JointLimitError, NoPath, PostureInCollision, UnknownName
 from pycram.planning import joint_motion, path, through, together
 from pycram.reasoning.collision import checker
-from pycram.reasoning.kinematics import solver
+from pycram.reasoning.kinematics import inverse
 from pycram.scheduling.schedule import seed_order
 from pycram.world.snapshot import take_snapshot
 from recorder import geometry, records
@@ -263,7 +263,7 @@ def test_a_parked_arm_gets_over_what_its_robot_stands_close_to(world: BulletWorl
     tool, down = robot.description.arm(side).tool_frame, geometry.from_rpy(0, 1.2, math.pi)
     found = [
         posture.positions
-        for posture in solver.postures(robot, tool, [-1.0, y, 1.05], down)
+        for posture in inverse.postures(robot, tool, [-1.0, y, 1.05], down)
         if posture.reaches() and not checker.in_the_way(robot, posture.positions)
     ]
     assert found

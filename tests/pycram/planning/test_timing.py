@@ -16,9 +16,8 @@ from hypothesis import given, settings, strategies as st
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError
 from pycram.models.robots.description import RobotDescription
-from pycram.planning import base_motion, joint_motion, rates, through, timing, together
-from pycram.planning.rates import NoVelocityLimit
-from pycram.planning.timing import Knots, Rates
+from pycram.planning import base_motion, joint_motion, through, timing, together
+from pycram.planning.timing import Knots, NoVelocityLimit, Rates
 from tests.pycram.planning.conftest import RIGHT
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ def test_a_robot_without_velocity_limits_gets_defaults_and_says_so_once(world: B
     file = tmp_path / "limitless.urdf"
     file.write_text(LIMITLESS.replace('effort="10"', 'effort="10" velocity="0"'))
     robot = Object("limitless", "robot", file)
-    rates._warn.cache_clear()
+    timing._warn.cache_clear()
     with pytest.warns(NoVelocityLimit, match=r"limitless: .* no velocity limit for shoulder; .* 1 rad/s"):
         planned = joint_motion(robot, {"shoulder": 1.5})
     assert planned.trajectory.duration > 1.5

@@ -17,7 +17,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.reasoning.collision import boxes, checker
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import grasps
-from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.kinematics.inverse import Solver
 from pycram.world import carried
 from recorder import geometry
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from pycram.reasoning.kinematics import subproblems
-from pycram.reasoning.kinematics.arm import ArmKinematics, Posture
-from pycram.reasoning.kinematics.chain import Chain
-from pycram.reasoning.kinematics.descent import POSITION_TOLERANCE, TURN_TOLERANCE, descend
+from pycram.reasoning.kinematics import closed_form
+from pycram.reasoning.kinematics.forward import Chain
+from pycram.reasoning.kinematics.inverse import POSITION_TOLERANCE, TURN_TOLERANCE, ArmKinematics, Posture, descend
 from recorder import geometry
 from recorder.geometry.urdf import Urdf
 
@@ -131,11 +130,11 @@ def test_two_turns_bring_a_vector_where_two_turns_brought_it(
     assume(np.linalg.norm(np.cross(first, second)) > 0.1)
     assume(np.linalg.norm(start) > 0.05)
     column = start[:, None]
-    end = subproblems.turned(first, np.array([outer]), subproblems.turned(second, np.array([inner]), column))
-    outers, inners, strain = subproblems.two_turns(first, second, column, end)
+    end = closed_form.turned(first, np.array([outer]), closed_form.turned(second, np.array([inner]), column))
+    outers, inners, strain = closed_form.two_turns(first, second, column, end)
     assert strain == pytest.approx(0.0, abs=1e-3)
     for outer_turn, inner_turn in zip(outers, inners, strict=True):
-        again = subproblems.turned(first, outer_turn, subproblems.turned(second, inner_turn, column))
+        again = closed_form.turned(first, outer_turn, closed_form.turned(second, inner_turn, column))
         assert np.allclose(again, end, atol=1e-4)
 
 
@@ -144,13 +143,13 @@ def test_two_turns_bring_a_vector_where_two_turns_brought_it(
 def test_a_turn_to_a_distance(axis: np.ndarray, start: np.ndarray, end: np.ndarray, angle: float) -> None:
     assume(np.linalg.norm(np.cross(axis, start)) > 0.05)
     assume(np.linalg.norm(np.cross(axis, end)) > 0.05)
-    moved = subproblems.turned(axis, np.array([angle]), start[:, None])
+    moved = closed_form.turned(axis, np.array([angle]), start[:, None])
     distance = np.linalg.norm(moved - end[:, None], axis=0)
     assume(distance > 1e-3)
-    found, strain = subproblems.opened(subproblems.hinge(axis, start[:, None], end[:, None]), distance)
+    found, strain = closed_form.opened(closed_form.hinge(axis, start[:, None], end[:, None]), distance)
     assert strain == pytest.approx(0.0, abs=1e-3)
     for turn in found:
-        again = subproblems.turned(axis, turn, start[:, None])
+        again = closed_form.turned(axis, turn, start[:, None])
         assert np.linalg.norm(again - end[:, None], axis=0) == pytest.approx(distance, abs=1e-5)
 
 
@@ -191,7 +190,7 @@ def test_a_long_search_goes_on_from_what_the_quick_one_found(monkeypatch: pytest
         searched.append(len(start))
         return descend(chain, start, *rest, stop_early=stop_early)
 
-    monkeypatch.setattr("pycram.reasoning.kinematics.arm.descend", counted)
+    monkeypatch.setattr("pycram.reasoning.kinematics.inverse.descend", counted)
     alone = chain(*SIX).solve(out_of_reach)
     few, many = searched
     searched.clear()

@@ -14,7 +14,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, Blocked
 from pycram.process_module import ProcessModule
-from pycram.reasoning.kinematics.chain import Chain
+from pycram.reasoning.kinematics.forward import Chain
 from recorder import geometry
 
 if TYPE_CHECKING:

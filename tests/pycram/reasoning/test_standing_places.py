@@ -18,8 +18,8 @@ from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import choice, fingers
-from pycram.reasoning.grasping.taking import ways_to_hold
-from pycram.reasoning.places import Pull, free_places, reaching, standing_places
+from pycram.reasoning.grasping.choice import ways_to_hold
+from pycram.reasoning.places import Pull, free_places, goals, standing_places
 from pycram.world.snapshot import take_snapshot
 from recorder import geometry
 from recorder.records import Query, argument_values
@@ -140,7 +140,7 @@ def test_what_a_drawer_or_door_is_said_to_strike_at_first_sight_no_arm_opens_fro
 ) -> None:
     robot, kitchen = scene.robot, scene.get_object("kitchen")
     opened = kitchen.container(name)
-    goal = reaching.Pulling(robot, Pull(kitchen, opened.joint, opened.handle, opened.open))
+    goal = goals.Pulling(robot, Pull(kitchen, opened.joint, opened.handle, opened.open))
     arms = list(robot.description.arms.values())
     x, y, _ = goal.position
     bases = [((x + dx - 1.2, y + dy - 1.0, 0.0), turn) for (dx, dy, _), turn in random_bases(25, 3)]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from pycram.vision import rasterizer
-from pycram.vision.rasterizer import Window, rasterize
+from pycram import vision
+from pycram.vision import Window, rasterize
 
 WINDOW = Window(-0.7, -0.5, 0.6, 0.4)
 SIZE = (26, 18)
@@ -76,7 +76,7 @@ def test_large_triangles_drawn_in_bands_are_complete(flat: bool, monkeypatch: py
             triangles[:, 1, 1:] = triangles[:, 0, 1:]  # an edge along the rows
         drawn = []
         for large in (-1, 1 << 30):
-            monkeypatch.setattr(rasterizer, "_LARGE", large)
+            monkeypatch.setattr(vision, "_LARGE", large)
             drawn.append(rasterize(triangles, WINDOW, (60, 80), NEAR, FAR))
         assert (drawn[0][1] == drawn[1][1]).all()
         assert drawn[0][0] == pytest.approx(drawn[1][0])

@@ -5,24 +5,33 @@ Arithmetic on the URDF, no engine. Postures are rows of arrays, a column for eac
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.kinematics import screws
+from pycram.models.files import stored_tree
+from pycram.models.warming import notable
 from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from pycram.physics.body import Body
+    from pycram.physics.engine import Engine
     from recorder.geometry import Pose
-    from recorder.geometry.urdf import Urdf
+    from recorder.geometry.urdf import Joint, Urdf
 
     Array = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+
 
 _OPPOSITE: Final = 1e-6  # of half a turn's sine, below which it has no axis
+_CACHED: Final = 64
 
 
 class Chain:
@@ -71,7 +80,7 @@ class Chain:
         self._axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
         self.sliding = np.flatnonzero(slides).tolist()
-        self._parts = self._before[:, None] @ screws.constant_parts(self._axes, np.zeros_like(self._axes), slides)
+        self._parts = self._before[:, None] @ constant_parts(self._axes, np.zeros_like(self._axes), slides)
         lower, upper = (np.array([getattr(joint, end) for joint in moving]) for end in ("lower", "upper"))
         self.bounded = np.isfinite(lower)
         self.lower = np.where(self.bounded, lower, -np.pi)
@@ -128,7 +137,7 @@ class Chain:
         """Return poses (joints + 1, n, 4, 4) in the base link: of that itself, and of the frame behind each joint."""
         poses = np.empty((len(self.joints) + 1, len(postures), 4, 4))
         poses[0] = np.eye(4)
-        for number, moved in enumerate(screws.transforms(self._parts, postures.T)):
+        for number, moved in enumerate(transforms(self._parts, postures.T)):
             np.matmul(poses[number], moved, out=poses[number + 1])
         return poses
 
@@ -177,3 +186,135 @@ def norms(vectors: Array) -> Array:
     """Return the norms (n,) of a few vectors (n, d), for which np.linalg.norm takes longer."""
     found: Array = np.sqrt((vectors * vectors).sum(axis=1))
     return found
+
+
+def constant_parts(axes: Array, points: Array, slides: Flags) -> Array:
+    """Return the constant matrices that the transforms of joints are sums of.
+
+    Args:
+        axes: (joints, 3) unit vectors.
+        points: (joints, 3) on the axes, m.
+        slides: (joints,) which of them are prismatic: they slide along their axis instead of turning about it.
+
+    Returns:
+        (joints, 4, 4, 4): the matrices for 1, cosine, sine and value.
+    """
+    x, y, z = axes.T
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+    square = cross @ cross
+    parts = np.zeros((len(axes), 4, 4, 4))
+    turns = parts[:, :3, :3]
+    turns[..., :3] = np.stack([np.eye(3) + square, -square, cross], axis=1)
+    turns[..., 3] = -(turns[..., :3] @ points[:, None, :, None])[..., 0]
+    turns[:, 0, :, 3] += points
+    parts[slides, :3] = 0.0
+    parts[slides, 0, :3, :3] = np.eye(3)
+    parts[:, 0, 3, 3] = 1.0
+    parts[slides, 3, :3, 3] = axes[slides]
+    return parts
+
+
+def transforms(parts: Array, values: Array) -> Array:
+    """Return the transforms of joints.
+
+    Args:
+        parts: (joints, 3 or 4, m, m) matrices; without that for the value where no joint slides.
+        values: (joints, n), rad or m.
+
+    Returns:
+        (joints, n, m, m).
+    """
+    joints, terms, m, _ = parts.shape
+    factors = np.empty((*values.shape, terms))
+    factors[..., 0] = 1.0
+    np.cos(values, out=factors[..., 1])
+    np.sin(values, out=factors[..., 2])
+    factors[..., 3:] = values[..., None]
+    made: Array = (factors @ parts.reshape(joints, terms, m * m)).reshape(*values.shape, m, m)
+    return made
+
+
+@dataclass(frozen=True, slots=True)
+class Drivers:
+    """Which joints, of some that will move, move which links.
+
+    Attributes:
+        joints: their names, parents before their children.
+        of_links: for each link the number of the joint that moves it, -1 where none does.
+        parents: (joints,) the number of the joint that moves each joint, -1 where none does.
+        children: (joints,) the link that hangs on each joint.
+        axes: (joints, 3) unit vectors in the frames of these.
+        slides: (joints,) which are prismatic.
+    """
+
+    joints: tuple[str, ...]
+    of_links: Mapping[str, int]
+    parents: Sequence[int]
+    children: Sequence[str]
+    axes: Array
+    slides: NDArray[np.bool_]
+
+
+@lru_cache(maxsize=_CACHED)
+@notable
+def drivers(path: Path, joints: tuple[str, ...]) -> Drivers:
+    """Return which of some joints of a model with a canonical URDF move which links."""
+    urdf = stored_tree(path)
+    moving: list[Joint] = []
+    of_links: dict[str, int] = {}
+    for link in urdf.links:  # parents come before their children
+        joint = urdf.parent_joint(link)
+        if joint is not None and joint.name in joints:
+            of_links[link] = len(moving)
+            moving.append(joint)
+        else:
+            of_links[link] = -1 if joint is None else of_links[joint.parent]
+    return Drivers(
+        joints=tuple(joint.name for joint in moving),
+        of_links=of_links,
+        parents=[of_links[joint.parent] for joint in moving],
+        children=[joint.child for joint in moving],
+        axes=np.array([joint.axis for joint in moving]).reshape(-1, 3),
+        slides=np.array([joint.type == "prismatic" for joint in moving], dtype=bool),
+    )
+
+
+class Articulation:
+    """What some joints move, as a body stands in an engine.
+
+    Args:
+        engine: where it stands.
+        body: the engine's side of it.
+        moved: the joints that will move.
+    """
+
+    def __init__(self, engine: Engine, body: Body, moved: Drivers) -> None:
+        self._joints, self._parents = moved.joints, moved.parents
+        points, orientations = engine.link_frames(body, moved.children)
+        axes = np.einsum("jab,jb->ja", geometry.to_matrices(orientations), moved.axes)
+        self._parts = constant_parts(axes, points, moved.slides)
+        positions = dict(zip(body.joints, engine.joints(body)[0], strict=True))
+        self._now = np.array([positions[name] for name in moved.joints])
+
+    def transforms(self, postures: Sequence[Mapping[str, float]]) -> Array:
+        """Return how joints move what hangs on them.
+
+        Args:
+            postures: joint values in rad or m by name; what isn't named stays.
+
+        Returns:
+            (n, joints + 1, 4, 4): for each posture, transforms from where things are to where each joint moves them;
+            the last is for what no joint moves.
+        """
+        now = self._now.tolist()
+        values = [list(map(posture.get, self._joints, now)) for posture in postures]
+        change = np.array(values).reshape(len(postures), len(now)) - self._now
+        moved = np.empty((len(now) + 1, len(postures), 4, 4))
+        moved[-1] = np.eye(4)
+        moved[:-1] = transforms(self._parts, change.T)
+        for index, parent in enumerate(self._parents):
+            if parent >= 0:
+                moved[index] = moved[parent] @ moved[index]
+        by_posture: Array = moved.transpose(1, 0, 2, 3)
+        return by_posture

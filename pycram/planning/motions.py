@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.foundation.failures import BadArgument, PostureInCollision
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument, InCollision, PostureInCollision, Unreachable
 from pycram.planning import path, timing
-from pycram.planning.clearance import MARGIN, Clearance
-from pycram.planning.planned import Planned, given, search_record, trajectory_of
-from pycram.planning.rates import joint_rates, stacked
-from pycram.planning.space import Space, nearest_turns
+from pycram.planning.path import Planned, given, search_record, trajectory_of
+from pycram.planning.space import MARGIN, Clearance, Space, nearest_turns
+from pycram.planning.timing import base_rates, joint_rates, stacked
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.driving import check_drives, check_ground
+from pycram.reasoning.kinematics.forward import Chain, rotation_error
+from pycram.reasoning.kinematics.inverse import descend
 from pycram.reasoning.rejections import Touching
 from pycram.world.joints import checked_positions, coupled
+from pycram.world.trajectory import BaseFrame
+from recorder import geometry
+from recorder.records.motion import BASE_COORDINATES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from pycram.models.robots.description import Arm
     from pycram.planning.path import Path
     from pycram.planning.timing import Rates
     from pycram.reasoning.collision.checker import Candidate
     from pycram.world.object import Object
+    from recorder.geometry import Pose, PoseLike
 
     Array = NDArray[np.float64]
 
-_STEP: Final = 0.05  # rad or m of a joint between configurations that are checked while a path is searched
+
+_JOINT_STEP: Final = 0.05  # rad or m of a joint between configurations that are checked while a path is searched
 _THERE: Final = 1e-3  # rad or m that a joint may be from its goal and not be moved: what motors keep to
+_LINE_STEP: Final = 0.01  # m of the tool from one posture to the next
+_LINE_TURN: Final = 0.05  # rad likewise
+_JUMP: Final = 0.35  # rad or m of a joint from one posture to the next: more, and the arm changes its posture
+_ROOM: Final = 3.0  # m around start and goal that a path may go
+_WIDER: Final = 9.0  # m likewise, if there is none: to the next door
+_METRES_A_TURN: Final = 0.5  # m for a radian of turn, as the outline of a robot moves
+_BASE_STEP: Final = 0.06  # m between poses that are checked while a path is searched
 
 
 def joint_motion(
@@ -147,7 +164,7 @@ class _Moved:
         low, high = np.minimum(self.start, self.goal), np.maximum(self.start, self.goal)
         turn = np.where(self._slides, np.inf, np.pi)
         lower, upper = np.maximum(low - turn, self._lower), np.minimum(high + turn, self._upper)
-        return Space(np.minimum(lower, low), np.maximum(upper, high), np.ones(len(low)), _STEP)
+        return Space(np.minimum(lower, low), np.maximum(upper, high), np.ones(len(low)), _JOINT_STEP)
 
     def posture(self, row: Array) -> dict[str, float]:
         """Return the values of all joints that count, by name, for values (d,) of those that are searched."""
@@ -209,3 +226,126 @@ def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> l
     knots = timing.timed(np.hstack(tables), stacked(rates), timing.SPACINGS[0])
     parts = timing.split(knots, [len(joints) for joints in names])
     return [given(joints, part, table) for joints, part, table in zip(names, parts, tables, strict=True)]
+
+
+def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) -> list[dict[str, float]]:
+    """Return postures that bring an arm's tool to a pose on a straight line, with its orientation turning evenly.
+
+    Nothing is checked for collisions.
+
+    Args:
+        robot: the robot.
+        arm: its arm.
+        start: joint values in rad or m by name where the line begins, also of other joints; these stay, and others are
+            as they are.
+        goal: position and orientation of the tool in the world.
+
+    Returns:
+        Postures of all joints of the start, from the start to the end of the line.
+
+    Raises:
+        Unreachable: The arm doesn't get there, or would have to change its posture on the way.
+    """
+    position, orientation = checks.vector("goal", goal[0]), checks.quaternion("goal", goal[1])
+    begin = checked_positions(robot, start)
+    values = robot.get_joint_positions() | begin
+    chain = Chain(robot.urdf, arm.base_link, arm.tool_frame, arm.joints, values, arm.tool_offset)
+    base = robot.get_position_and_orientation()
+    root = geometry.multiply(base, robot.urdf.forward_kinematics(values, arm.base_link))
+    target = geometry.pose_matrix(geometry.multiply(geometry.invert(root), (position, orientation)))
+    posture = np.array([values[name] for name in arm.joints])
+    tool = chain.poses(posture[None])[0]
+    way = target[:3, 3] - tool[:3, 3]
+    turn = rotation_error(tool[None, :3, :3], target[:3, :3])[0]
+    count = max(
+        1, math.ceil(float(np.linalg.norm(way)) / _LINE_STEP), math.ceil(float(np.linalg.norm(turn)) / _LINE_TURN)
+    )
+    postures = [begin | dict(zip(arm.joints, posture.tolist(), strict=True))]
+    for number in range(1, count + 1):
+        share = number / count
+        goals, turns = (tool[:3, 3] + share * way)[None], (_rotation(share * turn) @ tool[:3, :3])[None]
+        found, reached = descend(chain, posture[None], goals, turns, np.zeros(1, dtype=np.intp), stop_early=True)
+        moved = _turned_by(found[0] - posture, chain)
+        left = float(np.linalg.norm(way)) * (1 - (number - 1) / count)
+        if not reached[0]:
+            raise Unreachable(arm.name, position, left, "that is as far as it gets on a straight line")
+        if np.abs(moved).max() > _JUMP:
+            raise Unreachable(arm.name, position, left, "from there it would have to change its posture")
+        posture = posture + moved
+        postures.append(begin | dict(zip(arm.joints, posture.tolist(), strict=True)))
+    return postures
+
+
+def _turned_by(change: np.ndarray, chain: Chain) -> np.ndarray:
+    """Return the change (joints,) of a posture, of joints without limits by less than half a turn."""
+    return np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _rotation(vector: np.ndarray) -> np.ndarray:
+    """Return the matrix (3, 3) that turns about a vector (3,) by its length in rad."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = (vector / angle if angle else vector).tolist()
+    sine = math.sin(angle / 2)
+    return geometry.to_matrix((x * sine, y * sine, z * sine, math.cos(angle / 2)))
+
+
+def base_motion(
+    robot: Object,
+    position: Sequence[float],
+    orientation: Sequence[float],
+    *,
+    start: tuple[Sequence[float], Sequence[float]] | None = None,
+    seed: int | None = None,
+) -> Planned:
+    """Return a motion of a robot's base to a pose on which it touches nothing that it doesn't touch at the start.
+
+    All links of the robot in its present posture count, and what it holds. Height and lean stay: only x, y and yaw
+    move, all at once. The choice between the straight line and a search is on record.
+
+    Args:
+        robot: the robot.
+        position: xyz of the goal in m.
+        orientation: xyzw of the goal.
+        start: position and orientation from which it begins; the present ones by default.
+        seed: of the search; the run's by default.
+
+    Raises:
+        BadArgument: The pose is none.
+        NotDrivable: Its base is fixed, or the goal isn't on its ground.
+        InCollision: Something would be touched at the goal.
+        NoPath: No path was found within :data:`pycram.planning.path.MAX_CHECKS` checks.
+    """
+    target, turn = checks.vector("position", position), checks.quaternion("orientation", orientation)
+    check_drives(robot, target, turn)
+    with robot.world.lock, choosing("path", robot.world, position=target, orientation=turn, seed=seed) as choice:
+        check_ground(robot, target, turn)
+        position, orientation = start or robot.get_position_and_orientation()
+        here = (checks.vector("start", position), checks.quaternion("start", orientation))
+        begin, end = np.array(_row(here)), np.array(_row((target, turn)))
+        frame = BaseFrame.of(here)
+        end = nearest_turns(begin, end, np.array([np.inf, np.inf, -np.inf]), np.full(3, np.inf))
+        with CollisionChecker(robot, (), all_links=True, margin=MARGIN) as checker:
+
+            def predict(rows: Array) -> list[Candidate]:
+                return checker.predict_at([frame.pose(row) for row in rows.tolist()])
+
+            clearance = Clearance(checker, predict, begin, end)
+            if touched := clearance.touched:
+                choice.reject(path.STRAIGHT, Touching(touched))
+                raise InCollision(target, turn, list(dict.fromkeys(pair.body for pair in touched)), touched)
+            space, wider = (_space(begin, end, room) for room in (_ROOM, _WIDER))
+            query = path.Query("base", BASE_COORDINATES, space, begin, end, base_rates(robot), seed, wider)
+            found = path.find(query, clearance, choice)
+    return Planned(trajectory_of((), found.knots), search_record(found, clearance.checks, found.way_points))
+
+
+def _space(begin: Array, end: Array, room: float) -> Space:
+    """Return the space of x, y and yaw that is some room (m) around both ends."""
+    around = np.array([room, room, np.pi])
+    low, high = np.minimum(begin, end) - around, np.maximum(begin, end) + around
+    return Space(low, high, np.array([1.0, 1.0, _METRES_A_TURN]), _BASE_STEP)
+
+
+def _row(pose: Pose) -> tuple[float, float, float]:
+    """Return x, y and yaw of a pose."""
+    return pose[0][0], pose[0][1], geometry.to_rpy(pose[1])[2]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -14,15 +16,13 @@ from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.grasping import sides
-from pycram.reasoning.grasping.grasps import candidates
-from pycram.reasoning.grasping.handle_path import DeadEnd, plan
-from pycram.reasoning.grasping.handles import ANGLES, Handle
-from pycram.reasoning.grasping.putting import Refusals, placements
-from pycram.reasoning.grasping.sides import GRASPS, grasp_orientation
-from pycram.reasoning.grasping.taking import ways_to_hold
-from pycram.reasoning.kinematics.solver import Solver
-from pycram.reasoning.places.place import Pull, PutDown
+from pycram.reasoning.grasping import grasps
+from pycram.reasoning.grasping.choice import ways_to_hold
+from pycram.reasoning.grasping.fingers import held
+from pycram.reasoning.grasping.grasps import GRASPS, candidates, grasp_orientation
+from pycram.reasoning.grasping.handles import ANGLES, DeadEnd, Handle, plan
+from pycram.reasoning.grasping.placing import Refusals, placements
+from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unfit
 from pycram.world import carried
@@ -30,16 +30,49 @@ from pycram.world.object import Object
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from pycram.models.robots.description import Arm, RobotDescription
-    from pycram.reasoning.places.place import Target
     from pycram.reasoning.rejections import Rejection
     from recorder.geometry import Pose, Quaternion, Vector
 
 _TURNS: Final = 6  # about the vertical, in which what is put down may roughly stand
 _MAX_SINGLE: Final = 30  # places; of more than these a search for all at once takes less
 _STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle has to be reached
+
+
+@dataclass(frozen=True, slots=True)
+class PutDown:
+    """Something that an arm holds is to be put down.
+
+    Attributes:
+        position: xyz of the object, m.
+        orientation: xyzw of the object; None for upright, turned as is natural.
+        body: the object; None for whatever the arm holds.
+    """
+
+    position: Vector
+    orientation: Quaternion | None = None
+    body: Object | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Pull:
+    """A drawer or door is to be opened or closed by its handle.
+
+    Attributes:
+        container: the furniture.
+        joint: its joint.
+        handle: the link of the handle.
+        to: the joint's value then, rad or m.
+    """
+
+    container: Object
+    joint: str
+    handle: str
+    to: float
+
+
+#: An object that is to be taken; a position xyz that the tool is to get to; or one of the above.
+Target: TypeAlias = Object | PutDown | Pull | Sequence[float]
 
 
 class Goal(Protocol):
@@ -129,14 +162,6 @@ def description_of(argument: str, robot: object) -> RobotDescription:
     return robot.description
 
 
-def held(robot: Object, arm: Arm | None = None) -> list[Object]:
-    """Return what a robot carries, directly and through other things; with an arm, what hangs on its tool frame."""
-    found = [each.body for each in robot.carried if arm is None or each.carrier_link == arm.tool_frame]
-    for body in found:
-        found.extend(each.body for each in body.carried)
-    return found
-
-
 class Taking:
     """An object that is to be picked up.
 
@@ -214,7 +239,7 @@ class Putting:
             return [[]]
         tool = arm.tool_pose(self._robot.get_link_position_and_orientation(arm.tool_frame))
         body_T_tool = geometry.multiply(geometry.invert(body.get_position_and_orientation()), tool)
-        turns = [geometry.from_rpy(0.0, 0.0, sides.yaw(body) + math.pi / 3 * step) for step in range(_TURNS)]
+        turns = [geometry.from_rpy(0.0, 0.0, grasps.yaw(body) + math.pi / 3 * step) for step in range(_TURNS)]
         if self._target.orientation is not None:
             turns = [self._target.orientation]
         return [[geometry.multiply((self._target.position, turn), body_T_tool) for turn in turns]]

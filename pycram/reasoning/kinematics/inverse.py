@@ -1,8 +1,7 @@
-"""Inverse kinematics that keeps to joint limits and leaves no trace: arithmetic on the URDF, no engine.
+"""Inverse kinematics by damped least squares, from many starts at once, always within the joints' limits.
 
-Arms that can be solved in closed form are (:mod:`pycram.reasoning.kinematics.closed_form`). What that misses, and every
-other arm, is searched (:mod:`pycram.reasoning.kinematics.descent`) from the nearest misses, or else from the present
-posture, the named ones and some all over the joints' range. Many targets are solved at once, in about the time of one.
+The method is that of Buss, Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least
+Squares Methods, 2004. Everything is deterministic: starting postures are spread by a Halton sequence.
 """
 
 from __future__ import annotations
@@ -10,24 +9,38 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from pycram.reasoning.kinematics.closed_form import ClosedForm
-from pycram.reasoning.kinematics.descent import POSITION_TOLERANCE, TURN_TOLERANCE, descend, spread
+from pycram.reasoning.kinematics.forward import Chain, norms, rotation_error
 from recorder import geometry
+from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Hashable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from pycram.reasoning.kinematics.chain import Chain
+    from pycram.world.object import Object
+    from recorder.geometry import Pose, PoseLike, Quaternion, Vector
 
     Array = NDArray[np.float64]
     Target = tuple[Sequence[float], Sequence[float] | None]
+    WorldTarget = tuple[Sequence[float], Sequence[float] | None, PoseLike | None]
 
+
+POSITION_TOLERANCE: Final = 1e-3  # m
+TURN_TOLERANCE: Final = 1e-2  # rad
+_DAMPING: Final = 1e-2
+_ITERATIONS: Final = 40
+_MAX_STEP: Final = 0.5  # rad or m a joint moves in one iteration
+_MAX_ERROR: Final = 0.6  # m or rad of error that are corrected at once
+_STALE: Final = (8, 0.9)  # iterations in which the least error has to fall to this share of itself, or the search ends
+_CLOSE: Final = 0.005  # m or rad of error below which a search is never given up
 THRESHOLD: Final = 1e-3  # m between tool and target that count as reached (thesis 4.4.5)
 _TURN_THRESHOLD: Final = math.radians(2)  # between orientations that count as the same
 _BATCHES: Final = (4, 28)  # starting postures: a few first, as most targets are easy
@@ -41,6 +54,108 @@ _MAX_SEARCHED: Final = 0.6  # rad of strain that a search has ever overcome
 _HOPELESS: Final = 0.02  # m of a proven miss beyond which no search is worth its time
 _TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
 _MAX_KNOWN: Final = 8  # searches whose results are kept
+_MAX_CHAINS: Final = 16  # of a robot that are kept
+
+
+def descend(
+    chain: Chain, start: Array, goals: Array, turns: Array | None, targets: NDArray[np.intp], *, stop_early: bool
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Search for postures that reach targets, from several starts each, all at once.
+
+    What is found for a target doesn't depend on which others there are.
+
+    Args:
+        chain: whose tool is to get there.
+        start: (n, joints) postures to search from.
+        goals: (n, 3) where from each of them, in the chain's base link, m.
+        turns: (n, 3, 3) orientations there; None if any will do.
+        targets: (n,) ascending numbers of the targets that these are.
+        stop_early: end the search for a target as soon as one of its postures gets there.
+
+    Returns:
+        (n, joints) postures, and which of them reach.
+    """
+    found = chain.limited(start)
+    reached = np.zeros(len(found), dtype=bool)
+    rows = np.arange(len(found))  # that are searched on
+    size = 3 if turns is None else 6
+    damping = _DAMPING * np.eye(size)
+    nearest = np.full(int(targets.max(initial=-1)) + 1, np.inf)
+    first = _first_rows(targets)
+    for iteration in range(_ITERATIONS):
+        postures = found[rows]
+        pose, jacobian = chain.forward(postures)
+        error = np.zeros((len(rows), size))
+        error[:, :3] = goals[rows] - pose[:, :3, 3]
+        near = norms(error[:, :3]) < 0.5 * POSITION_TOLERANCE
+        if turns is not None:
+            error[:, 3:] = rotation_error(pose[:, :3, :3], turns[rows])
+            near &= norms(error[:, 3:]) < 0.5 * TURN_TOLERANCE
+        reached[rows] = near
+        length = norms(error)
+        ended = (np.logical_or if stop_early else np.logical_and).reduceat(near, first)
+        if iteration % _STALE[0] == 0:
+            which = targets[rows[first]]
+            least = np.minimum.reduceat(length, first)
+            ended |= (least > _STALE[1] * nearest[which]) & (least > _CLOSE)
+            nearest[which] = least
+        if ended.any():
+            going = ~np.repeat(ended, np.diff(first, append=len(rows)))
+            if not going.any():
+                break
+            rows, postures, near, error, length = (part[going] for part in (rows, postures, near, error, length))
+            jacobian, first = jacobian[going], _first_rows(targets[rows])
+        step = _step(chain, postures, jacobian[:, :size], error, length[:, None], damping)
+        found[rows] = chain.limited(np.where(near[:, None], postures, postures + step))
+    return found, reached
+
+
+def _first_rows(targets: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the first row of each target, of which rows have the ascending numbers."""
+    return np.flatnonzero(np.diff(targets, prepend=-1))
+
+
+def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: Array, damping: Array) -> Array:
+    """Return the changes (n, joints) of postures that lessen errors (n, 3 or 6) of a length (n, 1)."""
+    correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length, 1e-9))
+    # a joint at its limit that wants to go beyond takes no part
+    gradient = np.einsum("nrj,nr->nj", jacobian, correction)
+    stuck = chain.bounded & (
+        ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
+    )
+    j = np.where(stuck[:, None, :], 0.0, jacobian)
+    scale = np.minimum(1.0, (error**2).sum(axis=1))[:, None, None] + 1e-4
+    inner = np.linalg.solve(j @ j.transpose(0, 2, 1) + damping * scale, correction[:, :, None])
+    step: Array = (j.transpose(0, 2, 1) @ inner)[:, :, 0]
+    step *= np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-9))
+    return step
+
+
+def spread(chain: Chain, start: int, count: int) -> Array:
+    """Return postures (count, joints) all over a chain's range, from number ``start`` of a Halton sequence on."""
+    postures: Array = chain.lower + _halton(start, count, len(chain.joints)) * (chain.upper - chain.lower)
+    return postures
+
+
+@cache
+def _halton(start: int, count: int, dimensions: int) -> Array:
+    """Return points (count, dimensions) of the Halton sequence."""
+    primes: list[int] = []
+    number = 2
+    while len(primes) < dimensions:
+        if all(number % prime for prime in primes):
+            primes.append(number)
+        number += 1
+    return np.array([[_radical_inverse(i + 1, prime) for prime in primes] for i in range(start, start + count)])
+
+
+def _radical_inverse(index: int, base: int) -> float:
+    result, fraction = 0.0, 1.0 / base
+    while index:
+        result += fraction * (index % base)
+        index //= base
+        fraction /= base
+    return result
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,3 +385,125 @@ def _different(found: Array, most: int) -> Array:
         kept.append(left[0])
         left = left[(np.abs(left - left[0]) > _DIFFERENT).any(axis=1)]
     return np.array(kept).reshape(-1, found.shape[1])
+
+
+def postures(
+    robot: Object,
+    link: str,
+    position: Sequence[float],
+    orientation: Sequence[float] | None,
+    *,
+    thorough: bool = False,
+    quick: bool = False,
+    seed: Mapping[str, float] | None = None,
+) -> list[Posture]:
+    """Return postures that bring a link of a robot to one pose in the world; see :meth:`Solver.search`."""
+    target = (position, orientation, None)
+    return Solver(robot, link).search([target], thorough=thorough, quick=quick, seed=seed)[0]
+
+
+class Solver:
+    """Inverse kinematics of one link of a robot as it stands, for targets in the world.
+
+    Args:
+        robot: the robot.
+        link: the link with an arm's tool frame, which is then what is brought to targets, or any other link.
+
+    Attributes:
+        joints: names of the joints that bring the link to a target.
+
+    Raises:
+        UnknownName: the robot has no such link.
+    """
+
+    def __init__(self, robot: Object, link: str) -> None:
+        robot.check_link(link)
+        self._arm = robot.description.arm_of(link) if robot.description else None
+        if self._arm is not None:
+            root, self.joints = self._arm.base_link, self._arm.joints
+        else:
+            chain = robot.urdf.chain(robot.base_link, link)
+            turning = [joint for joint in chain if joint.movable and joint.type != "prismatic"]
+            root = turning[0].parent if turning else robot.base_link
+            self.joints = tuple(joint.name for joint in turning)
+        self._now = robot.get_joint_positions()
+        tool = self._arm.tool_offset if self._arm else IDENTITY
+        self._kinematics = _kinematics(robot, root, link, self.joints, self._now, tool)
+        self._root_T_world = geometry.invert(robot.get_link_position_and_orientation(root))
+        self._root_T_link = geometry.transform(self._root_T_world, robot.get_link_position(link))
+        self._root_T_base = geometry.multiply(self._root_T_world, robot.get_position_and_orientation())
+
+    def search(
+        self,
+        targets: Sequence[WorldTarget],
+        *,
+        thorough: bool = False,
+        quick: bool = False,
+        seed: Mapping[str, float] | None = None,
+        threshold: float = THRESHOLD,
+    ) -> list[list[Posture]]:
+        """Return postures for targets, nearest to the present one first.
+
+        Args:
+            targets: poses; all of them with an orientation, or none.
+            thorough: look for several.
+            quick: don't look long; a miss then proves nothing.
+            seed: posture to start from; the present one by default.
+            threshold: m that are near enough.
+
+        Returns:
+            For each target at least one; if the first doesn't reach, none does.
+        """
+        if not self.joints:
+            distances = (math.dist(geometry.transform(self._root_T_world, at), self._root_T_link) for at, *_ in targets)
+            return [[Posture({}, distance, 0.0)] for distance in distances]
+        if not targets:
+            return []
+        seeds = [self._now if seed is None else seed]
+        if self._arm is not None:
+            seeds += [self._arm.posture(name) for name in self._arm.poses]
+        goals = [self._in_root(*target) for target in targets]
+        return self._kinematics.solve(goals, seeds, thorough=thorough, quick=quick, enough=threshold)
+
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether the joints are solved in closed form."""
+        return bool(self.joints) and self._kinematics.in_closed_form
+
+    def closed_form(
+        self, targets: Sequence[WorldTarget], seed: Mapping[str, float] | None = None
+    ) -> list[list[Posture]]:
+        """Return postures for targets that are found without searching, nearest to the seed first, as :meth:`search`.
+
+        An empty list proves nothing.
+        """
+        if not self.joints:
+            return [[] for _ in targets]
+        goals = [self._in_root(*target) for target in targets]
+        return self._kinematics.closed_form(goals, self._now if seed is None else seed)
+
+    def _in_root(
+        self, position: Sequence[float], orientation: Sequence[float] | None, base: PoseLike | None
+    ) -> tuple[Vector, Quaternion | None]:
+        root_T_world = self._root_T_world
+        if base is not None:
+            root_T_world = geometry.multiply(self._root_T_base, geometry.invert(base))
+        turn = None if orientation is None else geometry.product(root_T_world[1], orientation)
+        return geometry.transform(root_T_world, position), turn
+
+
+_chains: WeakKeyDictionary[Object, dict[Hashable, ArmKinematics]] = WeakKeyDictionary()
+
+
+def _kinematics(
+    robot: Object, root: str, link: str, joints: Sequence[str], now: Mapping[str, float], tool: Pose
+) -> ArmKinematics:
+    """Return a chain's kinematics, which are kept: making them takes as long as solving them."""
+    others = [joint.name for joint in robot.urdf.chain(root, link) if joint.movable and joint.name not in joints]
+    key = (link, *(now[name] for name in others))
+    chains = _chains.setdefault(robot, {})
+    if key not in chains:
+        if len(chains) >= _MAX_CHAINS:
+            chains.clear()
+        chains[key] = ArmKinematics(Chain(robot.urdf, root, link, joints, now, tool))
+    return chains[key]
