@@ -34,21 +34,13 @@ _BATCH: Final = 1 << 16  # pixels of smaller ones that are drawn together; more 
 
 @dataclass(frozen=True, slots=True)
 class Rendering:
-    """What a camera sees.
+    """What a camera sees."""
 
-    Attributes:
-        depth: (height, width) along the camera's axis in m; inf where nothing is.
-        bodies: (height, width) indices of the objects that were rendered, -1 where nothing is.
-        triangles: (n, 3, 3) that were rendered, in the camera's frame, m.
-        colors: (n, 3) of them, RGB 0..1.
-        seen: (height, width) the number of the triangle that is seen, -1 where nothing is.
-    """
-
-    depth: NDArray[np.float64]
-    bodies: NDArray[np.int64]
-    triangles: NDArray[np.float64]
-    colors: NDArray[np.float64]
-    seen: NDArray[np.int64]
+    depth: NDArray[np.float64]  # (height, width) along the camera's axis in m; inf where nothing is
+    bodies: NDArray[np.int64]  # (height, width) indices of the objects that were rendered, -1 where nothing is
+    triangles: NDArray[np.float64]  # (n, 3, 3) that were rendered, in the camera's frame, m
+    colors: NDArray[np.float64]  # (n, 3) of them, RGB 0..1
+    seen: NDArray[np.int64]  # (height, width) the number of the triangle that is seen, -1 where nothing is
 
     def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
         """Return a colour image, lit from above and from the camera.
@@ -84,21 +76,13 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True)
 class Drawable:
-    """A body as a camera needs it, whether a physics engine or a recording tells where its k links are.
+    """A body as a camera needs it, whether a physics engine or a recording tells where its k links are."""
 
-    Attributes:
-        shapes: its links' shapes, in the links' frames.
-        positions: (k, 3) of the links' frames in the world, m.
-        orientations: (k, 4) of the same, xyzw.
-        color: RGBA 0..1 of the whole body; None for the colours of its model.
-        is_robot: whether links of it that surround the camera are the camera's housing.
-    """
-
-    shapes: Shapes
-    positions: NDArray[np.float64]
-    orientations: NDArray[np.float64]
-    color: Sequence[float] | None
-    is_robot: bool
+    shapes: Shapes  # its links' shapes, in the links' frames
+    positions: NDArray[np.float64]  # (k, 3) of the links' frames in the world, m
+    orientations: NDArray[np.float64]  # (k, 4) of the same, xyzw
+    color: Sequence[float] | None  # RGBA 0..1 of the whole body; None for the colours of its model
+    is_robot: bool  # whether links of it that surround the camera are the camera's housing
 
 
 def drawable_link(
@@ -124,38 +108,23 @@ def drawable(body: Object) -> Drawable:
 
 @dataclass(frozen=True, slots=True)
 class _Boxes:
-    """Boxes of k links, in their frames, and where these are in the world.
+    """Boxes of k links, in their frames, and where these are in the world."""
 
-    Attributes:
-        low: (k, 3) lowest corners, m.
-        high: (k, 3) highest corners, m.
-        positions: (k, 3) of the frames, m.
-        turns: (k, 3, 3) of the frames.
-    """
-
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    turns: NDArray[np.float64]
+    low: NDArray[np.float64]  # (k, 3) lowest corners, m
+    high: NDArray[np.float64]  # (k, 3) highest corners, m
+    positions: NDArray[np.float64]  # (k, 3) of the frames, m
+    turns: NDArray[np.float64]  # (k, 3, 3) of the frames
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole camera in the world.
+    """A pinhole camera in the world."""
 
-    Attributes:
-        pose: position in m and orientation xyzw of its optical frame.
-        right: tangent of half the horizontal field of view.
-        down: tangent of half the vertical field of view.
-        near: m from which on it sees.
-        far: m up to which it sees.
-    """
-
-    pose: Pose
-    right: float
-    down: float
-    near: float = NEAR
-    far: float = FAR
+    pose: Pose  # position in m and orientation xyzw of its optical frame
+    right: float  # tangent of half the horizontal field of view
+    down: float  # tangent of half the vertical field of view
+    near: float = NEAR  # m from which on it sees
+    far: float = FAR  # m up to which it sees
 
     @property
     def window(self) -> Window:

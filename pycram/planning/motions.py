@@ -65,7 +65,6 @@ def joint_motion(
     The choice between the straight line and a search is on record.
 
     Args:
-        robot: the robot.
         goal: joint values in rad or m by name; others stay, also those of an arm that is there already.
         start: joint values that the robot will have when it begins, where they aren't the present ones.
         ignored: objects that don't count as obstacles.
@@ -118,17 +117,8 @@ class _Moved:
     """The joints that a motion moves, between two postures.
 
     Args:
-        robot: the robot.
         now: values of all joints at the start.
         wanted: values of those that are to move.
-
-    Attributes:
-        searched: those whose values are searched; the others that move mimic them.
-        joints: all that move.
-        kept: values of joints that stay but count, by name.
-        start: (d,) values of those that are searched.
-        goal: (d,) likewise, by the nearest turns.
-        slopes: (d, n) how far joints that mimic go for each that is searched.
     """
 
     def __init__(self, robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> None:
@@ -140,17 +130,21 @@ class _Moved:
         moving = [group for group in groups if any(abs(wanted[name] - now[name]) > _THERE for name in group)]
         names = {name for group in moving or groups for name in group}
         followers = [name for name in wanted if name in mimics and mimics[name].leader in wanted]
+        # those whose values are searched; the others that move mimic them
         self.searched = tuple(name for name in wanted if name in names and name not in followers)
         self._followers = [name for name in followers if mimics[name].leader in self.searched]
-        self.joints = (*self.searched, *self._followers)
+        self.joints = (*self.searched, *self._followers)  # all that move
         self._robot = robot
+        # values of joints that stay but count, by name
         self.kept = {name: wanted[name] for name in wanted if name not in self.joints}
+        # (d, n) how far joints that mimic go for each that is searched
         self.slopes = np.zeros((len(self.searched), len(self._followers)))
         for column, name in enumerate(self._followers):
             self.slopes[self.searched.index(mimics[name].leader), column] = mimics[name].multiplier
         self._lower, self._upper = np.array([robot.joint_limits(name) for name in self.searched]).reshape(-1, 2).T
         self._slides = np.array([robot.urdf.joint(name).type == "prismatic" for name in self.searched])
-        self.start = np.array([now[name] for name in self.searched])
+        self.start = np.array([now[name] for name in self.searched])  # (d,) values of those that are searched
+        # (d,) likewise, by the nearest turns
         self.goal = np.array([wanted[name] for name in self.searched]) if moving else self.start
         self.arms = [arm.name for arm in arms if any(name in self.joints for name in arm.joints)]
 
@@ -234,8 +228,6 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
     Nothing is checked for collisions.
 
     Args:
-        robot: the robot.
-        arm: its arm.
         start: joint values in rad or m by name where the line begins, also of other joints; these stay, and others are
             as they are.
         goal: position and orientation of the tool in the world.
@@ -303,7 +295,6 @@ def base_motion(
     move, all at once. The choice between the straight line and a search is on record.
 
     Args:
-        robot: the robot.
         position: xyz of the goal in m.
         orientation: xyzw of the goal.
         start: position and orientation from which it begins; the present ones by default.

@@ -39,27 +39,16 @@ _MAX_PAIRS: Final = 3  # in the way most often, that a failure names
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """What is asked for.
+    """What is asked for."""
 
-    Attributes:
-        mover: what moves, in words.
-        names: of the coordinates.
-        space: where the path is searched.
-        start: (d,) where it begins.
-        goal: (d,) where it is to end.
-        rates: how fast it may be.
-        seed: of the search; the run's by default.
-        wider: where it is searched if no path is found in that space; None if there is no more.
-    """
-
-    mover: str
-    names: tuple[str, ...]
-    space: Space
-    start: Array
-    goal: Array
-    rates: Rates
-    seed: int | None
-    wider: Space | None = None
+    mover: str  # what moves, in words
+    names: tuple[str, ...]  # of the coordinates
+    space: Space  # where the path is searched
+    start: Array  # (d,) where it begins
+    goal: Array  # (d,) where it is to end
+    rates: Rates  # how fast it may be
+    seed: int | None  # of the search; the run's by default
+    wider: Space | None = None  # where it is searched if no path is found in that space; None if there is no more
 
     def drawn_seed(self, attempt: int) -> int:
         """Return the seed of an attempt, 1 to 2**31: it depends on the run's seed and the query, not on others."""
@@ -74,21 +63,13 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A path that touches nothing new, and its times.
+    """A path that touches nothing new, and its times."""
 
-    Attributes:
-        planner: how it was found.
-        seed: of the search that found it; 0 where none was needed.
-        attempts: searches that were begun.
-        way_points: (n, d) of the path before it was timed.
-        knots: of the timed path.
-    """
-
-    planner: str
-    seed: int
-    attempts: int
-    way_points: Array
-    knots: Knots
+    planner: str  # how it was found
+    seed: int  # of the search that found it; 0 where none was needed
+    attempts: int  # searches that were begun
+    way_points: Array  # (n, d) of the path before it was timed
+    knots: Knots  # of the timed path
 
 
 def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
@@ -164,15 +145,10 @@ def _looked_at(query: Query, knots: Knots, fine: float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A trajectory that a body may follow.
+    """A trajectory that a body may follow."""
 
-    Attributes:
-        trajectory: where the body is to be when.
-        search: how its path was found.
-    """
-
-    trajectory: Trajectory
-    search: records.PathSearch
+    trajectory: Trajectory  # where the body is to be when
+    search: records.PathSearch  # how its path was found
 
     @property
     def end(self) -> dict[str, float]:

@@ -29,19 +29,12 @@ _FIRST_BATCH: Final = 16  # of those that are spread over an edge: most edges th
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """Coordinates, unwrapped: also those of joints without limits, and the heading of a base, are plain numbers.
+    """Coordinates, unwrapped: also those of joints without limits, and the heading of a base, are plain numbers."""
 
-    Attributes:
-        lower: (d,) lower limits.
-        upper: (d,) upper limits.
-        weights: (d,) of a coordinate in distances, such that a unit of each moves the robot about as far.
-        step: distance of any coordinate between configurations that are checked while it is searched.
-    """
-
-    lower: Array
-    upper: Array
-    weights: Array
-    step: float
+    lower: Array  # (d,) lower limits
+    upper: Array  # (d,) upper limits
+    weights: Array  # (d,) of a coordinate in distances, such that a unit of each moves the robot about as far
+    step: float  # distance of any coordinate between configurations that are checked while it is searched
 
     def along(self, path: Array, step: float) -> Array:
         """Return configurations (n, d) along a path (m, d), without its first; see :func:`between`."""
@@ -73,17 +66,9 @@ class Clearance:
     """What would be touched in configurations: rows of numbers, as joint values or poses of a base.
 
     Args:
-        checker: of the robot.
         predict: gives the checker's candidates for configurations (n, d).
         start: (d,) configuration in which the robot is.
         goal: (d,) configuration in which it is to be.
-
-    Attributes:
-        touched: what would be touched at the goal that isn't touched as deep at the start, deepest first.
-        strict: whether it keeps away from things; else it may be as near as it likes, and hulls of its own links may
-            overlap a little more: they do where the robot doesn't.
-        checks: how many configurations were checked.
-        blocking: how often which two links were in the way, and how deep they overlapped at most, m.
     """
 
     def __init__(
@@ -94,10 +79,14 @@ class Clearance:
         self._allowed: dict[Pair, float] = {}  # m of overlap
         self._last: Pair | None = None
         self._deepest: dict[Pair, float] = {}
+        # whether it keeps away from things; else it may be as near as it likes, and hulls of its own links may
+        # overlap a little more: they do where the robot doesn't
         self.strict = True
-        self.checks = 0
+        self.checks = 0  # how many configurations were checked
+        # how often which two links were in the way, and how deep they overlapped at most, m
         self.blocking: Counter[Pair] = Counter()
         self._allow(start)
+        # what would be touched at the goal that isn't touched as deep at the start, deepest first
         self.touched = self._allow(goal)
 
     def _allow(self, row: Array) -> list[CollisionPair]:

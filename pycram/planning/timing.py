@@ -47,21 +47,13 @@ _OCTAGON: Final = math.cos(math.pi / 8)  # of a circle's radius that the sides o
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Largest velocities and accelerations, of the coordinates or of sums of them.
+    """Largest velocities and accelerations, of the coordinates or of sums of them."""
 
-    Attributes:
-        lower: (d,) lower limits of the coordinates.
-        upper: (d,) upper limits of the coordinates.
-        directions: (k, d) what is limited: each row times the coordinates.
-        velocities: (k,) rad/s or m/s.
-        accelerations: (k,) rad/s^2 or m/s^2.
-    """
-
-    lower: Array
-    upper: Array
-    directions: Array
-    velocities: Array
-    accelerations: Array
+    lower: Array  # (d,) lower limits of the coordinates
+    upper: Array  # (d,) upper limits of the coordinates
+    directions: Array  # (k, d) what is limited: each row times the coordinates
+    velocities: Array  # (k,) rad/s or m/s
+    accelerations: Array  # (k,) rad/s^2 or m/s^2
 
 
 @dataclass(frozen=True, slots=True)

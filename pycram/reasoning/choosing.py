@@ -28,25 +28,15 @@ _MAX_NAMES: Final = 4  # of the candidates of a group
 
 @dataclass(slots=True)
 class Question:
-    """A question while it is answered.
+    """A question while it is answered."""
 
-    Attributes:
-        name: what is asked for.
-        arguments: what about, by name.
-        answer: the answer.
-        evidence: what it rests on.
-        picture: what the camera saw, if one was asked.
-        considered: what was considered for the answer, if it was one of several.
-        steps: of its record in each recording, once it is answered.
-    """
-
-    name: str
-    arguments: Mapping[str, object]
-    answer: object = None
-    evidence: Mapping[str, object] = field(default_factory=dict)
-    picture: records.Picture | None = None
-    considered: Choice | None = None
-    steps: Mapping[Journal, int] = field(default_factory=dict)
+    name: str  # what is asked for
+    arguments: Mapping[str, object]  # what about, by name
+    answer: object = None  # the answer
+    evidence: Mapping[str, object] = field(default_factory=dict)  # what it rests on
+    picture: records.Picture | None = None  # what the camera saw, if one was asked
+    considered: Choice | None = None  # what was considered for the answer, if it was one of several
+    steps: Mapping[Journal, int] = field(default_factory=dict)  # of its record in each recording, once it is answered
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
@@ -121,7 +111,6 @@ class Choice(Question):
 
         Args:
             candidate: its name, as "front".
-            reason: why.
             count: how many alike it stands for, as postures for one grasp.
         """
         if self.wanted:
@@ -136,7 +125,6 @@ class Choice(Question):
         """Say which candidate it is.
 
         Args:
-            candidate: its name.
             answer: the answer; its name by default.
             evidence: what else is to be known of it.
         """

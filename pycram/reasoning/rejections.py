@@ -34,15 +34,10 @@ class Rejection:
 
 @dataclass(frozen=True, slots=True)
 class OutOfReach(Rejection):
-    """No posture gets there.
+    """No posture gets there."""
 
-    Attributes:
-        distance: m that the nearest stays away; None if that isn't known.
-        turn: rad by which it is turned from there.
-    """
-
-    distance: float | None
-    turn: float = 0.0
+    distance: float | None  # m that the nearest stays away; None if that isn't known
+    turn: float = 0.0  # rad by which it is turned from there
 
     def miss(self) -> float:
         """Return the distance, and the angle as if the tool were a metre long."""
@@ -51,15 +46,10 @@ class OutOfReach(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Touching(Rejection):
-    """Something would be touched.
+    """Something would be touched."""
 
-    Attributes:
-        pairs: the links that would meet, the first few.
-        more: how many other pairs there are.
-    """
-
-    pairs: Sequence[CollisionPair]
-    more: int = field(init=False)
+    pairs: Sequence[CollisionPair]  # the links that would meet, the first few
+    more: int = field(init=False)  # how many other pairs there are
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "more", max(0, len(self.pairs) - _MAX_PAIRS))
@@ -76,17 +66,11 @@ class Touching(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Misfit(Rejection):
-    """It doesn't fit between the fingers.
+    """It doesn't fit between the fingers."""
 
-    Attributes:
-        width: m between its sides there; None if there is nothing to take.
-        least: m of the narrowest that the fingers hold.
-        most: m of the widest.
-    """
-
-    width: float | None
-    least: float
-    most: float
+    width: float | None  # m between its sides there; None if there is nothing to take
+    least: float  # m of the narrowest that the fingers hold
+    most: float  # m of the widest
 
     def miss(self) -> float:
         """Return by how much, m."""
@@ -95,13 +79,9 @@ class Misfit(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Uneven(Rejection):
-    """A suction cup doesn't close on it.
+    """A suction cup doesn't close on it."""
 
-    Attributes:
-        height: m between the highest and the lowest point below the cup; None if there is nothing to take.
-    """
-
-    height: float | None
+    height: float | None  # m between the highest and the lowest point below the cup; None if there is nothing to take
 
     def miss(self) -> float:
         """Return the height."""
@@ -110,13 +90,9 @@ class Uneven(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class NoRoom(Rejection):
-    """It can't stand there: something is there already, or nothing is below.
+    """It can't stand there: something is there already, or nothing is below."""
 
-    Attributes:
-        reason: which of them, in words.
-    """
-
-    reason: str
+    reason: str  # which of them, in words
 
     def alike(self) -> Hashable:
         """Return the reason."""
@@ -125,13 +101,9 @@ class NoRoom(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Slips(Rejection):
-    """The closed fingers don't hold it.
+    """The closed fingers don't hold it."""
 
-    Attributes:
-        sides: on how many sides they would touch it.
-    """
-
-    sides: int
+    sides: int  # on how many sides they would touch it
 
     def alike(self) -> Hashable:
         """Return the sides."""
@@ -140,28 +112,18 @@ class Slips(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Contorted(Rejection):
-    """The arm would have to change its posture on the way.
+    """The arm would have to change its posture on the way."""
 
-    Attributes:
-        value: of the joint that is moved, rad or m, from which on.
-    """
-
-    value: float
+    value: float  # of the joint that is moved, rad or m, from which on
 
 
 @dataclass(frozen=True, slots=True)
 class Unreached(Rejection):
-    """A search for a path didn't get there.
+    """A search for a path didn't get there."""
 
-    Attributes:
-        checks: configurations that were checked.
-        distance: from the goal to the nearest configuration that was reached: rad, or m of a base.
-        pairs: the links that were in the way most often.
-    """
-
-    checks: int
-    distance: float
-    pairs: Sequence[CollisionPair] = ()
+    checks: int  # configurations that were checked
+    distance: float  # from the goal to the nearest configuration that was reached: rad, or m of a base
+    pairs: Sequence[CollisionPair] = ()  # the links that were in the way most often
 
     def miss(self) -> float:
         """Return the distance."""
@@ -170,15 +132,10 @@ class Unreached(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Unseen(Rejection):
-    """Too little of it is seen.
+    """Too little of it is seen."""
 
-    Attributes:
-        share: of it that is seen.
-        hidden_by: names of what is before it.
-    """
-
-    share: float
-    hidden_by: Sequence[str] = ()
+    share: float  # of it that is seen
+    hidden_by: Sequence[str] = ()  # names of what is before it
 
     def alike(self) -> Hashable:
         """Return what hides it."""
@@ -191,15 +148,10 @@ class Unseen(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Inferior(Rejection):
-    """It would do, but another one is better.
+    """It would do, but another one is better."""
 
-    Attributes:
-        by: in which quantity.
-        value: of it.
-    """
-
-    by: str
-    value: float
+    by: str  # in which quantity
+    value: float  # of it
 
     def alike(self) -> Hashable:
         """Return the quantity."""
@@ -213,13 +165,9 @@ class Untried(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Unfit(Rejection):
-    """Any other reason.
+    """Any other reason."""
 
-    Attributes:
-        reason: in words.
-    """
-
-    reason: str
+    reason: str  # in words
 
     def alike(self) -> Hashable:
         """Return the reason."""

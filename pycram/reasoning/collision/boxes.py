@@ -56,19 +56,12 @@ _NEIGHBOURS: Final = 3  # joints between links whose limits keep them apart; the
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """k oriented boxes, which are equal only if they are the same.
+    """k oriented boxes, which are equal only if they are the same."""
 
-    Attributes:
-        links: (k,) names of the links that they are around.
-        centers: (k, 3) in the world, m.
-        axes: (k, 3, 3) their unit axes in the world are the columns.
-        half_extents: (k, 3), m.
-    """
-
-    links: tuple[str, ...]
-    centers: Array
-    axes: Array
-    half_extents: Array
+    links: tuple[str, ...]  # (k,) names of the links that they are around
+    centers: Array  # (k, 3) in the world, m
+    axes: Array  # (k, 3, 3) their unit axes in the world are the columns
+    half_extents: Array  # (k, 3), m
 
     @classmethod
     def around(cls, engine: Engine, body: Body, model: Object) -> Boxes:
@@ -263,7 +256,6 @@ class MovingLinks:
     Args:
         engine: where it stands.
         body: the engine's side of it.
-        robot: the robot.
         boxes: around all its pieces, as it stands there.
         held: what it holds: object, the robot's link, and the boxes around the object's pieces.
         joints: names of the joints that will be moved.
@@ -271,12 +263,6 @@ class MovingLinks:
 
     Attributes:
         moving: links that are checked.
-        held: names of the objects that they hold.
-        joint_counts: how many of the joints each link hangs on.
-        positions: values of the joints, rad or m.
-        base_pose: of the robot.
-        articulation: how the joints move the links.
-        boxes: around the links that are checked, and what they hold.
         owners: (k,) whose these boxes are.
         drivers: (k,) the number of the joint that moves each of these boxes, -1 where none does.
     """
@@ -296,15 +282,17 @@ class MovingLinks:
         may_touch = robot.description.may_touch if robot.description else frozenset()
         fixed = _structure(robot.model.path, robot.name, boxes.links, joints, all_links, held_links, may_touch)
         self.moving, self.owners, self.drivers = fixed.moving, fixed.owners, fixed.drivers
-        self.joint_counts = joint_counts(robot.model.path, joints)
+        self.joint_counts = joint_counts(robot.model.path, joints)  # how many of the joints each link hangs on
         positions = dict(zip(robot.joints, engine.joints(body)[0], strict=True))
-        self.positions = {name: positions[name] for name in joints}
-        self.base_pose = engine.pose(body)
+        self.positions = {name: positions[name] for name in joints}  # values of the joints, rad or m
+        self.base_pose = engine.pose(body)  # of the robot
+        # how the joints move the links
         self.articulation = Articulation(engine, body, drivers(robot.model.path, joints))
         swung = [each for other, link, each in held if link in fixed.moving]
+        # names of the objects that they hold
         self.held = frozenset(other.name for other, link, _ in held if link in fixed.moving)
         self._all_boxes = concatenate([boxes, *swung])
-        self.boxes = self._all_boxes.subset(fixed.checked)
+        self.boxes = self._all_boxes.subset(fixed.checked)  # around the links that are checked, and what they hold
         self._robot, self._structure = robot.name, fixed
         self._swung = fixed.all_drivers >= 0
         self._swung_boxes = self._all_boxes.subset(self._swung)
@@ -341,29 +329,18 @@ class MovingLinks:
 
 @dataclass(frozen=True, slots=True)
 class _Structure:
-    """What of moving links doesn't depend on where the robot is.
+    """What of moving links doesn't depend on where the robot is."""
 
-    Attributes:
-        moving: as of :class:`MovingLinks`.
-        owners: the same.
-        drivers: the same.
-        all_owners: whose all boxes are: of the robot, and of what it holds in links that move.
-        all_drivers: the number of the joint that moves each of all boxes, -1 where none does.
-        checked: which of all boxes are checked.
-        pairs: numbers of boxes, one before the other, that could meet: they aren't neighbours.
-        own: (n, n) how many of all joints the one box's link hangs on, but not the other's.
-        numbers: of a box of each link.
-    """
-
-    moving: frozenset[str]
-    owners: Sequence[Owner]
-    drivers: NDArray[np.intp]
-    all_owners: Sequence[Owner]
-    all_drivers: NDArray[np.intp]
-    checked: NDArray[np.bool_]
+    moving: frozenset[str]  # as of :class:`MovingLinks`
+    owners: Sequence[Owner]  # the same
+    drivers: NDArray[np.intp]  # the same
+    all_owners: Sequence[Owner]  # whose all boxes are: of the robot, and of what it holds in links that move
+    all_drivers: NDArray[np.intp]  # the number of the joint that moves each of all boxes, -1 where none does
+    checked: NDArray[np.bool_]  # which of all boxes are checked
+    # numbers of boxes, one before the other, that could meet: they aren't neighbours
     pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
-    own: NDArray[np.intp]
-    numbers: Mapping[str, int]
+    own: NDArray[np.intp]  # (n, n) how many of all joints the one box's link hangs on, but not the other's
+    numbers: Mapping[str, int]  # of a box of each link
 
 
 @lru_cache(maxsize=_CACHED)
@@ -380,8 +357,6 @@ def _structure(
     """Return it for the model with a canonical URDF.
 
     Args:
-        path: the model.
-        robot: its name.
         robot_links: links that boxes are around.
         joints: names of the joints that will be moved.
         all_links: check all links.

@@ -39,56 +39,37 @@ _FEET: Final = 0.02  # m above the ground
 
 
 class Collision(TypedDict):
-    """How a robot collides with an object, as records carry it.
+    """How a robot collides with an object, as records carry it."""
 
-    Attributes:
-        links: links of the robot, or of what it holds, that touch the object.
-        by: links of the object that they touch.
-        depth: of the deepest touch, m.
-        pair: the links that touch there.
-    """
-
-    links: list[str]
-    by: list[str]
-    depth: float
-    pair: CollisionPair
+    links: list[str]  # links of the robot, or of what it holds, that touch the object
+    by: list[str]  # links of the object that they touch
+    depth: float  # of the deepest touch, m
+    pair: CollisionPair  # the links that touch there
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A posture, and what could touch in it.
+    """A posture, and what could touch in it."""
 
-    Attributes:
-        positions: joint values in rad or m by name; the others stay.
-        base: pose of the robot's base; None where it stands.
-        overlaps: (n,) numbers of boxes that move, and of the others that they overlap.
-        transforms: (joints + 1, 4, 4) how the joints move what hangs on them.
-        pairs: the links in these boxes, in the order in which they are checked; empty until then.
-        touches: of the pairs that the engine has checked.
-    """
-
-    positions: Mapping[str, float]
-    base: Pose | None
+    positions: Mapping[str, float]  # joint values in rad or m by name; the others stay
+    base: Pose | None  # pose of the robot's base; None where it stands
+    # (n,) numbers of boxes that move, and of the others that they overlap
     overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]
-    transforms: NDArray[np.float64]
+    transforms: NDArray[np.float64]  # (joints + 1, 4, 4) how the joints move what hangs on them
+    # the links in these boxes, in the order in which they are checked; empty until then
     pairs: list[Pair] = field(default_factory=list)
-    touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)
+    touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # of the pairs that the engine has checked
 
 
 class CollisionChecker:
     """A robot that is tried in postures. Use it as a context manager, with the world's lock held.
 
     Args:
-        robot: the robot.
         joints: names of the joints that will be moved; what they don't move isn't checked.
         ignored: objects that don't count.
         all_links: check all links of the robot, not just those that the joints move.
         ignored_links: objects with links of theirs that don't count, as those that move along.
         margin: m by which other objects are looked at before they are touched.
-
-    Attributes:
-        robot: the robot.
-        moving: links of the robot that are checked.
     """
 
     def __init__(
@@ -101,7 +82,7 @@ class CollisionChecker:
         ignored_links: Collection[tuple[Object, str]] = (),
         margin: float = 0.0,
     ) -> None:
-        self.robot = robot
+        self.robot = robot  # the robot
         self._margin = margin
         self._clone = clone = clone_of(robot.world, "reach")
         clone.sync()
@@ -121,7 +102,7 @@ class CollisionChecker:
                 all_links=all_links,
             ),
         )
-        self.moving = links.moving
+        self.moving = links.moving  # links of the robot that are checked
         self._link_of = {body: link for body, link, _ in self._held}
         self._own = {body.name: body for body in (robot, *self._link_of)}
         self._owners = [(self._own[name], link) for name, link in links.owners]

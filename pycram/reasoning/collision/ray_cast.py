@@ -53,17 +53,11 @@ def half_extent(low: Sequence[float], high: Sequence[float], direction: Sequence
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """Parallel lines, side by side.
+    """Parallel lines, side by side."""
 
-    Attributes:
-        frame: in the world; lines go along one of its axes.
-        first: of the points along another of its axes where there is a line, m.
-        step: from one point to the next, m.
-    """
-
-    frame: Pose
-    first: float
-    step: float
+    frame: Pose  # in the world; lines go along one of its axes
+    first: float  # of the points along another of its axes where there is a line, m
+    step: float  # from one point to the next, m
 
 
 class RayCaster:
@@ -77,12 +71,11 @@ class RayCaster:
     Attributes:
         low: lowest corner of its bounds in the world, m.
         high: highest corner of its bounds in the world, m.
-        center: of its bounds in the world, m.
     """
 
     def __init__(self, body: Object, lean: Quaternion | None = None) -> None:
         self.low, self.high = body.get_AABB()
-        self.center = _center(self.low, self.high)
+        self.center = _center(self.low, self.high)  # of its bounds in the world, m
         solids = solids_of(body.model.path)
         positions, orientations = body.world.engine.link_frames(body.handle, solids.links)
         turns = geometry.to_matrices(orientations)
@@ -142,7 +135,6 @@ class RayCaster:
         """Intersect parallel lines with the object's pieces: all in one go, since each call of numpy takes its time.
 
         Args:
-            scans: the lines.
             order: of the frames' axes: u and v across the lines, w along them.
             count: of points along u, in each scan.
             vs: of lines along v, lowest first, m.
@@ -198,21 +190,13 @@ class RayCaster:
 
 @dataclass(frozen=True, slots=True)
 class _Intersections:
-    """Where the lines of scans pass through n pieces that are near them.
+    """Where the lines of scans pass through n pieces that are near them."""
 
-    Attributes:
-        pieces: (scans,) how many of them are near each scan: the first ones, the next ones, ...
-        count: of points in a scan at most.
-        begins: (n,) the first point where lines may hit the piece.
-        enter: (n, beside, width), m: where each line enters the piece, inf where it misses it.
-        leave: (n, beside, width), m: where each line leaves it, -inf where it misses it.
-    """
-
-    pieces: NDArray[np.intp]
-    count: int
-    begins: NDArray[np.intp]
-    enter: Array
-    leave: Array
+    pieces: NDArray[np.intp]  # (scans,) how many of them are near each scan: the first ones, the next ones,
+    count: int  # of points in a scan at most
+    begins: NDArray[np.intp]  # (n,) the first point where lines may hit the piece
+    enter: Array  # (n, beside, width), m: where each line enters the piece, inf where it misses it
+    leave: Array  # (n, beside, width), m: where each line leaves it, -inf where it misses it
 
     def nearest(self, values: Array) -> Array:
         """Return the lowest of the values (n, beside, width) of pieces: (scans, beside, count); inf where none is."""

@@ -41,17 +41,11 @@ _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 @dataclass(slots=True)
 class _Copy:
-    """A body of the clone.
+    """A body of the clone."""
 
-    Attributes:
-        original: the object's body in the world, whose id a later one may get.
-        body: the copy.
-        state: the object's at which the copy is; None if it isn't as any.
-    """
-
-    original: Body
-    body: Body
-    state: Snapshot | None = None
+    original: Body  # the object's body in the world, whose id a later one may get
+    body: Body  # the copy
+    state: Snapshot | None = None  # the object's at which the copy is; None if it isn't as any
 
 
 class SimulationClone:
@@ -59,16 +53,12 @@ class SimulationClone:
 
     Use it with the world's lock held.
 
-    Args:
-        world: the world.
-
     Attributes:
-        world: the same.
         engine: the physics client.
     """
 
     def __init__(self, world: BulletWorld) -> None:
-        self.world = weakref.proxy(world)
+        self.world = weakref.proxy(world)  # the same
         self._engine: Engine | None = None
         self._copies: dict[tuple[str, str], _Copy] = {}  # by object and link; "" for the whole object
         self._values: weakref.WeakKeyDictionary[Object, dict[Hashable, tuple[Snapshot, object]]]
@@ -111,9 +101,7 @@ class SimulationClone:
         """Return what was computed of an object in the world; it is computed again when it has moved since.
 
         Args:
-            body: the object.
             key: identifies the value.
-            compute: makes it.
         """
         now = self.state(body)
         values = self._values.setdefault(body, {})
@@ -223,9 +211,6 @@ class PhysicsClone(SimulationClone):
         """Bring some objects to the world's state, with the attachments among them; all others are out of the way.
 
         Furniture is there as its rigid parts, of which a step costs less, unless it carries something.
-
-        Args:
-            bodies: the objects.
 
         Returns:
             The engine's bodies of the objects that are whole, and the parts of the others, both by the objects' names.

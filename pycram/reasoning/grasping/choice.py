@@ -44,21 +44,15 @@ _LEANING: Final = math.radians(5)  # that the message tells
 
 @dataclass(frozen=True, slots=True)
 class GraspPlan:
-    """A grasp with the posture for it.
+    """A grasp with the posture for it."""
 
-    Attributes:
-        grasp: the grasp, None if nothing reaches.
-        posture: of the arm; the nearest miss if nothing reaches.
-        obstacles: what the arm would touch there, deepest first, and how.
-        self_collisions: pairs of the robot's own links that would touch, if that is why nothing reaches.
-        penetrating: links of the open hand, and of the target, that would overlap there.
-    """
-
-    grasp: Grasp | None
-    posture: Posture | None
+    grasp: Grasp | None  # the grasp, None if nothing reaches
+    posture: Posture | None  # of the arm; the nearest miss if nothing reaches
+    # what the arm would touch there, deepest first, and how
     obstacles: Mapping[Object, Collision] = field(default_factory=dict)
+    # pairs of the robot's own links that would touch, if that is why nothing reaches
     self_collisions: Sequence[CollisionPair] = ()
-    penetrating: CollisionPair | None = None
+    penetrating: CollisionPair | None = None  # links of the open hand, and of the target, that would overlap there
 
     def evidence(self) -> dict[str, object]:
         """Return it as records carry it."""
@@ -84,8 +78,6 @@ def best(
     """Return the grasp that touches least: in the middle of the object; beside it if it is long and only that is free.
 
     Args:
-        body: the target.
-        robot: the robot.
         link: an arm's tool frame, or any other link, which then just has to get to the target's center.
         names: the sides that are allowed; all by default.
         refused: grasps that are left out.
@@ -109,23 +101,14 @@ def best(
 
 @dataclass(frozen=True, slots=True)
 class _Grasping:
-    """Who takes what.
+    """Who takes what."""
 
-    Attributes:
-        body: the target.
-        robot: the robot.
-        solver: of the arm's inverse kinematics.
-        arm: the arm, None if it takes nothing.
-        choice: gets why grasps aren't taken.
-        base: pose that the robot's base is taken to have; None where it stands.
-    """
-
-    body: Object
-    robot: Object
-    solver: Solver
-    arm: Arm | None
-    choice: Choice
-    base: Pose | None
+    body: Object  # the target
+    robot: Object  # the robot
+    solver: Solver  # of the arm's inverse kinematics
+    arm: Arm | None  # the arm, None if it takes nothing
+    choice: Choice  # gets why grasps aren't taken
+    base: Pose | None  # pose that the robot's base is taken to have; None where it stands
 
     def best_of(self, grasps: Sequence[Grasp], limit: Cost = _INFINITE) -> GraspPlan:
         """Return the one of some grasps that touches least, and costs no more than ``limit``."""
@@ -180,7 +163,6 @@ class _Choice:
 
     Args:
         target: the object, which the open hand shouldn't be in.
-        checker: of the robot.
         options: grasps, each with the postures for it.
         opened: joint values of the open gripper.
         hand: links that all postures for a grasp bring to one pose.
@@ -292,8 +274,6 @@ def ways_to_hold(
 
     Args:
         robot: the robot; its world's lock is held.
-        arm: the arm.
-        body: the object.
         names: the sides that are allowed; None for all.
         failures: gets why others won't do; the caller may add its own, and it ends after a few of either.
         choice: gets the same, by grasp.

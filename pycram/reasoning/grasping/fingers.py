@@ -48,19 +48,13 @@ _SWEPT: Final = 8  # steps between open and closed, between which fingers stay w
 
 @dataclass(frozen=True, slots=True)
 class FingerMotion:
-    """How far fingers get.
+    """How far fingers get."""
 
-    Attributes:
-        positions: joint values of the gripper there, by name.
-        share: how far it is open then: 0 is closed, 1 is open.
-        stopped_by: what stops the fingers, deepest first; nothing if they get as far as they should.
-        gap: m of air between the fingers and what is let go of, at most 2 * CLEAR.
-    """
-
-    positions: Mapping[str, float]
-    share: float
+    positions: Mapping[str, float]  # joint values of the gripper there, by name
+    share: float  # how far it is open then: 0 is closed, 1 is open
+    # what stops the fingers, deepest first; nothing if they get as far as they should
     stopped_by: Sequence[CollisionPair] = ()
-    gap: float = 2 * CLEAR
+    gap: float = 2 * CLEAR  # m of air between the fingers and what is let go of, at most 2 * CLEAR
 
 
 def _share_open(gripper: Gripper, now: Mapping[str, float]) -> float:
@@ -86,7 +80,6 @@ def moved(
 
     Args:
         robot: the robot; its world's lock is held.
-        arm: the arm.
         goal: how far the gripper shall be open: 0 is closed, 1 is open.
         posture: joint values of the arm by name; the present ones by default.
         release: what is let go of, which doesn't stop the fingers.
@@ -132,17 +125,11 @@ def moved(
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """A gripper that has closed on an object.
+    """A gripper that has closed on an object."""
 
-    Attributes:
-        positions: joint values of the gripper, by name.
-        sides: on how many sides of the object a finger is: 0, 1 or 2; a suction cup needs no other and counts as 2.
-        obstacles: what else the fingers would overlap, deepest first.
-    """
-
-    positions: Mapping[str, float]
-    sides: int
-    obstacles: Sequence[CollisionPair] = ()
+    positions: Mapping[str, float]  # joint values of the gripper, by name
+    sides: int  # on how many sides of the object a finger is: 0, 1 or 2; a suction cup needs no other and counts as 2
+    obstacles: Sequence[CollisionPair] = ()  # what else the fingers would overlap, deepest first
 
 
 def closed_around(
@@ -154,7 +141,6 @@ def closed_around(
 
     Args:
         robot: the robot; its world's lock is held.
-        arm: the arm.
         posture: joint values by name that bring its gripper to the object.
         body: the object, which stays where it is.
         base: pose that the robot's base is taken to have; where it stands by default.
@@ -284,8 +270,6 @@ def _near(
 
     Args:
         clone: where the copies are.
-        robot: the robot.
-        gripper: its gripper.
         palm: pose of that's palm in the world.
         there: the robot's joint values, by name.
         bodies: what is looked at.
@@ -314,7 +298,6 @@ def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) 
 
     Args:
         path: the robot's canonical URDF.
-        gripper: its gripper.
         others: values of further joints between the palm and the fingers.
     """
     urdf = stored_tree(path)

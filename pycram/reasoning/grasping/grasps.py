@@ -61,21 +61,13 @@ GRASPS: Final[Mapping[str, Quaternion]] = {
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
-    """A pose of the tool that takes an object.
+    """A pose of the tool that takes an object."""
 
-    Attributes:
-        name: the side that the gripper comes from.
-        position: of the tool frame in the world, m.
-        orientation: of the tool frame in the world, xyzw.
-        width: m between the fingers when they hold it.
-        label: what tells it from others, as "top across"; the side alone if empty.
-    """
-
-    name: str
-    position: Vector
-    orientation: Quaternion
-    width: float
-    label: str = ""
+    name: str  # the side that the gripper comes from
+    position: Vector  # of the tool frame in the world, m
+    orientation: Quaternion  # of the tool frame in the world, xyzw
+    width: float  # m between the fingers when they hold it
+    label: str = ""  # what tells it from others, as "top across"; the side alone if empty
 
     def __str__(self) -> str:
         return self.label or self.name
@@ -94,7 +86,6 @@ def candidates(
     """Return grasps of an object, best first.
 
     Args:
-        body: the object.
         robot: the robot; its heading says what is front.
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.

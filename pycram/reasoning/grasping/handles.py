@@ -65,21 +65,13 @@ _MAX_PLACES: Final = 4  # for which a path is looked for
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """How a gripper holds a handle.
+    """How a gripper holds a handle."""
 
-    Attributes:
-        name: which part of the bar it holds.
-        position: of the middle of what it holds, in the handle's frame, m.
-        axis: along the bar, in the handle's frame.
-        front: orientation of the tool in the handle's frame when it comes from the front.
-        back: m that the tool stays before the position.
-    """
-
-    name: str
-    position: Vector
-    axis: Vector
-    front: Quaternion
-    back: float
+    name: str  # which part of the bar it holds
+    position: Vector  # of the middle of what it holds, in the handle's frame, m
+    axis: Vector  # along the bar, in the handle's frame
+    front: Quaternion  # orientation of the tool in the handle's frame when it comes from the front
+    back: float  # m that the tool stays before the position
 
     def tool(self, angle: float) -> Pose:
         """Return the pose of the tool in the handle's frame, turned about the bar by an angle in rad."""
@@ -90,13 +82,7 @@ class Grip:
 
 
 class Handle:
-    """A handle of a door or drawer.
-
-    Args:
-        container: the furniture.
-        joint: its joint.
-        link: the handle.
-    """
+    """A handle of a door or drawer."""
 
     def __init__(self, container: Object, joint: str, link: str) -> None:
         self.container, self.joint, self.link = container, joint, link
@@ -133,8 +119,6 @@ class Handle:
         """Return how a gripper may hold it, the most natural first.
 
         Args:
-            robot: the robot.
-            gripper: its gripper.
             base: pose that the robot's base is taken to have; where it stands by default.
         """
         low, high = self._box()
@@ -185,25 +169,15 @@ class HandlePath:
 
 @dataclass(frozen=True, slots=True)
 class DeadEnd:
-    """Why there is no path.
+    """Why there is no path."""
 
-    Attributes:
-        value: of the joint, which the arm doesn't get to.
-        reached: the last value that it gets to; None if not even the first.
-        position: of the tool there, in the world, m.
-        orientation: of the tool there when it comes from the front, xyzw.
-        distance: m that the tool stays away at least; None if it gets there.
-        turn: rad that remain to that orientation where it comes nearest.
-        pairs: what would touch what, where it gets there.
-    """
-
-    value: float
-    reached: float | None
-    position: Vector
-    orientation: Quaternion
-    distance: float | None = None
-    turn: float = 0.0
-    pairs: Sequence[CollisionPair] = ()
+    value: float  # of the joint, which the arm doesn't get to
+    reached: float | None  # the last value that it gets to; None if not even the first
+    position: Vector  # of the tool there, in the world, m
+    orientation: Quaternion  # of the tool there when it comes from the front, xyzw
+    distance: float | None = None  # m that the tool stays away at least; None if it gets there
+    turn: float = 0.0  # rad that remain to that orientation where it comes nearest
+    pairs: Sequence[CollisionPair] = ()  # what would touch what, where it gets there
 
     def rejection(self) -> Rejection:
         """Return it as the reason why a path is rejected."""
@@ -214,15 +188,10 @@ class DeadEnd:
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """Postures for one value of the joint.
+    """Postures for one value of the joint."""
 
-    Attributes:
-        joints: (n, joints) of the arm, rad or m.
-        angles: (n,) of the gripper about the bar, rad.
-    """
-
-    joints: Array
-    angles: Array
+    joints: Array  # (n, joints) of the arm, rad or m
+    angles: Array  # (n,) of the gripper about the bar, rad
 
 
 def plan(
@@ -240,8 +209,6 @@ def plan(
 
     Args:
         robot: the robot; its world's lock is held.
-        arm: the arm.
-        handle: the handle.
         values: of its joint, rad or m, from the present one on.
         base: where the robot's base is taken to stand; where it does by default.
         others: values at which other joints are taken to be, of other arms or of the torso, rad or m; they are where
@@ -463,7 +430,6 @@ class _Search:
         Args:
             candidate: the robot's posture.
             own_pairs: of its links that could touch in it.
-            value: of the joint.
         """
         robot = self._robot.name
         pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
@@ -502,19 +468,12 @@ class _Search:
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """An arm that could do it.
+    """An arm that could do it."""
 
-    Attributes:
-        arm: its name.
-        parked: name of another arm that would have to be parked first; "" for none.
-        base: where the robot would have to stand, m, with its present heading; None where it does.
-        distance: m from where it stands.
-    """
-
-    arm: str
-    base: Vector | None = None
-    distance: float = 0.0
-    parked: str = ""
+    arm: str  # its name
+    base: Vector | None = None  # where the robot would have to stand, m, with its present heading; None where it does
+    distance: float = 0.0  # m from where it stands
+    parked: str = ""  # name of another arm that would have to be parked first; "" for none
 
     def __str__(self) -> str:
         place = "here" if self.base is None else f"[{', '.join(f'{part:.2f}' for part in self.base[:2])}]"
@@ -532,13 +491,9 @@ class Remedy:
 
 @dataclass(frozen=True, slots=True)
 class InTheWay:
-    """An arm that is in the way even where it is parked.
+    """An arm that is in the way even where it is parked."""
 
-    Attributes:
-        arm: its name.
-    """
-
-    arm: str
+    arm: str  # its name
 
     def phrase(self) -> str:
         """Return it in words."""

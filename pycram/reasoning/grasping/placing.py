@@ -95,7 +95,6 @@ def _resting_height(
     """Return the height at which an object that comes from above touches something; see :func:`set_down`.
 
     Args:
-        body: the object.
         target: xyz where it is wanted, m.
         touched: gives what it would overlap at a height.
         gap: gives how far it is there from what it could meet, m: so far down nothing is in its way.
@@ -134,7 +133,6 @@ def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | No
 
     Args:
         robot: the robot; its world's lock is held.
-        arm: the arm.
         choice: takes the other ways, and why they won't do.
     """
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
@@ -161,40 +159,25 @@ def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | No
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """How an object can be put down.
+    """How an object can be put down."""
 
-    Attributes:
-        name: what tells it from others.
-        pose: of the object when it is let go of.
-        tool: pose of the tool then.
-        posture: joint values of the arm by name.
-        opened: those of the open gripper.
-    """
-
-    name: str
-    pose: Pose
-    tool: Pose
-    posture: Mapping[str, float]
-    opened: Mapping[str, float]
+    name: str  # what tells it from others
+    pose: Pose  # of the object when it is let go of
+    tool: Pose  # pose of the tool then
+    posture: Mapping[str, float]  # joint values of the arm by name
+    opened: Mapping[str, float]  # those of the open gripper
 
 
 @dataclass(slots=True)
 class Refusals:
-    """Why poses and postures won't do.
+    """Why poses and postures won't do."""
 
-    Attributes:
-        no_room: there is none for the object.
-        misses: m that the nearest posture stays away.
-        pairs: links that would meet, by the name of what is in the way.
-        low: poses in which the hand would meet what the object is put on.
-        no_path: searches for a path to a posture that would do.
-    """
-
-    no_room: list[PlaceFailed] = field(default_factory=list)
-    misses: list[float] = field(default_factory=list)
+    no_room: list[PlaceFailed] = field(default_factory=list)  # there is none for the object
+    misses: list[float] = field(default_factory=list)  # m that the nearest posture stays away
+    # links that would meet, by the name of what is in the way
     pairs: dict[str, CollisionPair] = field(default_factory=dict)
-    low: list[Pose] = field(default_factory=list)
-    no_path: list[NoPath] = field(default_factory=list)
+    low: list[Pose] = field(default_factory=list)  # poses in which the hand would meet what the object is put on
+    no_path: list[NoPath] = field(default_factory=list)  # searches for a path to a posture that would do
 
 
 def placements(
@@ -214,8 +197,6 @@ def placements(
 
     Args:
         robot: the robot; its world's lock is held.
-        arm: the arm.
-        body: the object.
         target: xyz in m.
         orientation: xyzw; None for upright.
         refusals: gets why other poses and postures won't do.

@@ -38,39 +38,23 @@ _ROUNDING_ANGLE: Final = 1e-9  # of a cosine: no miss
 
 @dataclass(frozen=True, slots=True)
 class ClosedForm:
-    """The geometry of an arm that has a closed form.
+    """The geometry of an arm that has a closed form."""
 
-    Attributes:
-        origins: (7, 3) a point of each axis at zero, in the base link, m.
-        axes: (7, 3) unit vectors of the axes at zero.
-        tool: (4, 4) pose of the tool at zero.
-        shoulder: where axes 2 and 3 meet at zero.
-        wrist: where axes 5, 6 and 7 meet at zero.
-        lower: lower limits, rad; -pi where there are none.
-        upper: upper limits, rad; pi where there are none.
-        bounded: which joints have limits.
-        span: least and greatest distance of the wrist from the shoulder, m.
-        shoulders: (n, 3) positions of the shoulder for samples of joint 1.
-        swing: m by which the shoulder is away at most from the nearest of these.
-        elbow: how joint 4 opens the distance between the shoulder and the wrist.
-        rotations: (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.forward`).
-        hand: (2, 3) unit vectors across the last axis at zero, the second a quarter of a turn after the first.
-    """
-
-    origins: Array
-    axes: Array
-    tool: Array
-    shoulder: Array
-    wrist: Array
-    lower: Array
-    upper: Array
-    bounded: Flags
-    span: tuple[float, float]
-    shoulders: Array
-    swing: float
-    elbow: Hinge
+    origins: Array  # (7, 3) a point of each axis at zero, in the base link, m
+    axes: Array  # (7, 3) unit vectors of the axes at zero
+    tool: Array  # (4, 4) pose of the tool at zero
+    shoulder: Array  # where axes 2 and 3 meet at zero
+    wrist: Array  # where axes 5, 6 and 7 meet at zero
+    lower: Array  # lower limits, rad; -pi where there are none
+    upper: Array  # upper limits, rad; pi where there are none
+    bounded: Flags  # which joints have limits
+    span: tuple[float, float]  # least and greatest distance of the wrist from the shoulder, m
+    shoulders: Array  # (n, 3) positions of the shoulder for samples of joint 1
+    swing: float  # m by which the shoulder is away at most from the nearest of these
+    elbow: Hinge  # how joint 4 opens the distance between the shoulder and the wrist
+    # (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.forward`)
     rotations: Array
-    hand: Array
+    hand: Array  # (2, 3) unit vectors across the last axis at zero, the second a quarter of a turn after the first
 
     @classmethod
     def of(
@@ -379,7 +363,6 @@ def angle_between(axis: Array, start: Array, end: Array) -> Array:
     """Return the angle about an axis through the origin that turns a vector's direction into another's: subproblem 1.
 
     Args:
-        axis: of the turn.
         start: the vector before.
         end: the vector after; what of both lies along the axis doesn't count.
     """
@@ -444,7 +427,6 @@ def hinge(axis: Array, start: Array, end: Array) -> Hinge:
     """Return what of subproblem 3 doesn't depend on the distance.
 
     Args:
-        axis: of the turn.
         start: the point that turns.
         end: the point that stays.
 

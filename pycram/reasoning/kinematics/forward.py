@@ -38,21 +38,11 @@ class Chain:
     """A chain of joints.
 
     Args:
-        urdf: of the robot.
         base_link: the link that poses are given in.
         tool_link: the link at the end.
         joints: names of the joints that may move, in order; others of the chain keep their value.
         fixed: values of those others; 0 by default.
         tool: pose of the tool in the link at the end.
-
-    Attributes:
-        joints: names of those that move.
-        bounded: (joints,) which have limits.
-        lower: (joints,) lower limits, rad or m; -pi where there are none.
-        upper: (joints,) upper limits, rad or m; pi where there are none.
-        sliding: indices of those that slide.
-        shoulder: where the first joint is, in the base link, m.
-        length: m from there that the tool is away at most.
     """
 
     def __init__(
@@ -64,7 +54,7 @@ class Chain:
         fixed: Mapping[str, float] | None = None,
         tool: Pose = geometry.IDENTITY,
     ) -> None:
-        self.joints = tuple(joints)
+        self.joints = tuple(joints)  # names of those that move
         values = fixed or {}
         moving, befores = [], []
         before = np.eye(4)
@@ -79,14 +69,16 @@ class Chain:
         self._tool = before = before if tool == geometry.IDENTITY else before @ geometry.pose_matrix(tool)
         self._axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
-        self.sliding = np.flatnonzero(slides).tolist()
+        self.sliding = np.flatnonzero(slides).tolist()  # indices of those that slide
         self._parts = self._before[:, None] @ constant_parts(self._axes, np.zeros_like(self._axes), slides)
         lower, upper = (np.array([getattr(joint, end) for joint in moving]) for end in ("lower", "upper"))
-        self.bounded = np.isfinite(lower)
-        self.lower = np.where(self.bounded, lower, -np.pi)
-        self.upper = np.where(self.bounded, upper, np.pi)
+        self.bounded = np.isfinite(lower)  # (joints,) which have limits
+        self.lower = np.where(self.bounded, lower, -np.pi)  # (joints,) lower limits, rad or m; -pi where there are none
+        self.upper = np.where(self.bounded, upper, np.pi)  # (joints,) upper limits, rad or m; pi where there are none
+        # where the first joint is, in the base link, m
         self.shoulder: Array = self._before[0, :3, 3] if moving else np.zeros(3)
         links = np.linalg.norm(self._before[1:, :3, 3], axis=1).sum() + np.linalg.norm(before[:3, 3])
+        # m from there that the tool is away at most
         self.length = float(links + np.maximum(np.abs(self.lower), np.abs(self.upper))[self.sliding].sum())
 
     def poses(self, postures: Array) -> Array:
@@ -237,23 +229,14 @@ def transforms(parts: Array, values: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Drivers:
-    """Which joints, of some that will move, move which links.
+    """Which joints, of some that will move, move which links."""
 
-    Attributes:
-        joints: their names, parents before their children.
-        of_links: for each link the number of the joint that moves it, -1 where none does.
-        parents: (joints,) the number of the joint that moves each joint, -1 where none does.
-        children: (joints,) the link that hangs on each joint.
-        axes: (joints, 3) unit vectors in the frames of these.
-        slides: (joints,) which are prismatic.
-    """
-
-    joints: tuple[str, ...]
-    of_links: Mapping[str, int]
-    parents: Sequence[int]
-    children: Sequence[str]
-    axes: Array
-    slides: NDArray[np.bool_]
+    joints: tuple[str, ...]  # their names, parents before their children
+    of_links: Mapping[str, int]  # for each link the number of the joint that moves it, -1 where none does
+    parents: Sequence[int]  # (joints,) the number of the joint that moves each joint, -1 where none does
+    children: Sequence[str]  # (joints,) the link that hangs on each joint
+    axes: Array  # (joints, 3) unit vectors in the frames of these
+    slides: NDArray[np.bool_]  # (joints,) which are prismatic
 
 
 @lru_cache(maxsize=_CACHED)

@@ -160,17 +160,11 @@ def _radical_inverse(index: int, base: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Posture:
-    """A posture of an arm, and how near it brings the tool to a target.
+    """A posture of an arm, and how near it brings the tool to a target."""
 
-    Attributes:
-        positions: joint values in rad or m by name, within limits.
-        position_error: m that the tool stays away from the target.
-        turn_error: rad by which it is turned from the target; 0 where no orientation was asked for.
-    """
-
-    positions: Mapping[str, float]
-    position_error: float
-    turn_error: float
+    positions: Mapping[str, float]  # joint values in rad or m by name, within limits
+    position_error: float  # m that the tool stays away from the target
+    turn_error: float  # rad by which it is turned from the target; 0 where no orientation was asked for
 
     def reaches(self, threshold: float = THRESHOLD) -> bool:
         """Return whether the tool is within ``threshold`` m and 2 degrees of the target."""
@@ -406,11 +400,8 @@ class Solver:
     """Inverse kinematics of one link of a robot as it stands, for targets in the world.
 
     Args:
-        robot: the robot.
         link: the link with an arm's tool frame, which is then what is brought to targets, or any other link.
 
-    Attributes:
-        joints: names of the joints that bring the link to a target.
 
     Raises:
         UnknownName: the robot has no such link.
@@ -425,7 +416,7 @@ class Solver:
             chain = robot.urdf.chain(robot.base_link, link)
             turning = [joint for joint in chain if joint.movable and joint.type != "prismatic"]
             root = turning[0].parent if turning else robot.base_link
-            self.joints = tuple(joint.name for joint in turning)
+            self.joints = tuple(joint.name for joint in turning)  # names of the joints that bring the link to a target
         self._now = robot.get_joint_positions()
         tool = self._arm.tool_offset if self._arm else IDENTITY
         self._kinematics = _kinematics(robot, root, link, self.joints, self._now, tool)

@@ -31,7 +31,6 @@ def look(
     """Turn the camera's axis (z of its frame) to a point, or as near to it as the joints bring it.
 
     Args:
-        urdf: of the robot.
         joints: names of the pan and the tilt joint, of one of them, or none.
         camera: the robot's camera.
         point: in the robot's root link, m.

@@ -299,19 +299,12 @@ def _widened(outline: Polygon, margin: float) -> Polygon:
 
 @dataclass(slots=True)
 class SearchedSurface:
-    """A surface that is looked at.
+    """A surface that is looked at."""
 
-    Attributes:
-        furniture: whose it is.
-        surface: the surface.
-        share: of its score that it has kept.
-        failed: batches without a place, one after the other.
-    """
-
-    furniture: Object
-    surface: Surface
-    share: float = 1.0
-    failed: int = 0
+    furniture: Object  # whose it is
+    surface: Surface  # the surface
+    share: float = 1.0  # of its score that it has kept
+    failed: int = 0  # batches without a place, one after the other
 
     def pose(self) -> Pose:
         """Return the pose of its middle in the world."""
@@ -328,7 +321,6 @@ class SurfaceMaps:
     """Maps of surfaces for an object.
 
     Args:
-        body: the object.
         near: that it shall be near, m; None for anywhere.
         away: that it shall be away from, m; None for nothing.
         side: of each surface or of the reference, as in :func:`pycram.reasoning.places.free_places`; None for any.
@@ -360,7 +352,6 @@ class SurfaceMaps:
         """Return the cells of a surface, and a map (cells,) for each constraint, by its name.
 
         Args:
-            searched: the surface.
             done: places that were offered or tried.
         """
         outline = searched.outline()

@@ -41,34 +41,21 @@ _STEP: Final = 0.1  # m or rad of a drawer or door between values at which its h
 
 @dataclass(frozen=True, slots=True)
 class PutDown:
-    """Something that an arm holds is to be put down.
+    """Something that an arm holds is to be put down."""
 
-    Attributes:
-        position: xyz of the object, m.
-        orientation: xyzw of the object; None for upright, turned as is natural.
-        body: the object; None for whatever the arm holds.
-    """
-
-    position: Vector
-    orientation: Quaternion | None = None
-    body: Object | None = None
+    position: Vector  # xyz of the object, m
+    orientation: Quaternion | None = None  # xyzw of the object; None for upright, turned as is natural
+    body: Object | None = None  # the object; None for whatever the arm holds
 
 
 @dataclass(frozen=True, slots=True)
 class Pull:
-    """A drawer or door is to be opened or closed by its handle.
+    """A drawer or door is to be opened or closed by its handle."""
 
-    Attributes:
-        container: the furniture.
-        joint: its joint.
-        handle: the link of the handle.
-        to: the joint's value then, rad or m.
-    """
-
-    container: Object
-    joint: str
-    handle: str
-    to: float
+    container: Object  # the furniture
+    joint: str  # its joint
+    handle: str  # the link of the handle
+    to: float  # the joint's value then, rad or m
 
 
 #: An object that is to be taken; a position xyz that the tool is to get to; or one of the above.
@@ -170,7 +157,6 @@ class Taking:
 
     Args:
         robot: who takes it.
-        body: the object.
         grasps: the sides that are allowed; None for all.
     """
 

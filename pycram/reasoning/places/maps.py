@@ -75,14 +75,8 @@ class Footprints:
     """Boxes seen from above, as rectangles.
 
     Args:
-        boxes: the boxes.
         low: m above the ground; boxes that end below don't count.
         high: m above the ground; boxes that begin above don't count.
-
-    Attributes:
-        centers: (k, 2), m.
-        axes: (k, 2, 2) their unit axes are the columns.
-        halves: (k, 2) half extents, m.
     """
 
     def __init__(self, boxes: Boxes, low: float, high: float) -> None:
@@ -90,9 +84,9 @@ class Footprints:
         z = boxes.centers[:, 2]
         counted = (z + extents[:, 2] > low) & (z - extents[:, 2] < high)
         axes, halves = boxes.axes[counted], boxes.half_extents[counted]
-        self.centers = boxes.centers[counted, :2]
-        self.axes = np.repeat(np.eye(2)[None], len(axes), axis=0)
-        self.halves = extents[counted, :2]
+        self.centers = boxes.centers[counted, :2]  # (k, 2), m
+        self.axes = np.repeat(np.eye(2)[None], len(axes), axis=0)  # (k, 2, 2) their unit axes are the columns
+        self.halves = extents[counted, :2]  # (k, 2) half extents, m
         standing = np.abs(axes[:, 2]) > _UPRIGHT  # (k, 3): which of its axes is vertical
         upright = np.flatnonzero(standing.any(axis=1))
         flat = _LYING[standing[upright].argmax(axis=1)]
@@ -184,17 +178,11 @@ def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Cells of a horizontal rectangle in the world.
+    """Cells of a horizontal rectangle in the world."""
 
-    Attributes:
-        origin: corner with the lowest x and y, m.
-        resolution: from cell to cell, m.
-        shape: cells along y, cells along x.
-    """
-
-    origin: Vector
-    resolution: float
-    shape: tuple[int, int]
+    origin: Vector  # corner with the lowest x and y, m
+    resolution: float  # from cell to cell, m
+    shape: tuple[int, int]  # cells along y, cells along x
 
     @classmethod
     def over(cls, low: Sequence[float], high: Sequence[float], height: float, resolution: float = RESOLUTION) -> Grid:
@@ -224,7 +212,6 @@ def generator(seed: int | None, name: str, *about: object) -> np.random.Generato
 
     Args:
         seed: instead of the run's.
-        name: of the query.
         about: what tells it from others.
     """
     text = f"{name} {run_seed() if seed is None else seed} {about}"
@@ -235,10 +222,8 @@ def spread(grid: Grid, scores: Array, count: int, random: np.random.Generator) -
     """Return some cells, drawn without putting back with a probability by their scores, the best of them first.
 
     Args:
-        grid: the cells.
         scores: (cells,) 0 and more.
         count: how many, at most.
-        random: decides.
 
     Returns:
         Their numbers, each with x and y of a point in the cell, m.
@@ -281,15 +266,7 @@ def room(robot: Object, centers: Array) -> Array:
 
 
 class ArmReach:
-    """How well an arm gets to places around the robot.
-
-    Args:
-        urdf: of the robot.
-        arm: the arm.
-
-    Attributes:
-        radius: m from the robot's axis that it gets to at most.
-    """
+    """How well an arm gets to places around the robot."""
 
     def __init__(self, urdf: Urdf, arm: Arm) -> None:
         chain = Chain(urdf, arm.base_link, arm.tool_frame, arm.joints, tool=arm.tool_offset)
@@ -303,7 +280,7 @@ class ArmReach:
         points = points[(np.abs(across) < _LEVEL) | (across < _DOWN)]
         flat = points[:, :2] + base_T_root[:2, 3]
         distance = np.hypot(*flat.T)
-        self.radius = float(distance.max(initial=0.0))
+        self.radius = float(distance.max(initial=0.0))  # m from the robot's axis that it gets to at most
         self._low = float(points[:, 2].min(initial=0.0))
         shape = (
             int((points[:, 2].max(initial=0.0) - self._low) / _CELL) + 1,

@@ -28,22 +28,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a robot can stand, or an object.
+    """Where a robot can stand, or an object."""
 
-    Attributes:
-        position: of the robot's base, or of the object, in the world, m.
-        orientation: of it, xyzw.
-        arms: that reach from there, or to there; empty if that wasn't asked.
-        score: of the maps, 0 to 1.
-        surface: name of the surface that it is on; "" for the ground.
-        grasps: by arm the side from which it takes the object that is to be reached, if one is.
-    """
-
-    position: Vector
-    orientation: Quaternion
-    arms: tuple[str, ...] = ()
-    score: float = 1.0
-    surface: str = ""
+    position: Vector  # of the robot's base, or of the object, in the world, m
+    orientation: Quaternion  # of it, xyzw
+    arms: tuple[str, ...] = ()  # that reach from there, or to there; empty if that wasn't asked
+    score: float = 1.0  # of the maps, 0 to 1
+    surface: str = ""  # name of the surface that it is on; "" for the ground
+    # by arm the side from which it takes the object that is to be reached, if one is
     grasps: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -86,19 +78,12 @@ class ConstraintCounts:
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """A place that is considered.
+    """A place that is considered."""
 
-    Attributes:
-        name: what tells it from others.
-        pose: of the base or of the object in the world.
-        yaw: rad about the vertical.
-        score: 0 to 1.
-    """
-
-    name: str
-    pose: Pose
-    yaw: float
-    score: float
+    name: str  # what tells it from others
+    pose: Pose  # of the base or of the object in the world
+    yaw: float  # rad about the vertical
+    score: float  # 0 to 1
 
 
 class Batch(Choice):
@@ -119,7 +104,6 @@ class Batch(Choice):
         """Say what is considered, and return it.
 
         Args:
-            grid: the cells.
             scores: (cells,) of them, 0 to 1.
             spots: those that were drawn, best first.
         """

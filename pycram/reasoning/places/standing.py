@@ -78,7 +78,6 @@ def standing_places(
     is bolted down has one place. The world may have changed before the next one is asked for.
 
     Args:
-        robot: the robot.
         reach: what shall be reached from there, all of it.
         arms: names of arms that may reach; all by default.
         both: each of these arms shall reach, not only one of them.
@@ -307,7 +306,6 @@ class StandingMaps:
     """Maps of the floor for a robot.
 
     Args:
-        robot: the robot.
         goals: what shall be reached, all of it.
         arms: that may reach.
         both: whether each of these arms shall.

@@ -20,8 +20,6 @@ def contact(object1: Object, object2: Object, world: BulletWorld | None = None, 
     """Return whether two objects touch now (thesis 4.4.2); nothing is stepped.
 
     Args:
-        object1: one.
-        object2: the other.
         world: their world.
         margin: gap in m that counts as touching, beyond the millimetre of the engine.
 
@@ -63,7 +61,6 @@ def touches(a: Object, b: Object, margin: float = MARGIN) -> list[ClosestPoint]:
     """Return where two objects touch; nowhere if they are the same.
 
     Args:
-        a: an object.
         b: an object of the same world.
         margin: m up to which a gap counts as touching.
     """

@@ -35,17 +35,11 @@ _OBJECTS: Final = ("object", "object1", "object2", "robot")
 
 
 class Verdict(int):
-    """Yes or no, and why: behaves as a bool.
+    """Yes or no, and why: behaves as a bool."""
 
-    Attributes:
-        evidence: what the answer rests on.
-        picture: what the camera saw, if one was asked.
-        considered: what was considered for it, if that goes on record.
-    """
-
-    evidence: Mapping[str, object]
-    picture: records.Picture | None
-    considered: Choice | None
+    evidence: Mapping[str, object]  # what the answer rests on
+    picture: records.Picture | None  # what the camera saw, if one was asked
+    considered: Choice | None  # what was considered for it, if that goes on record
 
     def __new__(
         cls,
@@ -72,13 +66,7 @@ class Verdict(int):
 
 
 class Found(list[T], Generic[T]):
-    """What was found, and why: behaves as a list.
-
-    Attributes:
-        evidence: what the answer rests on.
-        picture: what the camera saw, if one was asked.
-        considered: what was considered for it, if that goes on record.
-    """
+    """What was found, and why: behaves as a list."""
 
     def __init__(
         self,
@@ -88,9 +76,9 @@ class Found(list[T], Generic[T]):
         considered: Choice | None = None,
     ) -> None:
         super().__init__(items)
-        self.evidence: Mapping[str, object] = dict(evidence or {})
-        self.picture = picture
-        self.considered = considered
+        self.evidence: Mapping[str, object] = dict(evidence or {})  # what the answer rests on
+        self.picture = picture  # what the camera saw, if one was asked
+        self.considered = considered  # what was considered for it, if that goes on record
 
 
 Answer = TypeVar("Answer", bound="Verdict | Found[Any]")
@@ -167,7 +155,6 @@ class Oracle(Protocol):
         Args:
             question: what is asked.
             world: of which world.
-            function: the query.
             ask: gives its own answer.
         """
 
@@ -206,7 +193,6 @@ def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
     """Return the world that objects are in.
 
     Args:
-        bodies: the objects.
         world: the world that was named, if any.
 
     Raises:

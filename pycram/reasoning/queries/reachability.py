@@ -46,7 +46,6 @@ def reachable(
 
     Args:
         pose: an object, or a position xyz in the world, m.
-        robot: the robot.
         gripper_name: the link, mostly a tool frame.
         world: their world.
         threshold: m that the link may stay away.
@@ -92,8 +91,6 @@ def reachable_object(
     """Return whether a robot reaches an object with a link (thesis 4.4.5).
 
     Args:
-        object: the object.
-        robot: the robot.
         gripper_name: the link, mostly a tool frame.
         world: their world.
         threshold: m that the link may stay away.
@@ -125,9 +122,7 @@ def reachable_pose(
 
     Args:
         pose: position xyz in the world, m.
-        robot: the robot.
         gripper_name: the link, mostly a tool frame.
-        world: its world.
         threshold: m that the link may stay away.
         orientation: xyzw that the link shall have there; any by default.
         collision_free: also ask that nothing is in the way.
@@ -156,9 +151,7 @@ def reachable_poses(
     Args:
         poses: positions xyz in the world, m. One of them goes with all bases, one base with all of them; else there
             are as many of each.
-        robot: the robot.
         gripper_name: the link, mostly a tool frame.
-        world: its world.
         threshold: m that the link may stay away.
         bases: positions and orientations of the robot's base to try; where it stands by default.
         orientations: xyzw that the link shall have, one or as many as poses; any by default.
@@ -298,8 +291,6 @@ def blocking(
     Of the postures that reach, the one that touches least counts: a plan would take that one.
 
     Args:
-        object: the object.
-        robot: the robot.
         gripper_name: the link, mostly a tool frame.
         world: their world.
         grasp: "front", "top", "left" or "right"; by default the one that touches least.

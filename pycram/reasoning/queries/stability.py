@@ -66,7 +66,6 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     """Return whether an object stays where it is when time runs (thesis 4.4.1).
 
     Args:
-        object: the object.
         world: its world; only for calls as in the thesis.
 
     Returns:
@@ -194,7 +193,6 @@ class Solid:
 
     Args:
         engine: where it is.
-        body: the body.
         model: its canonical URDF.
     """
 
@@ -223,7 +221,6 @@ class SolidPart(Solid):
 
     Args:
         furniture: the object that it is of, in its world, where it is as in the clone.
-        placed: the part.
     """
 
     def __init__(self, furniture: Object, placed: PlacedPart) -> None:
@@ -310,7 +307,6 @@ def _support(
 
     Args:
         engine: where it stands.
-        body: the body.
         underside: (n, 3) its corners in the levelled frame, m.
         tops: (n, 3) corners of what carries it, and the contacts there.
         level: (3, 3) axes of the levelled frame in the world.

@@ -60,10 +60,8 @@ def visible(
     """Return whether an object is seen (thesis 4.4.3).
 
     Args:
-        object: the object.
         camera: a position in m (looks at the object), (position, orientation) of an optical frame, or the name of a
             robot's camera frame, as it is directed now and with its field of view.
-        world: its world.
         robot: whose camera; the world's robot by default.
         threshold: share of its pixels that has to be exceeded.
 
@@ -85,9 +83,7 @@ def occluding(
     """Return what stands between an object and a camera (thesis 4.4.4).
 
     Args:
-        object: the object.
         camera: as for :func:`visible`.
-        world: its world.
         robot: whose camera; the world's robot by default.
 
     Returns:
@@ -99,24 +95,15 @@ def occluding(
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What of an object is seen.
+    """What of an object is seen."""
 
-    Attributes:
-        share: seen pixels of all its pixels, 0 to 1.
-        alone: pixels that it would have if nothing else were there and the image had no border.
-        seen: pixels of it that are seen.
-        hiding: share of its pixels that each other object hides, most hiding first.
-        reason: in words, where nothing is seen.
-        bodies: names of the object and of what is before it; empty if nothing was rendered.
-        pixels: (height, width) what was rendered: 0 where nothing is, n where the n-th body is.
-    """
-
-    share: float
-    alone: int
-    seen: int
-    hiding: Mapping[str, float]
-    reason: str = ""
-    bodies: Sequence[str] = ()
+    share: float  # seen pixels of all its pixels, 0 to 1
+    alone: int  # pixels that it would have if nothing else were there and the image had no border
+    seen: int  # pixels of it that are seen
+    hiding: Mapping[str, float]  # share of its pixels that each other object hides, most hiding first
+    reason: str = ""  # in words, where nothing is seen
+    bodies: Sequence[str] = ()  # names of the object and of what is before it; empty if nothing was rendered
+    # (height, width) what was rendered: 0 where nothing is, n where the n-th body is
     pixels: NDArray[np.uint8] | None = None
 
     def picture(self) -> Picture | None:
@@ -168,8 +155,6 @@ def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View
     """Return what a camera sees of an object; its world's lock is held.
 
     Args:
-        body: the object.
-        camera: the camera.
         without: objects that hide nothing, as a robot that will stand elsewhere.
     """
     frame = camera.window
@@ -251,7 +236,6 @@ def seen_share(robot: Object, body: Object, base: Pose) -> View:
 
     Args:
         robot: the robot; its world's lock is held.
-        body: the object.
         base: pose of the robot's base.
     """
     return view(body, _eye(robot, center(body), base), without=(robot, *held(robot)))
