@@ -2,20 +2,21 @@
 
 from functools import partial
 
-from pycram.motions.continuous import IN_SIMULATED_TIME
-from pycram.motions.environments import (
+from pycram.motions.execution import IN_SIMULATED_TIME
+from pycram.motions.modules import default_modules
+from pycram.motions.process_module import (
     CONTINUOUS,
     SIMULATED,
+    NoDescription,
     NoProcessModule,
+    ProcessModule,
     execution_environment,
     register,
     register_default,
 )
-from pycram.motions.modules import default_modules
-from pycram.motions.process_module import ProcessModule
 from pycram.motions.resources import Resources
 
-__all__ = ["NoProcessModule", "ProcessModule", "Resources", "execution_environment", "register"]
+__all__ = ["NoDescription", "NoProcessModule", "ProcessModule", "Resources", "execution_environment", "register"]
 
 register_default(SIMULATED, default_modules)  # the modules are built on the class that chooses among them
 register_default(CONTINUOUS, partial(default_modules, IN_SIMULATED_TIME))

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from pycram.actions import ActionType
-    from pycram.motions.motion_types import MotionType, Slot, Slotted
+    from pycram.motions.motion_types import MotionType
     from pycram.motions.process_module import ProcessModule
+    from pycram.motions.slots import Slot, Slotted
 
 _HEAD: Final = """\
 # Reference: motions and actions

@@ -73,8 +73,8 @@ def run(
     seed_random_numbers(spec.seed)
     try:
         with needed():
-            from pycram.motions.environments import set_default  # noqa: PLC0415  --version and --help need no executor
-            from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  --version needs no executor
+            from pycram.motions.process_module import set_default  # noqa: PLC0415  --version needs no executor
+            from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  as above
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
         seed_order(spec.seed, spec.order)
         set_default(spec.motion)

@@ -11,14 +11,12 @@ from pycram.actions import (  # noqa: F401  they register the actions
     hands,
     navigating,
     perceiving,
-    pick_and_place,
 )
 from pycram.actions.action import ActionDesignator, ActionType, action, replaced
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import ObjectDesignator
 from pycram.actions.perceiving import ObjectNotFound
-from pycram.actions.performing import ActionFailed, Try, perform
-from pycram.actions.projecting import projecting
+from pycram.actions.performing import ActionFailed, Try, perform, projecting
 
 __all__ = [
     "ActionDesignator",

@@ -13,22 +13,103 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias, TypeVar
 
-from pycram.actions import checks
+from pycram.actions.locations import LocationDesignator
+from pycram.actions.objects import candidates_of, thing
 from pycram.foundation.checks import text
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.names import qualified_name
-from pycram.motions.designator import ResolvedDesignator
-from pycram.motions.motion_types import Slot, checked_slots, described, given_slots
-from pycram.motions.slots import DesignatorError, slot_name
+from pycram.motions import slot_checks
+from pycram.motions.designator import Designator, ResolvedDesignator
+from pycram.motions.slots import DesignatorError, Slot, checked_slots, described, given_slots, slot_name
 from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
     from contextlib import AbstractContextManager
 
-    from pycram.motions.designator import Resolver
+    from pycram.motions.designator import Resolver, Solution
     from pycram.motions.slot_checks import Check
-    from pycram.motions.solutions import Solution
+
+
+def anything(name: str, value: Any) -> Any:  # noqa: ARG001  a check
+    """Whatever the action takes."""
+    if isinstance(value, Designator):
+        value.check()
+    return value
+
+
+def place(name: str, value: Any) -> Any:
+    """A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame."""
+    if isinstance(value, LocationDesignator):
+        value.check()
+        return value
+    if isinstance(value, str) or hasattr(value, "outline"):
+        described = LocationDesignator(on=value)
+        described.check()
+        return described
+    return slot_checks.position(name, value)
+
+
+def place_for_an_object(name: str, value: Any) -> Any:
+    """A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame."""
+    wanted = place(name, value)
+    if isinstance(wanted, LocationDesignator) and not (wanted.for_objects or wanted.prop_value("position")):
+        raise BadArgument(name, value, "a place where an object can be put: with on or in, or a position")
+    return wanted
+
+
+def place_for_the_robot(name: str, value: Any) -> Any:
+    """A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame."""
+    wanted = place(name, value)
+    if isinstance(wanted, LocationDesignator) and wanted.for_objects:
+        known = "a place where the robot can stand, as LocationDesignator(near=...) or (reachable_for=...)"
+        raise BadArgument(name, value, f"{known}; this is one for an object")
+    return wanted
+
+
+def portable(name: str, value: Any) -> Any:
+    """An Object, an ObjectDesignator, or a type of objects, which isn't a robot or furniture."""
+    wanted = thing(name, value)
+    if all(body.fixed for body in candidates_of(wanted)):
+        raise BadArgument(name, value, "an object that can be taken; robots and the environment can't")
+    return wanted
+
+
+def location(name: str, value: Any) -> Any:
+    """A LocationDesignator."""
+    if not isinstance(value, LocationDesignator):
+        raise BadArgument(name, value, "a LocationDesignator")
+    value.check()
+    return value
+
+
+def budget(name: str, value: Any) -> Any:
+    """How many tries may fail, from 0 up."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise BadArgument(name, value, "a whole number from 0 up")
+    return value
+
+
+def flag(name: str, value: Any) -> Any:
+    """True or False."""
+    if not isinstance(value, bool):
+        raise BadArgument(name, value, "True or False")
+    return value
+
+
+BY_SLOT: Final[Mapping[str, Check]] = {
+    "object": thing,
+    "target": place,
+    "place": location,
+    "put": location,
+    "clear": flag,
+    "close": flag,
+    "orientation": slot_checks.orientation,
+    "arm": slot_checks.arm,
+    "grasp": slot_checks.grasp,
+}
+"""The checks of the slots of PyCRAM's own actions, by name."""
+
 
 Function = TypeVar("Function", bound="Callable[..., Any]")
 #: Called with an action's slots; yields values for the open slots, or other values.
@@ -37,11 +118,11 @@ Choices: TypeAlias = "Callable[..., Iterable[Mapping[str, Any]]]"
 _COMMON: Final = (
     Slot(
         "budget",
-        checks.budget,
+        budget,
         text="how many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of "
         "the budget around it",
     ),
-    Slot("projected", checks.flag, text="whether the best choices are imagined first; False by default"),
+    Slot("projected", flag, text="whether the best choices are imagined first; False by default"),
 )
 _ARGUMENT: Final = re.compile(r"^\s*(\w+): (.*)$")
 
@@ -152,7 +233,7 @@ def _type(
             raise BadArgument("function", qualified_name(function), "a function whose parameters have names")
         slot = slot_name(parameter.name)
         required = parameter.default is parameter.empty
-        check = checked.get(slot) or checks.BY_SLOT.get(slot, checks.anything)
+        check = checked.get(slot) or BY_SLOT.get(slot, anything)
         slots.append(Slot(slot, check, required=required, text=texts.get(parameter.name, "")))
     doc = inspect.getdoc(function) or ""
     return ActionType(name, function, (*slots, *_COMMON), choices, prepare, doc.partition("\n\nArgs:")[0])

@@ -8,15 +8,13 @@ from contextlib import suppress
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.actions.action import ActionDesignator, action
-from pycram.actions.checks import place_for_an_object, portable
+from pycram.actions.action import ActionDesignator, action, place_for_an_object, portable
 from pycram.actions.containers import containers, enclosing
-from pycram.actions.hands import arms, free_arms, held_by, holder, holding_arm
+from pycram.actions.hands import arms, check_target, free_arms, held_by, holder, holding_arm, places_for
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.navigating import go, park
 from pycram.actions.objects import ObjectDesignator, candidates_of, object_of
 from pycram.actions.performing import ActionFailed, perform
-from pycram.actions.pick_and_place import check_target, places_for
 from pycram.foundation.failures import Blocked, NoPlace, PerceptionError, PlanFailure, ReasoningError
 from pycram.knowledge import believed
 from pycram.language.retries import failure_handling

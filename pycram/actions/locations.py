@@ -10,8 +10,7 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoPlace, UnknownName
 from pycram.motions import slot_checks
 from pycram.motions.designator import ResolvedDesignator
-from pycram.motions.motion_types import Slot, checked_slots, described
-from pycram.motions.slots import DesignatorError
+from pycram.motions.slots import DesignatorError, Slot, checked_slots, described
 from pycram.reasoning.places import PutDown, free_places, standing_places
 from pycram.reasoning.places.free import SIDES
 from pycram.scheduling.future import unwrap
@@ -23,9 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from pycram.models.surfaces import Surface
-    from pycram.motions.designator import Resolver
-    from pycram.motions.motion_types import Slotted
-    from pycram.motions.solutions import Solution
+    from pycram.motions.designator import Resolver, Solution
+    from pycram.motions.slots import Slotted
     from pycram.reasoning.places import Place
 
 #: Surfaces with their furniture.

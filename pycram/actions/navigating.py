@@ -6,8 +6,7 @@ import math
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.actions.action import ActionDesignator, action
-from pycram.actions.checks import place_for_the_robot
+from pycram.actions.action import ActionDesignator, action, place_for_the_robot
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.performing import perform
 from pycram.foundation import checks

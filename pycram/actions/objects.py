@@ -8,8 +8,7 @@ from pycram.foundation.failures import BadArgument, PerceptionError
 from pycram.knowledge import beliefs
 from pycram.motions import slot_checks
 from pycram.motions.designator import ResolvedDesignator
-from pycram.motions.motion_types import Slot, checked_slots, described
-from pycram.motions.slots import DesignatorError
+from pycram.motions.slots import DesignatorError, Slot, checked_slots, described
 from pycram.scheduling.future import unwrap
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
@@ -18,9 +17,8 @@ from recorder.errors import suggestion
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from pycram.motions.designator import Resolver
-    from pycram.motions.motion_types import Slotted
-    from pycram.motions.solutions import Solution
+    from pycram.motions.designator import Resolver, Solution
+    from pycram.motions.slots import Slotted
 
 
 class _Slots:

@@ -17,27 +17,235 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from pycram.foundation.errors import chained
-from pycram.foundation.failures import BadArgument
+from pycram.foundation.failures import BadArgument, UnknownName
 from pycram.foundation.names import qualified_name
 from pycram.foundation.refusals import refusing
 from pycram.motions import motion_types
-from pycram.motions.equated import Equated
-from pycram.motions.requests import recorded
-from pycram.motions.resolvers import Resolvers
 from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same, slot_name
-from pycram.motions.solutions import Resolution, Solution, Solutions
+from pycram.reasoning.choosing import Question
+from pycram.scheduling.cancellation import Binding
 from pycram.scheduling.future import Future, branches_in, unwrap
+from recorder.tracing import journal
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from typing import Self
 
     from pycram.motions.resources import Resources
     from pycram.scheduling.future import Pending
 
+
 __all__ = ["Designator", "DesignatorError", "MotionDesignator", "ResolvedDesignator", "Solution"]
+
+_chains_lock = threading.Lock()  # one for all chains, as chains get joined; no other code runs while it is held
+
+
+class Equated:
+    """A link of such a chain; alone at first."""
+
+    def __init__(self: Self) -> None:
+        self._chain: list[Self] = [self]
+
+    def equate(self, other: Self) -> None:
+        """State that this describes the same as another one, and is newer than all of the other's chain.
+
+        Raises:
+            BadArgument: The other can't be equated.
+        """
+        if not isinstance(other, Equated):
+            raise BadArgument("other", other, "something to equate with, such as a designator")
+        with _chains_lock:
+            own, theirs = self._chain, other._chain
+            if own is theirs:
+                return
+            index = own.index(self)
+            theirs[:0] = own[:index]  # this one's predecessors come before all of the other's
+            theirs += own[index:]
+            for link in own:
+                link._chain = theirs  # noqa: SLF001  same class
+
+    def chain(self) -> list[Self]:
+        """Return all that are equated with this one, and itself, the oldest first."""
+        with _chains_lock:
+            return list(self._chain)
+
+    def equal(self, other: Self) -> bool:
+        """Whether another one is equated with this one."""
+        with _chains_lock:
+            return isinstance(other, Equated) and self._chain is other._chain
+
+    def first(self) -> Self:
+        """Return the oldest of the chain."""
+        return self.chain()[0]
+
+    def current(self) -> Self:
+        """Return the newest of the chain."""
+        return self.chain()[-1]
+
+
+Function = TypeVar("Function", bound="Callable[..., object]")
+
+
+class Resolvers(Generic[Function]):
+    """Functions in the order in which they were added; iteration goes through a snapshot.
+
+    Args:
+        owner: What they resolve, for messages.
+    """
+
+    def __init__(self, owner: str) -> None:
+        self.owner = owner
+        self._lock = threading.Lock()
+        self._functions: tuple[Function, ...] = ()
+
+    def append(self, function: Function) -> Function:
+        """Add a function at the end, once, and return it; also a decorator.
+
+        Raises:
+            BadArgument: It isn't callable.
+        """
+        if not callable(function):
+            raise BadArgument(f"resolver of {self.owner}", function, "a function that takes a designator")
+        with self._lock:
+            if function not in self._functions:
+                self._functions = (*self._functions, function)
+        return function
+
+    def remove(self, function: Function) -> None:
+        """Remove a function.
+
+        Raises:
+            UnknownName: It isn't in the list.
+        """
+        with self._lock:
+            kept = tuple(known for known in self._functions if known != function)
+            if len(kept) == len(self._functions):
+                raise UnknownName("resolver", qualified_name(function), self.owner, map(qualified_name, kept))
+            self._functions = kept
+
+    @contextmanager
+    def added(self, function: Function) -> Iterator[Function]:
+        """Add a function, not yet in the list, for the ``with`` block."""
+        self.append(function)
+        try:
+            yield function
+        finally:
+            self.remove(function)
+
+    def __iter__(self) -> Iterator[Function]:
+        return iter(self._functions)
+
+    def __len__(self) -> int:
+        return len(self._functions)
+
+    def __contains__(self, function: object) -> bool:
+        return function in self._functions
+
+
+#: All parameters of an action, by name.
+Solution: TypeAlias = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """How a solution was found.
+
+    Attributes:
+        resolver: qualified name of the function that gave it; "" if none did.
+        index: which of the designator's solutions it is, from 0.
+        known: how many were found by now; further ones are found when they are requested.
+        complete: whether there are no others.
+    """
+
+    resolver: str = ""
+    index: int = 0
+    known: int = 1
+    complete: bool = False
+
+
+class Solutions:
+    """The solutions that a designator and its next ones share, in any number of threads.
+
+    Resolvers run without a lock: they may wait for a thread that requests the same solutions. Concurrent threads each
+    search, and the first to find a solution decides.
+
+    Args:
+        find: Yields the solutions, each with the name of what gave it; called again after it failed, and then the known
+            ones are skipped.
+    """
+
+    def __init__(self, find: Callable[[], Iterator[tuple[Solution, str]]]) -> None:
+        self._lock = threading.Lock()
+        self._find = find
+        self._rest: Iterator[tuple[Solution, str]] | None = None  # yields those after the kept ones
+        self._kept: list[tuple[Solution, str]] = []
+        self._complete = False
+
+    def at(self, index: int) -> Solution | None:
+        """Return the solution of an index from 0; None if there are fewer."""
+        while True:
+            with self._lock:
+                count = len(self._kept)
+                if index < count or self._complete:
+                    return self._kept[index][0] if index < count else None
+                rest, self._rest = self._rest, None
+            if rest is None:
+                rest = itertools.islice(self._find(), count, None)
+            solution = next(rest, None)
+            with self._lock:
+                if len(self._kept) == count:  # no other thread was faster
+                    self._rest = rest
+                    self._complete = solution is None
+                    if solution is not None:
+                        self._kept.append(solution)
+
+    def resolution(self, index: int) -> Resolution:
+        """Return how the solution of an index was found, as far as it was."""
+        with self._lock:
+            resolver = self._kept[index][1] if index < len(self._kept) else ""
+            return Resolution(resolver, index, len(self._kept), self._complete)
+
+
+#: The designators that are carried out in this context: a motion may be made of motions.
+_performed: ContextVar[tuple[Designator, ...]] = ContextVar("pycram_performed", default=())
+
+
+def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
+    """Make what is asked of a designator in the ``with`` block part of carrying it out."""
+    return Binding(_performed, (*_performed.get(), designator))
+
+
+def recorded(name: str, designator: Designator, index: int | None = None) -> AbstractContextManager[Question]:
+    """Put a request that the block answers on record, unless its designator is being carried out.
+
+    One that fails with a UsageError is a refusal, which its caller records; another has its failure in the record.
+
+    Args:
+        name: "reference" or "next_solution".
+        designator: what is to be resolved.
+        index: of the requested solution; the designator's own by default.
+    """
+    request = Question(name, {"designator": designator})
+    if any(each is designator for each in _performed.get()) or not journal.recording():
+        return nullcontext(request)
+    return _on_record(request, designator, index)
+
+
+@contextmanager
+def _on_record(request: Question, designator: Designator, index: int | None) -> Iterator[Question]:
+    with performing(designator), request.recorded(journal.current_world):  # with what its resolvers ask of it
+        try:
+            yield request
+        finally:
+            found = designator.resolution(index)
+            resolver = {"resolver": found.resolver} if found.resolver else {}
+            request.evidence = {**resolver, "index": found.index, "known": found.known, "complete": found.complete}
 
 
 class Designator(Equated, ABC):

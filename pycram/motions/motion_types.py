@@ -7,97 +7,20 @@ the process module, inferred if the plan left it out.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import BadArgument
 from pycram.motions import slot_checks
 from pycram.motions.resources import WHOLE_ROBOT, Resources
-from pycram.motions.slots import DesignatorError
-from pycram.scheduling.future import branch_of, unwrap
+from pycram.motions.slots import DesignatorError, Slot, Value, checked_slots, described, given_slots
+from pycram.scheduling.future import branch_of
 from pycram.world.world import BulletWorld
-from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
-    from pycram.motions.slot_checks import Check
-    from pycram.motions.solutions import Solution
-
-Value: TypeAlias = Any
-Type = TypeVar("Type", bound="Slotted")
-
-
-class Described(Protocol):
-    """A designator, as this module uses it."""
-
-    @property
-    def type(self) -> str:
-        """Its slot ``type``; empty if that isn't a string."""
-
-    @property
-    def description(self) -> Iterable[tuple[str, Value]]:
-        """Its slots."""
-
-
-@dataclass(frozen=True, slots=True)
-class Slot:
-    """A slot of a motion type.
-
-    Attributes:
-        check: Check of its value.
-        default: Infers a missing value from the given ones, and says in its docstring which; None leaves it out of the
-            solution.
-        otherwise: What is done then.
-        aliases: Other names for it.
-        text: What it is; that of the check by default.
-    """
-
-    name: str
-    check: Check
-    required: bool = False
-    default: Callable[[dict[str, Value]], Value] | None = None
-    aliases: tuple[str, ...] = ()
-    text: str = ""
-    otherwise: str = ""
-
-    def describe(self) -> str:
-        """Describe it, for messages."""
-        names = " or ".join((self.name, *self.aliases))
-        need = "required" if self.required else "optional"
-        return f"{names} ({need}): {self.values}"
-
-    @property
-    def values(self) -> str:
-        """What it may hold, with units and frames."""
-        return self.text or (self.check.__doc__ or "").strip().rstrip(".")
-
-    @property
-    def missing(self) -> str:
-        """What is meant where it is left out; empty if that isn't said."""
-        return self.otherwise or ((self.default and self.default.__doc__) or "").strip().rstrip(".")
-
-
-class Slotted(Protocol):
-    """A type of designators, with its slots; see :class:`MotionType`."""
-
-    @property
-    def type(self) -> str:
-        """Its name."""
-
-    @property
-    def slots(self) -> tuple[Slot, ...]:
-        """Its slots beside ``type``."""
-
-    @property
-    def one_of(self) -> tuple[str, ...]:
-        """Slots of which at least one is required."""
-
-    @property
-    def only_one(self) -> bool:
-        """Whether exactly one is."""
-
-    def describe(self) -> str:
-        """Describe its slots, for messages."""
+    from pycram.motions.designator import Solution
+    from pycram.motions.slots import Described
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,33 +257,6 @@ def resolve(designator: Described) -> Iterator[Solution]:
             yield {**solution, "orientation": _heading(checked)}
 
 
-def given_slots(designator: Described, types: Mapping[str, Type], kind: str = "") -> tuple[Type, dict[str, Value]]:
-    """Return a designator's type, and its other slots with values other than None, waiting for futures.
-
-    Args:
-        designator: The designator.
-        types: The types that there are, by name.
-        kind: Of what, for messages.
-
-    Raises:
-        DesignatorError: Its type is none of these, or a slot is given twice.
-    """
-    given: dict[str, Value] = {}
-    for key, value in designator.description:
-        if key in given:
-            raise DesignatorError(f"slot {key} is given twice", type=designator.type, slot=key, value=unwrap(value))
-        if value is not None:
-            given[key] = unwrap(value)
-    name = given.pop("type", None)
-    if not isinstance(name, str) or name not in types:
-        unknown = f"has the unknown type {name!r}{did_you_mean(name, types)}"
-        problem = f"the {kind}designator {'has no slot type' if name is None else unknown}"
-        raise DesignatorError(
-            problem, type=str(name or ""), slot="type", value=name, takes=f"types: {', '.join(types)}"
-        )
-    return types[name], given
-
-
 def _filled(motion: MotionType, given: Mapping[str, Value]) -> Iterator[dict[str, Value]]:
     """Yield slots with what the designators among their values stand for: with each solution of these in turn."""
     names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
@@ -373,49 +269,3 @@ def _filled(motion: MotionType, given: Mapping[str, Value]) -> Iterator[dict[str
                 yield from _filled(motion, {**found, **rest})
             return
     yield dict(given)
-
-
-def described(kind: Slotted, name: str = "") -> str:
-    """Return a description of a type's slots, for messages; of designators with a type of their own by their name."""
-    lines = [f"{name} takes"] if name else [f"a {kind.type} designator takes", f"  type (required): {kind.type!r}"]
-    lines += [f"  {slot.describe()}" for slot in kind.slots]
-    if kind.one_of:
-        how = "exactly one" if kind.only_one else "at least one"
-        lines.append(f"  {how} of {', '.join(kind.one_of)} has to be there")
-    return "\n".join(lines)
-
-
-def checked_slots(motion: Slotted, given: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the checked values of slots, by the slots' names.
-
-    Raises:
-        DesignatorError: A slot is missing, unknown or wrong.
-    """
-    names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
-    takes = motion.describe()
-    checked: dict[str, Value] = {}
-    for key, value in given.items():
-        slot = names.get(key)
-        if slot is None:
-            problem = f"unknown slot {key}{did_you_mean(key, names)}"
-            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes)
-        if slot.name in checked:
-            problem = f"slot {slot.name} is given twice"
-            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes)
-        try:
-            checked[slot.name] = slot.check(key, value)
-        except BadArgument as error:
-            problem = f"wrong value in slot {error}"
-            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes) from error
-    missing = [slot.name for slot in motion.slots if slot.required and slot.name not in checked]
-    if missing:
-        raise DesignatorError(f"missing slot {', '.join(missing)}", type=motion.type, slot=missing[0], takes=takes)
-    present = [name for name in motion.one_of if name in checked]
-    if motion.one_of and (not present or (motion.only_one and len(present) > 1)):
-        problem = (
-            f"slots {' and '.join(present)} exclude each other"
-            if present
-            else f"missing slot {' or '.join(motion.one_of)}"
-        )
-        raise DesignatorError(problem, type=motion.type, slot=motion.one_of[0], takes=takes)
-    return checked

@@ -8,8 +8,7 @@ import pytest
 
 from pycram.actions.action import TYPES as ACTIONS
 from pycram.foundation.failures import NoPath, Unreachable
-from pycram.motions.continuous import ContinuousExecution
-from pycram.motions.execution import InstantExecution
+from pycram.motions.execution import ContinuousExecution, InstantExecution
 from pycram.motions.modules import default_modules
 from pycram.motions.motion_types import TYPES as MOTIONS
 from pycram.reference import reference

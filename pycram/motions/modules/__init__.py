@@ -8,14 +8,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pycram.motions.execution import INSTANT
-from pycram.motions.modules.arm import MoveJoints, MoveTCP
 from pycram.motions.modules.container import Accessing
-from pycram.motions.modules.gripper import MoveGripper
-from pycram.motions.modules.head import MoveHead
-from pycram.motions.modules.navigation import Navigation
 from pycram.motions.modules.perception import Detecting, WorldStateDetecting
 from pycram.motions.modules.pick_up import PickUp
 from pycram.motions.modules.place import Place
+from pycram.motions.modules.robot_parts import MoveGripper, MoveHead, MoveJoints, MoveTCP, Navigation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

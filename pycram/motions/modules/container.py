@@ -17,7 +17,7 @@ from pycram.foundation.failures import (
     PostureInCollision,
 )
 from pycram.models.visual import shapes_of
-from pycram.motions.modules.simulated import FOLLOWING, SimulatedModule
+from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import MissingPart, PerceptionError
-from pycram.motions.modules.simulated import SimulatedModule
+from pycram.motions.process_module import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.queries.visibility import visible
 from pycram.reasoning.rejections import Inferior, Unseen

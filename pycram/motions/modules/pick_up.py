@@ -16,7 +16,7 @@ from pycram.foundation.failures import (
     PostureInCollision,
     Unreachable,
 )
-from pycram.motions.modules.simulated import FOLLOWING, SimulatedModule
+from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.collision_pair import CollisionPair
 from pycram.foundation.failures import MissingPart, NoPath, PlaceFailed, PlanFailure, PostureInCollision, Unreachable
 from pycram.motions.execution import TIMEOUT
-from pycram.motions.modules.simulated import FOLLOWING, SimulatedModule
+from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing

@@ -19,7 +19,7 @@ from pycram.failures import (
     UnknownName,
 )
 from pycram.knowledge import believed, learn
-from pycram.motions.environments import execution_environment
+from pycram.motions.process_module import execution_environment
 from pycram.reasoning.grasping import fingers
 from recorder import geometry
 

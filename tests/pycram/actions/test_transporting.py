@@ -9,7 +9,7 @@ import pytest
 
 from pycram import bullet_world_reasoning as btr, tasks
 from pycram.actions import ActionFailed, perform, projecting, replaced
-from pycram.actions.pick_and_place import placing as put_down
+from pycram.actions.hands import placing as put_down
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, LocationDesignator, MotionDesignator
 from pycram.failures import MissingPart, NoPlace, NotDrivable, PlaceFailed, PlanFailure, ReasoningError, UnknownName

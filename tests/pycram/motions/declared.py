@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pycram.motions.designator import Designator
-    from pycram.motions.modules.simulated import SimulatedModule
+    from pycram.motions.process_module import SimulatedModule
 
 _OURS = "pycram.motions.modules."
 

@@ -21,8 +21,8 @@ from pycram.fluent import network
 from pycram.fluents.world import joint, pose, position
 from pycram.language import State, par, pursue, timeout
 from pycram.language.timeouts import TimedOut
-from pycram.motions.continuous import IN_SIMULATED_TIME
-from pycram.motions.environments import current_environment, set_default
+from pycram.motions.execution import IN_SIMULATED_TIME
+from pycram.motions.process_module import current_environment, set_default
 from pycram.planning import path, through
 from pycram.process_module import ProcessModule, execution_environment
 from pycram.world import passing_time

@@ -11,7 +11,7 @@ from pycram.exploration import NotExplorable
 from pycram.failures import UsageError
 from pycram.fluent import NotSettable
 from pycram.language import timeout
-from pycram.motions.modules.simulated import NoDescription
+from pycram.motions.process_module import NoDescription
 from pycram.projection import NotProjectable
 from pycram.sweeping import SweepRefused
 from replay.explain import causes as kinds

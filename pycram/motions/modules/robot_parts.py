@@ -1,0 +1,288 @@
+"""Moving parts of the robot: its base, head, arms and grippers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.foundation.failures import (
+    BadArgument,
+    Blocked,
+    GripperBlocked,
+    InCollision,
+    LookingFailed,
+    MissingPart,
+    NoPath,
+    NotDrivable,
+    PostureInCollision,
+    Unreachable,
+)
+from pycram.foundation.names import export
+from pycram.motions.process_module import AS_ASKED, FOLLOWING, SimulatedModule
+from pycram.reasoning.choosing import choosing
+from pycram.reasoning.collision import checker
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.driving import check_drives, check_ground
+from pycram.reasoning.grasping import fingers
+from pycram.reasoning.kinematics import inverse, pan_tilt
+from pycram.reasoning.rejections import OutOfReach, Touching, Unfit, short
+from pycram.world import settling
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pycram.foundation.collision_pair import CollisionPair
+    from pycram.models.robots.description import Arm
+    from pycram.models.robots.sensors import CameraDescription
+    from pycram.motions.designator import Designator
+    from pycram.reasoning.choosing import Choice
+    from pycram.world.object import Object
+    from recorder.geometry import Vector
+
+
+class Navigation(SimulatedModule):
+    """Puts the robot to a pose, with what it holds; refuses a pose in collision and leaves the world as it was."""
+
+    failures = (InCollision, NotDrivable)
+    failures_in_time = (NoPath, *FOLLOWING)
+
+    def _execute(self, designator: Designator) -> None:
+        solution = designator.reference()
+        robot = self.robot()
+        target, orientation = solution["target"], solution["orientation"]
+        check_drives(robot, target, orientation)
+        with self.execution.whole(robot.world):
+            with robot.world.lock, choosing("base_pose", robot.world, target=target, orientation=orientation) as choice:
+                try:
+                    check_ground(robot, target, orientation)
+                except NotDrivable as refusal:
+                    choice.reject(AS_ASKED, Unfit(refusal.reason))
+                    raise
+                touched = checker.touched(robot, {}, base=(tuple(target), tuple(orientation)), all_links=True)
+                if touched:
+                    pairs = [collision["pair"] for collision in touched.values()]
+                    choice.reject(AS_ASKED, Touching(pairs))
+                    raise InCollision(target, orientation, [pair.body for pair in pairs], pairs)
+                choice.take(AS_ASKED)
+                drive = self.execution.drive(robot, target, orientation)
+            drive()
+
+
+_ACCURACY: Final = math.radians(0.5)
+_PAN_AND_TILT: Final = 2  # joints that can point the camera anywhere
+
+
+class MoveHead(SimulatedModule):
+    """Points the camera's axis at a point or at the center of an object.
+
+    A head that only pans or only tilts, or a camera that is fixed, brings it into the picture.
+    """
+
+    failures = (LookingFailed, MissingPart)
+    failures_in_time = (NoPath, PostureInCollision, *FOLLOWING)
+
+    def _execute(self, designator: Designator) -> None:
+        solution = designator.reference()
+        robot = self.robot()
+        description = self.description(robot)
+        camera = description.camera
+        if camera is None:
+            raise MissingPart(robot.name, "camera")
+        joints = description.head.joints if description.head else ()
+        looked_at = {key: solution[key] for key in ("target", "object") if key in solution}
+        with self.execution.whole(robot.world):
+            with robot.world.lock, choosing("gaze", robot.world, **looked_at) as choice:
+                positions = _aimed(robot, joints, camera, looked_at, choice)
+                move = self.execution.move(robot, positions) if positions else None
+            if move is not None:
+                move()
+
+
+def _aimed(
+    robot: Object, joints: Sequence[str], camera: CameraDescription, looked_at: Mapping[str, Any], choice: Choice
+) -> Mapping[str, float]:
+    """Return the values of the head's joints with which its camera sees a target or an object.
+
+    Raises:
+        LookingFailed: There are none.
+    """
+    target = looked_at["target"] if "target" in looked_at else center(looked_at["object"])
+    point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
+    positions, seen = pan_tilt.look(robot.urdf, joints, camera, point, robot.get_joint_positions())
+    x, y, z = seen
+    angle = math.atan2(math.hypot(x, y), z)
+    if angle > _ACCURACY and (len(joints) == _PAN_AND_TILT or not _in_picture(camera, seen)):
+        choice.reject("the nearest posture", OutOfReach(0.0, angle))
+        raise LookingFailed(target, angle)
+    choice.take(AS_ASKED, off_axis=round(math.degrees(angle), 3))
+    return positions
+
+
+def _in_picture(camera: CameraDescription, point: Vector) -> bool:
+    """Whether a camera sees a point of its frame, if nothing hides it."""
+    x, y, z = point
+    wide, high = (z * math.tan(fov / 2) for fov in (camera.horizontal_fov, camera.vertical_fov))
+    return camera.near <= z <= camera.far and abs(x) <= wide and abs(y) <= high
+
+
+class MoveJoints(SimulatedModule):
+    """Puts one arm or both into a posture: a name such as "park", or joint values."""
+
+    failures = (PostureInCollision,)
+    failures_in_time = (NoPath, *FOLLOWING)
+
+    def _execute(self, designator: Designator) -> None:
+        solution = designator.reference()
+        robot = self.robot()
+        description = self.description(robot)
+        positions: dict[str, float] = {}
+        moved: dict[str, object] = {}
+        for name, arm in description.arms.items():
+            wanted = solution.get(f"{name}-arm")
+            if wanted is None:
+                continue
+            moved[f"{name}-arm"] = wanted
+            if isinstance(wanted, str):
+                positions |= arm.posture(wanted)
+            elif len(wanted) != len(arm.joints):
+                raise BadArgument(f"{name}-arm", wanted, f"{len(arm.joints)} joint values")
+            else:
+                positions |= dict(zip(arm.joints, wanted, strict=True))
+        with self.execution.whole(robot.world):
+            with robot.world.lock, choosing("posture", robot.world, **moved) as choice:
+                touched = checker.newly_touched(robot, positions)
+                if touched:
+                    choice.reject(AS_ASKED, Touching(touched))
+                    arms = [name.removesuffix("-arm") for name in moved]
+                    bodies = list(dict.fromkeys(pair.body for pair in touched))
+                    raise PostureInCollision(arms, bodies, touched, torso=_with_torso(robot, positions))
+                choice.take(AS_ASKED)
+                move = self.execution.move(robot, positions)
+            move()
+
+
+def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, float] | None:
+    """Return the torso's joint, and the height that it is loaded with, if the arms could take a posture there.
+
+    `accessing` may have left it lower, for a drawer near the floor.
+    """
+    torso = robot.description.torso if robot.description else None
+    if torso is None:
+        return None
+    touched = checker.newly_touched(robot, {**positions, torso.joint: torso.default})
+    return None if touched else (torso.joint, torso.default)
+
+
+class MoveTCP(SimulatedModule):
+    """Brings the tool frame of an arm to a position, with an orientation if one is asked for."""
+
+    failures = (Unreachable, Blocked)
+    failures_in_time = (NoPath, PostureInCollision, *FOLLOWING)
+
+    def _execute(self, designator: Designator) -> None:
+        solution = designator.reference()
+        robot = self.robot()
+        arm = self.description(robot).arm(solution["arm"])
+        target = solution["target"]
+        turn = solution.get("orientation")
+        with self.execution.whole(robot.world):
+            with (
+                robot.world.lock,
+                choosing("posture", robot.world, arm=arm.name, target=target, orientation=turn) as choice,
+            ):
+                move = self.execution.move(robot, _posture(robot, arm, target, turn, choice))
+            move()
+
+
+def _posture(
+    robot: Object, arm: Arm, target: Sequence[float], orientation: Sequence[float] | None, choice: Choice
+) -> Mapping[str, float]:
+    """Return the joint values of the nearest posture that brings the tool to a target and touches nothing new.
+
+    Raises:
+        Unreachable: There is none that gets there; Blocked if something is in the way.
+    """
+    postures = inverse.postures(robot, arm.tool_frame, target, orientation, thorough=True)
+    if not postures[0].reaches():
+        choice.reject("the nearest posture", OutOfReach(postures[0].position_error, postures[0].turn_error))
+        raise Unreachable(arm.name, target, postures[0].position_error)
+    touched: list[CollisionPair] = []
+    for number, posture in enumerate(postures, 1):
+        if posture.reaches():
+            touched = checker.newly_touched(robot, posture.positions)
+            if not touched:
+                choice.take(f"posture {number}")
+                return posture.positions
+            choice.reject(f"posture {number}", Touching(touched))
+    raise Blocked(arm.name, target, touched)
+
+
+@dataclass(frozen=True, slots=True)
+class GripperMoved:
+    """What came of opening or closing a gripper.
+
+    Attributes:
+        arm: name of the arm.
+        share: how far it is open now: 0 is closed, 1 is open.
+        stopped_by: what stopped the fingers, deepest first; nothing if they got as far as they can.
+        released: what it has let go of, if anything.
+        settled: whether that, and everything else, is at rest now.
+    """
+
+    arm: str
+    share: float
+    stopped_by: Sequence[CollisionPair] = ()
+    released: Object | None = None
+    settled: bool = True
+
+    def __record__(self) -> object:
+        """Return its fields, as records have it."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+class MoveGripper(SimulatedModule):
+    """Opens or closes the gripper of an arm until something stops the fingers; opening lets go of what it holds.
+
+    What it lets go of falls, until everything is at rest or 5 s of simulated time are over. What it holds stops the
+    fingers that would close.
+    """
+
+    failures = (GripperBlocked, MissingPart)
+    failures_in_time = FOLLOWING
+
+    def _execute(self, designator: Designator) -> GripperMoved:
+        solution = designator.reference()
+        robot = self.robot()
+        arm = self.description(robot).arm(solution["gripper"])
+        opening = solution["motion"] == "open"
+        with self.execution.whole(robot.world):
+            held = self.held(robot, arm) if opening else None
+            with (
+                robot.world.lock,
+                choosing("finger_motion", robot.world, arm=arm.name, motion=solution["motion"], release=held) as choice,
+            ):
+                motion = fingers.moved(robot, arm, 1.0 if opening else 0.0, release=held)
+                if motion.stopped_by:
+                    choice.reject("all the way", Touching(motion.stopped_by))
+                if held is not None and motion.stopped_by and motion.gap < fingers.CLEAR:
+                    raise GripperBlocked(arm.name, held.name, motion.stopped_by)
+                as_far = "as far as they get" if motion.stopped_by else "all the way"
+                choice.take(as_far, share_open=short(motion.share))
+                grip = self.execution.grip(robot, motion.positions)
+            grip()
+            settled = True
+            if held is not None:
+                with robot.world.lock:
+                    robot.detach(held)
+                    settling.separate(robot.world)
+                settled = not self.execution.settle(robot.world)
+        return GripperMoved(arm.name, motion.share, motion.stopped_by, held, settled)
+
+
+# Recordings name each module by the file that it was first in.
+export("pycram.motions.modules.navigation", Navigation)
+export("pycram.motions.modules.head", MoveHead)
+export("pycram.motions.modules.arm", MoveJoints, MoveTCP)
+export("pycram.motions.modules.gripper", MoveGripper)
