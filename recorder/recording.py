@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from recorder import provenance
 from recorder.errors import RecordingError
-from recorder.mcap.sink import McapSink, free_path
+from recorder.mcap_sink import McapSink, free_path
 from recorder.packages import hint
 from recorder.records import Run, Task, escaped
 from recorder.records.values import AssetFile

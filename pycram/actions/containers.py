@@ -22,7 +22,7 @@ from pycram.world import carried
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
-from recorder.geometry.polygon import convex_hull, margin
+from recorder.geometry import convex_hull, margin_in_polygon
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -107,7 +107,7 @@ def enclosing_at(position: Sequence[float]) -> Any:
             surface = access.body.surfaces[name]
             u, v, above = geometry.transform(geometry.invert(access.body.surface_pose(surface)), (x, y, z))
             corners = convex_hull(np.array(surface.outline))
-            if 0.0 <= above <= surface.clearance and margin(corners, (u, v)) >= 0.0:
+            if 0.0 <= above <= surface.clearance and margin_in_polygon(corners, (u, v)) >= 0.0:
                 return container
     return None
 

@@ -12,7 +12,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from recorder.geometry.urdf import Joint, Urdf
+    from recorder.urdf import Joint, Urdf
 
 ARM: Final = 4
 """Joints one after the other that make an arm."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sized
 
     from pycram.models.load import Model
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 _IN_A_ROW: Final = 2  # movable joints of furniture: a drawer behind a door
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pycram.describing.hand import Jaws
     from pycram.models.load import Model
     from recorder.geometry import Pose, Quaternion
-    from recorder.geometry.urdf import Joint
+    from recorder.urdf import Joint
 
     Array = NDArray[np.float64]
 

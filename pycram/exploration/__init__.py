@@ -37,7 +37,7 @@ from pycram.scheduling.schedule import seed_order
 from pycram.seeding import seed_random_numbers
 from pycram.world.current import open_worlds
 from recorder.errors import RecordingError
-from recorder.mcap.sink import free_path
+from recorder.mcap_sink import free_path
 from recorder.recording import look_up_revisions, record
 from recorder.tracing import forking
 

@@ -25,7 +25,7 @@ from pycram.projection.child import usable_cores
 from pycram.projection.pool import GRACE, ChildPool, run_from_start
 from pycram.scheduling.order import Made, Precedence, Standing
 from pycram.scheduling.schedule import scheduler
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
 from recorder.records import Fluent, Keyframe, Mutation, Run, format_failure, without_addresses

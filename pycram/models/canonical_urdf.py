@@ -19,7 +19,7 @@ from pycram.models.files import parse_urdf
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 _OWN_CHILDREN: Final[dict[str, tuple[str, ...]]] = {
     "robot": ("link", "joint", "material"),

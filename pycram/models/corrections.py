@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 SUFFIX: Final = ".furniture.toml"
 _SURFACES: Final = "surfaces"

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import AssetError
-from recorder.geometry.urdf import Urdf, UrdfError
+from recorder.urdf import Urdf, UrdfError
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.foundation.failures import AssetError
-from recorder.geometry.urdf import finite
+from recorder.urdf import finite
 
 if TYPE_CHECKING:
     from pathlib import Path

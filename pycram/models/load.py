@@ -37,7 +37,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _CACHED_MODELS: Final = 128

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pycram.physics.loading import Loading
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 _CACHED_MODELS: Final = 128
 _CACHED_MESHES: Final = 1024

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from recorder.geometry import Pose, Quaternion, Vector
-    from recorder.geometry.urdf import Joint
+    from recorder.urdf import Joint
 
 DRAWER: Final = "drawer"
 DOOR: Final = "door"

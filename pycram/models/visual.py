@@ -1,4 +1,4 @@
-"""Triangles and colours of a model's shapes, read once from its canonical URDF (:mod:`recorder.geometry.urdf`)."""
+"""Triangles and colours of a model's shapes, read once from its canonical URDF (:mod:`recorder.urdf`)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from pycram.models import mesh, store
 from pycram.models.warming import notable
 from recorder import geometry
-from recorder.geometry.urdf import shapes_in
+from recorder.urdf import shapes_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from recorder.geometry.urdf import Shape
+    from recorder.urdf import Shape
 
 T = TypeVar("T")
 Ends: TypeAlias = "tuple[Sequence[float] | NDArray[np.float64], Sequence[float] | NDArray[np.float64]]"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from recorder.records import LoadBody, Loading as LoadingRecord
 
 if TYPE_CHECKING:
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from pycram.models import store, warming
 from pycram.projection.child import die_with, usable_cores
 from pycram.projection.pool import GRACE, ChildPool, run_from_start
 from pycram.sweeping.one_run import RunOutcome, Spec, hooks, run_once
-from recorder.mcap.shared_models import SharedModels, share_models
+from recorder.mcap_writer import SharedModels, share_models
 from recorder.packages import versions
 from recorder.recording import look_up_revisions
 

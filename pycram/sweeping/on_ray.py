@@ -22,7 +22,7 @@ from pycram.sweeping import folder as folders
 from pycram.sweeping.folder import Sweep, facts_of
 from pycram.sweeping.local import Worker
 from pycram.sweeping.one_run import RunOutcome, Spec
-from recorder.mcap.shared_models import NAME
+from recorder.mcap_writer import MODELS_NAME
 from recorder.packages import needed
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def sweep_on_ray(
                     store.set_aside(outcome.name, result.failures[0].name)
                     return result
                 progress(result, outcome)
-            models = models or next(filter(NAME.fullmatch, sorted(store.names())), None)
+            models = models or next(filter(MODELS_NAME.fullmatch, sorted(store.names())), None)
             folders.write(Path(here), {**facts, "models": None if models is None else store.described(models)})
             store.put(Path(here) / folders.SWEEP)
             at_once = cores or _cores()

@@ -23,7 +23,7 @@ from pycram.plan_parameters import parsed, split
 from pycram.projection.child import limit_memory
 from pycram.seeding import MAX_SEED
 from recorder.errors import RecordingError, suggestion
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import record, redirected
 from recorder.records import Query, Run, Task, format_failure
@@ -33,7 +33,7 @@ from recorder.tracing.journal import NullSink
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from recorder.mcap.shared_models import SharedModels
+    from recorder.mcap_writer import SharedModels
     from recorder.records import Record
     from recorder.tracing.journal import Sink
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.transaction import Transaction
     from recorder.geometry import Pose
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 _CONTACT_GAP: Final = 0.003  # m; a settled body keeps about half a millimetre to what it lies on
 _DROP_HEIGHT: Final = 0.03  # m that something put into a drawer may hang over its floor

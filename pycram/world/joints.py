@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from pycram.world.object import Object
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 _LIMIT_TOLERANCE: Final = 1e-3  # rad or m that positions may leave limits, as simulated motors and splines do a little
 _MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which given positions may miss each other's: files and descriptions round

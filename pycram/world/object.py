@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pycram.world.attachment import Attachment
     from pycram.world.world import BulletWorld
     from recorder.geometry import Pose, Quaternion, Vector
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 ENVIRONMENT = "environment"
 ROBOT = "robot"

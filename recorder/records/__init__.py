@@ -1,8 +1,17 @@
-"""The records: their definition (``log.proto``), their Python names, frames and text. A record is one step."""
+"""The records: their Python names, their topics, and which definitions (``log.proto``) this release knows.
 
-from collections.abc import Mapping
-from typing import Final, TypeAlias
+A record is one step. Definitions are added and never removed, so their number tells which of two releases knows more.
+Recordings have the number in their metadata, and the definitions themselves in their schemas.
+"""
 
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from google.protobuf.message import DecodeError
+
+from recorder.records import log_pb2
 from recorder.records.log_pb2 import (
     Argument as Argument,
     Asset as Asset,
@@ -76,6 +85,11 @@ from recorder.records.values import (
     without_addresses as without_addresses,
 )
 
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from google.protobuf.descriptor_pb2 import DescriptorProto
+
 Record: TypeAlias = (
     Run | Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Keyframe | Output | Envelope
 )
@@ -99,3 +113,44 @@ UNKNOWN: Final = "/unknown"
 
 STEPS_PER_SECOND: Final = 240
 """Of simulated time, which a record's ``sim_step`` counts; every world is simulated at this pace."""
+
+PACKAGE: Final = log_pb2.DESCRIPTOR.package
+"""Of the definitions, in the schemas of recordings."""
+
+
+@cache
+def known_definitions() -> frozenset[str]:
+    """Return the names of all messages, fields and enum values, as ``Mutation``, ``Mutation.effect``, ``Task.LEFT``."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorProto  # noqa: PLC0415  few readers need it
+
+    own = FileDescriptorProto()
+    log_pb2.DESCRIPTOR.CopyToProto(own)
+    return frozenset(_names(own.message_type))
+
+
+def format_number() -> int:
+    """Return the format that this release writes: the number of its definitions."""
+    return len(known_definitions())
+
+
+def unknown_definitions(definitions: Iterable[bytes]) -> list[str]:
+    """Return the names in the schemas of a recording that this release doesn't know; unreadable schemas are skipped."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet  # noqa: PLC0415  few readers need it
+
+    names: dict[str, None] = {}
+    for definition in definitions:
+        try:
+            files = FileDescriptorSet.FromString(definition).file
+        except DecodeError:
+            continue
+        names |= dict.fromkeys(name for file in files if file.package == PACKAGE for name in _names(file.message_type))
+    return [name for name in names if name not in known_definitions()]
+
+
+def _names(messages: Iterable[DescriptorProto], within: str = "") -> Iterator[str]:
+    for message in messages:
+        name = within + message.name
+        yield name
+        yield from (f"{name}.{field.name}" for field in message.field)
+        yield from (f"{name}.{value.name}" for enum in message.enum_type for value in enum.value)
+        yield from _names(message.nested_type, f"{name}.")

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from recorder.geometry import Pose
-    from recorder.geometry.urdf import Joint, Urdf
     from recorder.records import BodyState, Following, Record
+    from recorder.urdf import Joint, Urdf
 
 
 ROOT: Final = "world"
@@ -94,7 +94,7 @@ class FrameTree:
 
     def add_urdf(self, sha256: str, content: bytes) -> None:
         """Takes a model, before the records that use it."""
-        from recorder.geometry.urdf import Urdf  # noqa: PLC0415  loads NumPy
+        from recorder.urdf import Urdf  # noqa: PLC0415  loads NumPy
 
         self._models[sha256] = Urdf.parse(content)
 

@@ -1,6 +1,5 @@
 """The task tree: the fold of task records, as objects, text, JSON and pictures."""
 
-from recorder.tasks.node import Moment, Node, State, decisive
-from recorder.tasks.tree import Tree
+from recorder.tasks.tree import Moment, Node, State, Tree, decisive
 
 __all__ = ["Moment", "Node", "State", "Tree", "decisive"]

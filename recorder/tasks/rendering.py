@@ -16,19 +16,23 @@ from itertools import groupby
 from operator import attrgetter
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import format_failure
+from recorder.records import Task, format_failure
 from recorder.records.text import chosen_name, decision_text, foreseen, rejection_lines, text_of, timeout_text, values
-from recorder.tasks.node import Node, State
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from recorder.records import Output, Query
-    from recorder.tasks.node import Moment
-    from recorder.tasks.tree import Tree
+    from recorder.tasks.tree import Moment, Node, Tree
 
 
-_MARKS: Final = {State.SUCCEEDED: "+", State.FAILED: "X", State.CANCELLED: "-", State.RUNNING: "?", State.CREATED: "."}
+_MARKS: Final[Mapping[int, str]] = {
+    Task.SUCCEEDED: "+",
+    Task.FAILED: "X",
+    Task.CANCELLED: "-",
+    Task.RUNNING: "?",
+    Task.CREATED: ".",
+}
 _MAX_ALIKE: Final = 6  # siblings that are shown one by one
 _MAX_WIDTH: Final = 100  # characters of parameters
 #: Kinds whose parameters nothing else shows.
@@ -184,7 +188,7 @@ def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
     shown: list[Node | str] = []
     for (_, name, status), run in groupby(nodes, lambda node: (node.kind, node.name, node.status)):
         alike = list(run)
-        if not whole and len(alike) > _MAX_ALIKE and status is State.SUCCEEDED:
+        if not whole and len(alike) > _MAX_ALIKE and status == Task.SUCCEEDED:
             took = sum(node.seconds or 0.0 for node in alike[2:-1]) * 1e3
             shown += [*alike[:2], f"... {len(alike) - 3} more {name} succeeded  [{took:.1f} ms]", alike[-1]]
         else:
@@ -192,14 +196,14 @@ def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
     return shown
 
 
-COLORS: Final = defaultdict(
+COLORS: Final[Mapping[int, str]] = defaultdict(
     lambda: "#707070",  # of what a newer release knows
     {
-        State.SUCCEEDED: "#2e9e5b",
-        State.FAILED: "#d0342c",
-        State.CANCELLED: "#9a9a9a",
-        State.RUNNING: "#2f6fd0",
-        State.CREATED: "#d9a400",
+        Task.SUCCEEDED: "#2e9e5b",
+        Task.FAILED: "#d0342c",
+        Task.CANCELLED: "#9a9a9a",
+        Task.RUNNING: "#2f6fd0",
+        Task.CREATED: "#d9a400",
     },
 )
 _ROW: Final = 20  # height of a line, px

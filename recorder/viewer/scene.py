@@ -19,18 +19,18 @@ import pyarrow as pa
 import rerun as rr
 
 from recorder import geometry
-from recorder.geometry.urdf import read_shapes
 from recorder.records import Keyframe
 from recorder.records.motion import ROOT, FrameTree, frame_name
+from recorder.urdf import read_shapes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from recorder.geometry import Pose, Vector
-    from recorder.geometry.urdf import Color, Shape
     from recorder.records import LoadBody, Mutation
     from recorder.records.motion import BodyMotion, Frame
     from recorder.records.values import AssetFile
+    from recorder.urdf import Color, Shape
     from recorder.viewer.rerun_stream import Columns, Series, TimePoint
 
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.mcap.sink import free_path
+from recorder.mcap_sink import free_path
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
 from replay.cli.retrace import add_source_and_arguments, facts_of, lines_of

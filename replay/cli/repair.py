@@ -9,8 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, TypeVar
 
-from recorder.mcap.sink import open_output
-from recorder.mcap.writer import MAGIC
+from recorder.mcap_sink import open_output
+from recorder.mcap_writer import MAGIC
 from replay.cli.console import print_message, print_result
 from replay.errors import ReplayError
 from replay.file.record_reader import is_locked

@@ -1,6 +1,6 @@
 """The files of a recording: models, meshes, the plan's source; attached to it, or in a file that several share.
 
-The file of models that a recording of a sweep shares with others; see :mod:`recorder.mcap.shared_models`.
+The file of models that a recording of a sweep shares with others; see :mod:`recorder.mcap_writer`.
 
 A recording may come from anybody, so what it names is opened only if it lies in the recording's own folder, is a
 regular file and no link, and has the content that the recording was made with.
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final
 from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
 
-from recorder.mcap.shared_models import METADATA, NAME
+from recorder.mcap_writer import MODELS_METADATA, MODELS_NAME
 from replay.errors import Damaged, MissingModels, NoSuchName
 from replay.file.index import Index
 from replay.file.mcap_format import DAMAGE, describe
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from io import BufferedReader
 
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
     from replay.file.mcap_format import Extent
 
 
@@ -119,7 +119,7 @@ class Assets(Mapping[str, bytes]):
             Damaged: it isn't what was attached.
         """
         if name not in self._models:
-            from recorder.geometry.urdf import Urdf  # noqa: PLC0415  needs numpy, which most questions don't
+            from recorder.urdf import Urdf  # noqa: PLC0415  needs numpy, which most questions don't
 
             try:
                 self._models[name] = Urdf.parse(self[name])
@@ -179,7 +179,7 @@ class SharedFile:
         self._index = self._cause = None
 
     def _opened(self) -> BufferedReader:
-        if not NAME.fullmatch(self._stated) or self._stated != f"models-{self._sha256[:12]}.mcap":
+        if not MODELS_NAME.fullmatch(self._stated) or self._stated != f"models-{self._sha256[:12]}.mcap":
             raise ValueError("is no name of a file of models")
         path = self._folder / self._stated
         if path.is_symlink():  # where the system has no flag for it
@@ -197,5 +197,5 @@ class SharedFile:
 
 def shared_by(recording: Path, index: Index) -> SharedFile | None:
     """Return the file of models that a recording names; None if the recording has all its files."""
-    stated = index.metadata.get(METADATA)
+    stated = index.metadata.get(MODELS_METADATA)
     return None if stated is None else SharedFile(recording, stated)

@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
-from recorder.records import TOPICS, Envelope, Keyframe, Mutation, Query, Record
+from recorder.records import PACKAGE, TOPICS, Envelope, Keyframe, Mutation, Query, Record, known_definitions
 from recorder.records.beliefs import is_look, may_be_look
-from recorder.records.definition import PACKAGE, known
 from replay.file.mcap_format import (
     CHANNEL_OFFSET,
     CHUNK_DAMAGE,
@@ -284,13 +283,13 @@ class Chunks:
 
 def kinds_of(index: Index) -> dict[int, type[Record]]:
     """Return the types of record by channel; other programs' channels are left out."""
-    kinds = {}
+    kinds, ours = {}, known_definitions()
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
         message = index.schemas.get(channel.schema_id, "")
         if kind is not None and message == kind.DESCRIPTOR.full_name:
             kinds[number] = kind
-        elif kind is None and message.startswith(_PACKAGE) and message.removeprefix(_PACKAGE) not in known():
+        elif kind is None and message.startswith(_PACKAGE) and message.removeprefix(_PACKAGE) not in ours:
             kinds[number] = Envelope  # of a newer release
     return kinds
 

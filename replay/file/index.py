@@ -17,7 +17,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, MetadataIndex, Schema, Statistics
 
-from recorder.mcap.writer import FREE, MAX_RATIO
+from recorder.mcap_writer import FREE, MAX_RATIO
 from replay.errors import LogClosed
 from replay.file.mcap_format import (
     CHANNEL_OFFSET,

@@ -16,8 +16,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar, overload
 
-from recorder.mcap.shared_models import LIBRARY as SHARED
+from recorder.mcap_writer import MODELS_LIBRARY
 from recorder.records import (
+    PACKAGE,
     TOPICS,
     UNKNOWN,
     Event,
@@ -30,8 +31,9 @@ from recorder.records import (
     Run,
     Subscription,
     Task,
+    format_number,
+    unknown_definitions,
 )
-from recorder.records.definition import PACKAGE, format_number, unknown
 from replay.errors import Damaged, LogClosed, MissingModels, NoSuchName, NoSuchStep, NotALog, ReplayError, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
@@ -181,7 +183,7 @@ class RecordReader:
 
     @property
     def format(self) -> int:
-        """The format of the recording, 0 if it is unknown; see :mod:`recorder.records.definition`."""
+        """The format of the recording, 0 if it is unknown; see :mod:`recorder.records.definition_new`."""
         return format_of(self._index)
 
     @cached_property
@@ -417,7 +419,7 @@ def check_ours(path: Path, index: Index) -> None:
     names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
     if names:
         raise Unreadable(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
-    if index.library == SHARED:
+    if index.library == MODELS_LIBRARY:
         raise NotALog(path, "has the models that recordings of a sweep share; it is no recording itself")
     if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
         raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
@@ -443,7 +445,7 @@ class Newer:
     """A newer release that wrote a recording."""
 
     release: str  # its version
-    format: int  # its format; see :mod:`recorder.records.definition`
+    format: int  # its format; see :mod:`recorder.records.definition_new`
     #: what it has in messages that this one knows: fields, and values of enums, as ``Mutation.force``.
     fields: tuple[str, ...]
     kinds: tuple[str, ...]  # kinds of records that this one doesn't know
@@ -481,7 +483,7 @@ def newer_of(index: Index) -> Newer | None:
         return None
     ours = f"{PACKAGE}."
     messages = {name.removeprefix(ours): data for name, data in index.definitions.items() if name.startswith(ours)}
-    names = unknown(messages.values())
+    names = unknown_definitions(messages.values())
     kinds = tuple(name for name in names if name in messages)
     unknown_messages = {name for name in names if "." not in name}
     fields = tuple(name for name in names if "." in name and name.partition(".")[0] not in unknown_messages)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
-from recorder.mcap.shared_models import METADATA as MODELS
+from recorder.mcap_writer import MODELS_METADATA, McapWriter
 from replay.errors import Damaged
 from replay.file.chunks import kinds_of
 from replay.file.mcap_format import CHUNK_DAMAGE, decode, describe, framed
@@ -23,7 +23,6 @@ from replay.file.mcap_format import CHUNK_DAMAGE, decode, describe, framed
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from recorder.mcap.writer import McapWriter
     from recorder.records import Record
     from replay.file.assets import Assets
     from replay.file.chunks import Chunks
@@ -56,7 +55,6 @@ def write_sound(
     The copy says which problems the original had, and which steps are missing; without problems (None) it is only
     packed, and says nothing.
     """
-    from recorder.mcap.writer import McapWriter  # noqa: PLC0415  readers don't need it
     from recorder.packages import versions  # noqa: PLC0415
 
     release = versions()["pycram"]
@@ -65,7 +63,7 @@ def write_sound(
     repair = {"problems": problems or "", "by": release, "lost": ", ".join(map(range_text, missing))}
     metadata = index.metadata | ({} if problems is None else {_METADATA: repair})
     if not assets.missing(look=True):
-        metadata.pop(MODELS, None)
+        metadata.pop(MODELS_METADATA, None)
     for name, values in metadata.items():
         writer.add_metadata(name, values)
     for name in assets:

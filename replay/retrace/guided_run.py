@@ -25,7 +25,7 @@ from pycram.scheduling.schedule import seed_order
 from pycram.scheduling.strikes import guide_strikes
 from pycram.seeding import seed_random_numbers
 from recorder.errors import PortableError, RecordingError
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
 from recorder.records import Change, Run, escaped, format_error

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from recorder.geometry import Pose, Quaternion, Vector
-    from recorder.geometry.urdf import Urdf
     from recorder.records import Following, LoadBody
+    from recorder.urdf import Urdf
     from replay.file.assets import Assets
 
 
@@ -236,7 +236,7 @@ class State:
         if not link:
             return body.pose
         from recorder import geometry  # noqa: PLC0415  these need numpy, which reading mostly doesn't
-        from recorder.geometry.urdf import UrdfError  # noqa: PLC0415
+        from recorder.urdf import UrdfError  # noqa: PLC0415
 
         model = self.urdf(body)
         try:

@@ -14,7 +14,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from mcap.opcode import Opcode
 
 import replay
-from recorder.mcap.writer import McapWriter
+from recorder.mcap_writer import McapWriter
 from recorder.records import TOPICS, Asset
 from recorder.records.values import AssetFile
 from tests.replay.copies import container_records

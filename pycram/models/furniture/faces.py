@@ -16,7 +16,7 @@ import numpy as np
 
 from pycram.models.furniture.pieces import vertical_extents
 from pycram.models.furniture.rectangles import divide
-from recorder.geometry import polygon
+from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -195,7 +195,7 @@ def _apart(values: Array) -> Array:
 
 def _hull(corners: Array) -> Array:
     """Return the corners of the convex hull of points (n, 2), counter-clockwise."""
-    rounded = polygon.convex_hull(corners)
+    rounded = geometry.convex_hull(corners)
     hull: Array = corners[[np.abs(corners - corner).sum(axis=1).argmin() for corner in rounded]]
     return hull
 

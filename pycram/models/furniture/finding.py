@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from pycram.models.furniture.pieces import Piece
     from pycram.models.visual import Ends
     from recorder.geometry import Pose
-    from recorder.geometry.urdf import Joint, Urdf
+    from recorder.urdf import Joint, Urdf
 
 _HIGHEST: Final = 1.8  # m above the lowest point: what is higher is out of reach and out of sight
 _GROUND: Final = 10.0  # m^2 of a surface that is a floor

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from recorder.geometry import Pose, PoseLike
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,12 +20,12 @@ from pycram.models.robots.gripper import Gripper
 from pycram.models.robots.limits import MotionLimits, read_limits
 from pycram.models.robots.sensors import CameraDescription, Head, read_camera, read_head
 from pycram.models.warming import notable
-from recorder.geometry.urdf import UrdfError
+from recorder.urdf import UrdfError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 __all__ = [
     "Arm",

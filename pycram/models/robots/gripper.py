@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.geometry import Pose, Vector
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
 _SIZES: Final = (0.0, 1.0)  # m
 _STILL: Final = 1e-4  # m that a link moves at most that isn't moved by closing

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pycram.physics.engine import Engine
     from pycram.world.object import Object
     from recorder.geometry import Pose
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pycram.physics.body import Body
     from pycram.physics.engine import Engine
     from recorder.geometry import Pose
-    from recorder.geometry.urdf import Joint, Urdf
+    from recorder.urdf import Joint, Urdf
 
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from pycram.models.robots.sensors import CameraDescription
     from recorder.geometry import Pose, Vector
-    from recorder.geometry.urdf import Joint, Urdf
+    from recorder.urdf import Joint, Urdf
 
 _ITERATIONS: Final = 30
 _DERIVATIVE_STEP: Final = 1e-5  # rad

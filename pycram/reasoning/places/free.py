@@ -31,7 +31,6 @@ from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
 from pycram.scheduling.future import unwrap
 from recorder import geometry
-from recorder.geometry import polygon
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -42,8 +41,7 @@ if TYPE_CHECKING:
     from pycram.reasoning.collision.boxes import Boxes
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
-    from recorder.geometry import Pose, Quaternion, Vector
-    from recorder.geometry.polygon import Polygon
+    from recorder.geometry import Polygon, Pose, Quaternion, Vector
 
     Array = NDArray[np.float64]
 
@@ -213,7 +211,7 @@ class _Search:
     def _first(self, batch: Batch, spots: Sequence[Spot], searched: SearchedSurface) -> Place | None:
         """Return the first place that will do."""
         outline = searched.outline()
-        obstacles = [polygon.convex_hull(each) for each in self._maps.obstacles(searched).corners().reshape(-1, 4, 2)]
+        obstacles = [geometry.convex_hull(each) for each in self._maps.obstacles(searched).corners().reshape(-1, 4, 2)]
         for spot in spots:
             self._done.append(spot.pose[0])
             excluded = self._excluded(spot, searched, outline, obstacles)
@@ -231,7 +229,7 @@ class _Search:
     ) -> Place | tuple[str, Rejection]:
         """Return a place that will do, or which constraint excludes it, and why."""
         (x, y, z), turn = spot.pose
-        own = polygon.convex_hull(self._maps.corners(turn)[:, :2] + (x, y))
+        own = geometry.convex_hull(self._maps.corners(turn)[:, :2] + (x, y))
         taken = self._no_room(own, searched, outline, obstacles)
         if taken is not None:
             return taken
@@ -252,10 +250,10 @@ class _Search:
         self, own: Polygon, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
     ) -> tuple[str, Rejection] | None:
         """Return why there is no room on a surface for the object's outline."""
-        if any(polygon.margin(outline, corner) < EDGE for corner in own):
+        if any(geometry.margin_in_polygon(outline, corner) < EDGE for corner in own):
             return "edge", NoRoom(f"it would stick out over the edge of {searched.surface.name}")
         wide = _widened(own, FINGERS)
-        if any(len(polygon.intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
+        if any(len(geometry.polygon_intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
             return "room", NoRoom("something is there already, or no finger fits between")
         return None
 
@@ -294,7 +292,7 @@ def _widened(outline: Polygon, margin: float) -> Polygon:
     """Return a convex polygon around another one, wider by a margin in m: the hull of circles about its corners."""
     around = [(margin * math.cos(angle), margin * math.sin(angle)) for angle in np.arange(8) * (math.pi / 4)]
     corners = [(x + dx, y + dy) for x, y in outline for dx, dy in around]
-    return polygon.convex_hull(np.array(corners))
+    return geometry.convex_hull(np.array(corners))
 
 
 @dataclass(slots=True)
@@ -314,7 +312,7 @@ class SearchedSurface:
         """Return its outline in the world, seen from above, counterclockwise."""
         pose = self.pose()
         corners = [geometry.transform(pose, (x, y, 0.0))[:2] for x, y in self.surface.outline]
-        return polygon.convex_hull(np.array(corners))
+        return geometry.convex_hull(np.array(corners))
 
 
 class SurfaceMaps:
@@ -359,7 +357,7 @@ class SurfaceMaps:
         corners = np.array(outline)
         stands = self.corners(self._turn)
         inner, outer = maps.radii(stands[:, :2])
-        strip = polygon.narrowest(outline)[0] - 2 * (inner + EDGE)
+        strip = geometry.narrowest_width(outline)[0] - 2 * (inner + EDGE)
         resolution = min(max(strip / _CELLS, _FINEST), _RESOLUTION)
         grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, resolution)
         centers = grid.centers()
@@ -382,7 +380,7 @@ class SurfaceMaps:
 
     def heading(self, searched: SearchedSurface) -> float:
         """Return a natural yaw of the object on a surface, rad: as it is now, or along what is hardly wider than it."""
-        width, along = polygon.narrowest(searched.outline())
+        width, along = geometry.narrowest_width(searched.outline())
         _, outer = maps.radii(self.corners(self._turn)[:, :2])
         return along if width < 2 * (outer + EDGE) else yaw_of(self._body.get_orientation())
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pycram.reasoning.collision.boxes import Boxes
     from pycram.world.object import Object
     from recorder.geometry import Vector
-    from recorder.geometry.urdf import Urdf
+    from recorder.urdf import Urdf
 
     Array = NDArray[np.float64]
 

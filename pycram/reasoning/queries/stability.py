@@ -28,7 +28,6 @@ from pycram.reasoning.queries.query import Verdict, query
 from pycram.world import carried
 from pycram.world.settling import INTERVALS, SLOW, SLOW_TURN, at_rest
 from recorder import geometry
-from recorder.geometry import polygon
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
@@ -271,7 +270,7 @@ def stands_firmly(engine: Engine, solid_of: Callable[[int], Solid], standing: Se
         support = _support(engine, body, solid_of(body.id).corners() @ level, tops, level)
         if not len(support):
             return False
-        if polygon.margin(polygon.convex_hull(support[:, :2]), center[:2].tolist()) < math.tan(_TILT) * (
+        if geometry.margin_in_polygon(geometry.convex_hull(support[:, :2]), center[:2].tolist()) < math.tan(_TILT) * (
             center[2] - support[:, 2].min()
         ):
             return False
@@ -315,10 +314,10 @@ def _support(
     for top, contacts in tops:
         height = float(np.dot(contacts[0].position, level[:, 2]))
         lower, upper = (
-            polygon.convex_hull(corners[np.abs(corners[:, 2] - height) < _FLAT, :2]) for corners in (underside, top)
+            geometry.convex_hull(corners[np.abs(corners[:, 2] - height) < _FLAT, :2]) for corners in (underside, top)
         )
         if len(lower) > 2 and len(upper) > 2:
-            area = [(x, y, height) for x, y in polygon.intersection(lower, upper)]
+            area = [(x, y, height) for x, y in geometry.polygon_intersection(lower, upper)]
             parts.append(np.array(area).reshape(-1, 3))
         points = [contact.position for contact in contacts if _holds(engine, body, contact, level[:, 2])]
         parts.append(np.array(points).reshape(-1, 3) @ level)

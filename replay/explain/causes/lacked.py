@@ -17,9 +17,9 @@ from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
-from recorder.geometry.urdf import read_shapes
 from recorder.records import Mutation, Plain, Query, Refusal, Task, argument_values
 from recorder.tasks import Node, State
+from recorder.urdf import read_shapes
 from replay.errors import Damaged, NoSuchName
 from replay.explain.causes.case import HANDLER, FailureCase, about, joints_of, objects_in, values
 from replay.explain.causes.cause import Cause

@@ -14,7 +14,7 @@ from pycram.failures import BadArgument, GraspFailed, MissingPart, PlanFailure, 
 from pycram.knowledge import learn
 from pycram.language import par
 from pycram.process_module import ProcessModule
-from recorder.tasks.node import walk
+from recorder.tasks.tree import walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -14,7 +14,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.models import load
 from pycram.models.texture import MissingTexture
 from pycram.models.visual import pieces_of, shapes_of
-from recorder.geometry.urdf import read_shapes
+from recorder.urdf import read_shapes
 
 RED, BLUE, YELLOW = (0.8, 0.1, 0.1), (0.1, 0.2, 0.9), (0.9, 0.9, 0.1)
 

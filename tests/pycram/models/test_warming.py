@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pycram.models import convex_pieces, load, rigid_parts, visual, warming
-from recorder.geometry import urdf
+from recorder import urdf
 
 
 @pytest.mark.slow

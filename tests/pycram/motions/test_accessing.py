@@ -29,7 +29,7 @@ from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
 from pycram.world.snapshot import restore_snapshot, take_snapshot
 from recorder import geometry
-from recorder.geometry.urdf import Urdf
+from recorder.urdf import Urdf
 from tests import measures
 from tests.pycram.motions.placing_scenes import box
 

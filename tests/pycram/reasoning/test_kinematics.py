@@ -12,7 +12,7 @@ from pycram.reasoning.kinematics import closed_form
 from pycram.reasoning.kinematics.forward import Chain
 from pycram.reasoning.kinematics.inverse import POSITION_TOLERANCE, TURN_TOLERANCE, ArmKinematics, Posture, descend
 from recorder import geometry
-from recorder.geometry.urdf import Urdf
+from recorder.urdf import Urdf
 
 numbers = st.floats(-1, 1)
 vectors = st.tuples(numbers, numbers, numbers).map(np.array)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.records import Run
 from recorder.tracing import journal
 from recorder.tracing.journal import Journal

@@ -14,7 +14,7 @@ from pycram.designator import MotionDesignator
 from pycram.fluent import Fluent
 from pycram.language import par
 from pycram.process_module import ProcessModule
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.records import TOPICS, Query, Task
 from recorder.records.values import AssetFile
 from recorder.tracing.span import span

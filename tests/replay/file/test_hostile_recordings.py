@@ -25,7 +25,7 @@ import replay
 import replay.cli.info
 import replay.cli.repair
 from pycram.models import store
-from recorder.mcap.writer import FREE, MAX_RATIO, McapWriter
+from recorder.mcap_writer import FREE, MAX_RATIO, McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, BodyState, Grid, Keyframe, Mutation, Picture, Query, Run, Task
 from recorder.records.values import MAX_CHARACTERS, MAX_DIGITS, MAX_NESTING

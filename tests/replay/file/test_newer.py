@@ -16,9 +16,8 @@ from google.protobuf import descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
 
 import replay
-from recorder.mcap.writer import McapWriter
-from recorder.records import TOPICS, Envelope, Mutation, Task, log_pb2
-from recorder.records.definition import format_number, known
+from recorder.mcap_writer import McapWriter
+from recorder.records import TOPICS, Envelope, Mutation, Task, format_number, known_definitions, log_pb2
 from replay.cli.main import main
 from replay.restore.verify import verify
 
@@ -137,7 +136,7 @@ def test_what_is_unknown_is_named(future: Path) -> None:
     with replay.open(future) as log:
         assert log.complete
         assert log.newer is not None
-        assert log.format > format_number() == len(known())
+        assert log.format > format_number() == len(known_definitions())
         assert set(log.newer.fields) == {
             "Task.mood", "Task.BORED", "BodyState.temperature", "Run.weather", "Mutation.push_body"
         }  # fmt: skip

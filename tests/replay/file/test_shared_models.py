@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pycram
-from recorder.mcap.shared_models import METADATA
+from recorder.mcap_writer import MODELS_METADATA
 from replay.cli.main import main
 from replay.errors import MissingModels
 from replay.file.assets import shared_by
@@ -72,7 +72,7 @@ def answer(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str
 def renamed(file: Path, name: str, sha256: str) -> None:
     """Have a recording name another file of models, as somebody else could have made it."""
     with Recording(file) as log, file.with_suffix(".new").open("wb") as new:
-        log._index.metadata[METADATA].update({"file": name, "sha256": sha256})
+        log._index.metadata[MODELS_METADATA].update({"file": name, "sha256": sha256})
         log.assets.shared = shared_by(file, log._index)
         log.write_sound(new)
     file.with_suffix(".new").replace(file)

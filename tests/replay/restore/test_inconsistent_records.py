@@ -13,7 +13,7 @@ import replay
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.world import current
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.records import TOPICS, Keyframe, Mutation, Query, Task
 from recorder.records.values import AssetFile
 from replay.cli.main import main

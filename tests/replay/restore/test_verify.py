@@ -16,8 +16,8 @@ from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import par
-from recorder.mcap import sink
-from recorder.mcap.sink import McapSink
+from recorder import mcap_sink
+from recorder.mcap_sink import McapSink
 from recorder.records import TOPICS, Keyframe, Mutation, Record, Task
 from recorder.records.values import AssetFile
 from recorder.tracing.span import span
@@ -39,14 +39,14 @@ pytestmark = pytest.mark.usefixtures("nothing_left")
 def rewritten(source: Path, target: Path, change: Callable[[Record], Record | None], **metadata: str) -> Path:
     """A copy that is sound as a file, but in which records were changed, or left out where None is given."""
     with replay.open(source) as log:
-        sink = McapSink(target, dict(log.metadata) | metadata)
+        mcap_sink = McapSink(target, dict(log.metadata) | metadata)
         for name, content in log.assets.items():
-            sink.attach(AssetFile(name.partition("/")[2], content))
+            mcap_sink.attach(AssetFile(name.partition("/")[2], content))
         for record in log.records():
             kept = change(record)
             if kept is not None:
-                sink.write(TOPICS[type(kept)], kept, kept.SerializeToString())
-        sink.close()
+                mcap_sink.write(TOPICS[type(kept)], kept, kept.SerializeToString())
+        mcap_sink.close()
     return target
 
 
@@ -318,7 +318,7 @@ def test_in_another_environment_the_largest_deviation_is_reported(run_log: Path,
     with replay.open(same) as log:
         verdict = verify(log)
     assert verdict.exact
-    assert verdict.environment == (f"pybullet {sink.versions()['pybullet']} instead of 3.2.5",)
+    assert verdict.environment == (f"pybullet {mcap_sink.versions()['pybullet']} instead of 3.2.5",)
     with replay.open(rewritten(run_log, tmp_path / "near.mcap", nudge(1e-5), pybullet="3.2.5")) as log:
         verdict = verify(log)
     assert verdict.sound

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import replay
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.records import (
     AttachBody,
     Attachment,

@@ -10,8 +10,8 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from recorder.mcap import sink as mcap_sink
-from recorder.mcap.sink import McapSink
+from recorder import mcap_sink
+from recorder.mcap_sink import McapSink
 from recorder.records import Mutation
 from replay.cli.main import main
 from replay.compare.states import difference

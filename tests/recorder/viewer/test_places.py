@@ -12,8 +12,8 @@ from recorder.records import Argument, Candidate, Grid, Query, Spot, Task, to_js
 from recorder.records.text import text_of
 from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED
 from replay.cli.main import main
-from tests.viewer.shown import Shown
-from tests.viewer.test_conversion import write
+from tests.recorder.viewer.shown import Shown
+from tests.recorder.viewer.test_conversion import write
 
 if TYPE_CHECKING:
     from pathlib import Path

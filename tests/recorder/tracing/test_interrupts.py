@@ -23,7 +23,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-REPO = Path(__file__).parent.parent.parent
+REPO = Path(__file__).parents[3]
 INTERRUPTS = 40
 
 PLAN = """

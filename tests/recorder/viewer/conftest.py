@@ -42,7 +42,7 @@ from tests import needs
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-REPO = Path(__file__).parent.parent.parent
+REPO = Path(__file__).parents[3]
 # no graphics card, no network, and a picture that is asked for again
 OURS = re.compile("[Ss]oftware rasterizer|Failed to load examples|Failed to render screenshot")
 BINARY = str(Path(rerun_cli.__file__).with_name("rerun"))

@@ -24,7 +24,7 @@ from recorder.viewer import live
 from recorder.viewer.connection import Target, ViewerKind, free_port
 from replay.restore.verify import verify
 from replay.view import convert
-from tests.viewer.conftest import processes, rows_of, wait_until
+from tests.recorder.viewer.conftest import processes, rows_of, wait_until
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -348,7 +348,7 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
-            env=os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent.parent), "PYCRAM_TEST": mark},
+            env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[3]), "PYCRAM_TEST": mark},
         )
         ends.callback(process.communicate)
         ends.callback(process.kill)

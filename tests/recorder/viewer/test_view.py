@@ -27,16 +27,16 @@ from recorder.records import Argument, Mutation, Query, Task, to_json
 from recorder.tracing.span import Span
 from recorder.viewer import queries
 from replay.cli.main import main
-from tests.viewer.conftest import rows_of
-from tests.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, correlation, golden, robot_pixels, structure
-from tests.viewer.shown import Shown, in_world, looked_for, small, view
+from tests.recorder.viewer.conftest import rows_of
+from tests.recorder.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, correlation, golden, robot_pixels, structure
+from tests.recorder.viewer.shown import Shown, in_world, looked_for, small, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tests.viewer.conftest import Headless, Server
+    from tests.recorder.viewer.conftest import Headless, Server
 
-REPO = Path(__file__).parent.parent.parent
+REPO = Path(__file__).parents[3]
 NEAR = 1e-5  # m; the viewer's numbers are 32 bits
 
 

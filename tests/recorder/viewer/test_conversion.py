@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.records import TOPICS, Argument, Failure, Picture, Query, Task
 from replay.cli.main import main
 from replay.view import convert
-from tests.viewer.shown import Shown
+from tests.recorder.viewer.shown import Shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from recorder.records import Record
 
-REPO = Path(__file__).parent.parent.parent
+REPO = Path(__file__).parents[3]
 GOLDEN = REPO / "tests" / "replay" / "golden" / "0.1.0.mcap"
 VIEW = """
 import sys

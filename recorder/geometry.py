@@ -1,4 +1,4 @@
-"""Poses and rotations.
+"""Poses, rotations, and convex polygons of the plane.
 
 A pose is ``(position, orientation)``: xyz in metres and a unit quaternion in the order xyzw. ``a_T_b`` is the pose of
 frame b in frame a, so that ``multiply(a_T_b, b_T_c)`` is ``a_T_c``. Single poses are tuples of floats, where plain
@@ -9,15 +9,17 @@ Quaternions are taken to be of unit length. A quaternion and its negative are th
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
+
 
 Vector: TypeAlias = tuple[float, float, float]
 """xyz, in m where it is a position."""
@@ -34,9 +36,16 @@ Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"
 PoseLike: TypeAlias = "tuple[Numbers, Numbers]"
 """A pose, as an argument."""
 
+Point: TypeAlias = tuple[float, float]
+"""A point of the plane."""
+
+Polygon: TypeAlias = "Sequence[Point]"
+"""Corners, counterclockwise; fewer than three if there is no area."""
+
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """The pose of a frame in itself."""
 
+_DECIMALS: Final = 6  # to which points of the plane are the same
 _TINY = 1e-12
 _VERTICAL = 1e-9  # of a unit axis that is level: with less, roll and yaw turn about the same axis
 
@@ -203,3 +212,56 @@ def look_at(eye: Numbers, target: Numbers, up: Numbers = (0.0, 0.0, 1.0)) -> Qua
         x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.linalg.norm(x)
     return from_matrix(np.column_stack([x, np.cross(z, x), z]))
+
+
+def convex_hull(points: NDArray[np.float64]) -> Polygon:
+    """Return the convex hull of points (n, 2) (monotone chain)."""
+    ordered = sorted(set(map(tuple, points.round(_DECIMALS).tolist())))
+
+    def half(sequence: Iterable[Point]) -> list[Point]:
+        chain: list[Point] = []
+        for point in sequence:
+            while len(chain) > 1 and _side(chain[-2], chain[-1], point) <= 0:
+                chain.pop()
+            chain.append(point)
+        return chain[:-1]
+
+    return half(ordered) + half(reversed(ordered)) if len(ordered) > 2 else ordered
+
+
+def polygon_intersection(polygon: Polygon, other: Polygon) -> Polygon:
+    """Return the intersection of two convex polygons (Sutherland and Hodgman)."""
+    kept = list(polygon)
+    for a, b in itertools.pairwise([*other, other[0]]):
+        corners, kept = kept, []
+        for now, after in zip(corners, [*corners[1:], *corners[:1]], strict=True):
+            left, follows = _side(a, b, now), _side(a, b, after)
+            if left >= 0:
+                kept.append(now)
+            if left * follows < 0:
+                share = left / (left - follows)
+                kept.append((now[0] + (after[0] - now[0]) * share, now[1] + (after[1] - now[1]) * share))
+    return kept
+
+
+def margin_in_polygon(polygon: Polygon, point: Sequence[float]) -> float:
+    """Return how far a point lies within a convex polygon, m; less than 0 outside, minus infinity without area."""
+    if len(polygon) < 3:
+        return -math.inf
+    x, y = point
+    sides = itertools.pairwise([*polygon, polygon[0]])
+    return min(_side(a, b, (x, y)) / max(math.dist(a, b), 1e-9) for a, b in sides)
+
+
+def narrowest_width(polygon: Polygon) -> tuple[float, float]:
+    """Return the width of a convex polygon where that is least, m, and the direction of the side along it, rad."""
+    sides = itertools.pairwise([*polygon, polygon[0]])
+    return min(
+        (max(_side(a, b, corner) for corner in polygon) / math.dist(a, b), math.atan2(b[1] - a[1], b[0] - a[0]))
+        for a, b in sides
+    )
+
+
+def _side(a: Point, b: Point, point: Point) -> float:
+    """Return a number above 0 if a point lies left of the line from a to b."""
+    return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])

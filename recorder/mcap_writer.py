@@ -7,13 +7,19 @@ makes two or three messages.
 Every message is in a chunk. Every chunk is compressed with Zstandard and has a CRC and message indexes. The summary
 indexes everything, and all bytes before it have a CRC too. Chunks of identical records would inflate to so much more
 than the file that readers would take it for a bomb: some of these aren't compressed.
+
+Several recordings can share the models of their robots and objects: :class:`SharedModels`.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
+import re
 import struct
 import zlib
 from collections import defaultdict
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import zstandard
@@ -38,7 +44,9 @@ from mcap.records import (
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
     from typing import BinaryIO
+
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: Bytes of all chunks to those of the file: no recording has more, and nobody reads more. Usually it is 3 to 13.
@@ -50,6 +58,12 @@ _MESSAGE_HEAD: Final = 9  # opcode and length
 _MESSAGE_FIELDS: Final = _MESSAGE.size - _MESSAGE_HEAD
 _INDEX: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 _FOOTER_START: Final = struct.Struct("<BQQQ")  # as far as the summary's CRC covers it
+
+#: Name of the metadata in which a recording has the ``file`` of its shared models and the ``sha256`` of its content.
+MODELS_METADATA: Final = "pycram.models"
+MODELS_NAME: Final = re.compile(r"models-[0-9a-f]{12}\.mcap")
+MODELS_LIBRARY: Final = "pycram models"  # without a release: the same models make the same file
+_SOURCE: Final = ".py"  # of the plan: each recording keeps that
 
 
 class McapWriter:
@@ -253,3 +267,48 @@ def _packed(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
+
+
+@dataclass(frozen=True, slots=True)
+class SharedModels:
+    """A file of models that several recordings share: it is in their folder, and has attachments only.
+
+    Models that aren't in it are attached to the run's own recording. The same models make the same file. Its name has
+    the hash of its content, so it never changes, and a folder may have several.
+    """
+
+    file: str
+    sha256: str  # of its content, in hex
+    keys: frozenset[str]  # names of its attachments, ``<sha256>/<name>``
+
+    @classmethod
+    def of(cls, path: Path) -> SharedModels:
+        """Read an existing file."""
+        from mcap.reader import SeekingReader  # noqa: PLC0415  readers of recordings have their own
+
+        content = path.read_bytes()
+        keys = frozenset(each.name for each in SeekingReader(io.BytesIO(content)).iter_attachments())
+        return cls(path.name, hashlib.sha256(content).hexdigest(), keys)
+
+
+def share_models(recording: Path) -> SharedModels | None:
+    """Write the models of a complete recording into a file in its folder; return None if it has no models."""
+    from mcap.reader import SeekingReader  # noqa: PLC0415  as above
+
+    with recording.open("rb") as file:
+        found = SeekingReader(file).iter_attachments()
+        models = sorted((each.name, each.media_type, each.data) for each in found if not each.name.endswith(_SOURCE))
+    if not models:
+        return None
+    content = io.BytesIO()
+    writer = McapWriter(content, MODELS_LIBRARY)
+    for name, media_type, data in models:
+        writer.add_attachment(0, name, media_type, data)
+    writer.finish()
+    text = content.getvalue()
+    digest = hashlib.sha256(text).hexdigest()
+    path = recording.with_name(f"models-{digest[:12]}.mcap")
+    part = path.with_name(f".{path.name}.part")
+    part.write_bytes(text)
+    part.replace(path)
+    return SharedModels(path.name, digest, frozenset(name for name, _, _ in models))

@@ -22,7 +22,7 @@ from pycram.language import State, failure_handling, finally_, par, pursue, seq,
 from pycram.process_module import ProcessModule
 from recorder.records import Task
 from recorder.tasks import Tree
-from recorder.tasks.node import PackedTask
+from recorder.tasks.tree import PackedTask
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.history import tasks as task_tree

@@ -14,15 +14,15 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import STEPS_PER_SECOND, Mutation
 from recorder.viewer.rerun_stream import BLUE, GREY
+from tests.recorder.viewer.shown import Shown, view
 from tests.smooth_motions import drive, smooth, to
-from tests.viewer.shown import Shown, view
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from replay.recording import Recording
 
-MOTIONS = Path(__file__).parents[1] / "replay" / "golden" / "motions"
+MOTIONS = Path(__file__).parents[2] / "replay" / "golden" / "motions"
 ARM = str(MOTIONS / "arm.urdf")
 HAND, BASE = "/table/paths/arm/ur5", "/table/paths/arm/base"
 JOINTS = {"shoulder_pan_joint": 0.6, "elbow_joint": 0.4}

@@ -16,13 +16,13 @@ from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Mutation
 from recorder.viewer.translator import Translator
 from replay.cli.main import main
-from tests.viewer.shown import in_front, small
+from tests.recorder.viewer.shown import in_front, small
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from tests.viewer.conftest import Headless
+    from tests.recorder.viewer.conftest import Headless
 
 
 @pytest.fixture

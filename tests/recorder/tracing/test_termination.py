@@ -22,7 +22,7 @@ from tests.signal_at_line import modules, reached
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-REPO = Path(__file__).parent.parent.parent
+REPO = Path(__file__).parents[3]
 NUMBERS = pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 
 
@@ -186,7 +186,7 @@ def interrupted(file: Path, ended: list[BaseException]) -> None:
 @pytest.mark.slow
 def test_a_second_ctrl_c_while_the_recording_is_closed_changes_nothing(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
-    closing = modules("recorder/mcap/writer.py", "recorder/mcap/sink.py", "recorder/tracing/journal.py")
+    closing = modules("recorder/mcap_writer.py", "recorder/mcap_sink.py", "recorder/tracing/journal.py")
     lines = reached_lines(partial(interrupted, file, []), closing)
     for line in range(lines - 60, lines, 3):  # the last ones are run while it is closed
         ended: list[BaseException] = []

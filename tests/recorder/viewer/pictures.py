@@ -2,7 +2,7 @@
 
 Compared is what is where, in grey and coarse: releases of the viewer differ in what they draw around the scene, in the
 size that they leave it, and in the sky. After a change of how things look, draw the golden pictures, and README's,
-anew with ``python -m tests.viewer.pictures``, and look at each.
+anew with ``python -m tests.recorder.viewer.pictures``, and look at each.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import replay
 from recorder.viewer.connection import free_port
 from replay.cli.main import main
 from replay.view import convert
-from tests.viewer.conftest import Headless, wait_until
+from tests.recorder.viewer.conftest import Headless, wait_until
 
 WORLD = "world_1"
 MOMENTS = ("pick-up#1@end", "place#1@end", "pick-up#2@end", "place#3@end", "place#4@end")
@@ -28,7 +28,7 @@ LIKENESS = 0.99  # between releases it is 0.999
 _GOLDEN = Path(__file__).parent / "golden"
 _SIZE = (132, 88)
 _SKY = 10  # rows of these, at the top
-_README = Path(__file__).parent.parent.parent / "docs" / "viewer.png"
+_README = Path(__file__).parents[3] / "docs" / "viewer.png"
 _MENU = 36  # pixels above what README shows
 _WIDE = 1440
 

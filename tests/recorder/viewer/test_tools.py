@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 
-REPO = Path(__file__).parent.parent.parent
+REPO = Path(__file__).parents[3]
 RECORDS = (
     "/run",
     "/task",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from tests.viewer.conftest import Headless
+    from tests.recorder.viewer.conftest import Headless
 
 
 @pytest.mark.costly

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from pycram.bullet_world import BulletWorld, Object
 from recorder import geometry
-from recorder.geometry.urdf import Urdf, UrdfError
+from recorder.urdf import Urdf, UrdfError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

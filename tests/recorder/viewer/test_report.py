@@ -18,7 +18,7 @@ from replay.cli.main import main
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tests.viewer.conftest import Browser
+    from tests.recorder.viewer.conftest import Browser
 
 SHOWN = """JSON.stringify({
   counts: [...document.querySelectorAll("table")].map(t => [...t.tBodies[0].rows].map(r => r.children[1].textContent)),

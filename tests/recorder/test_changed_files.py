@@ -11,7 +11,7 @@ import recorder
 import replay
 from pycram import cli
 from recorder import RecordingError
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.records import Event
 from recorder.tracing import journal
 

@@ -14,14 +14,14 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from recorder.mcap.sink import McapSink
+from recorder.mcap_sink import McapSink
 from recorder.records import TOPICS, Task
 from recorder.records.values import AssetFile
 from replay.cli.main import main
 from replay.errors import ReplayError
-from tests.viewer.shown import Shown, in_front, small, view
+from tests.recorder.viewer.shown import Shown, in_front, small, view
 
-REPO = Path(__file__).parent.parent.parent
+REPO = Path(__file__).parents[3]
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 import replay
 from replay.cli.main import main
-from tests.viewer.shown import Shown, in_world, small
+from tests.recorder.viewer.shown import Shown, in_world, small
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -29,7 +29,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from recorder.mcap.writer import FREE, MAX_RATIO
+from recorder.mcap_writer import FREE, MAX_RATIO
 from recorder.records import Task
 from recorder.tracing.span import span
 

@@ -24,11 +24,9 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from recorder.errors import RecordingError
-from recorder.mcap.shared_models import METADATA, SharedModels
-from recorder.mcap.writer import MAGIC, McapWriter
+from recorder.mcap_writer import MAGIC, MODELS_METADATA, McapWriter, SharedModels
 from recorder.packages import versions
-from recorder.records import TOPICS, Keyframe, Mutation, Query, Run, Task, escaped
-from recorder.records.definition import format_number
+from recorder.records import TOPICS, Keyframe, Mutation, Query, Run, Task, escaped, format_number
 from recorder.records.motion import FrameTree
 from recorder.records.text import Lines
 from recorder.tracing.forking import own
@@ -132,7 +130,7 @@ class McapSink:
             facts = software | {"format": str(format_number())} | dict(metadata)
             self._writer.add_metadata("pycram", {name: escaped(text) for name, text in facts.items()})
             if self._models is not None:
-                self._writer.add_metadata(METADATA, {"file": self._models.file, "sha256": self._models.sha256})
+                self._writer.add_metadata(MODELS_METADATA, {"file": self._models.file, "sha256": self._models.sha256})
             self._writer.flush()
 
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:

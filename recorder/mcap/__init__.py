@@ -1,1 +1,0 @@
-"""Recordings as MCAP files that survive the death of the process that writes them."""
