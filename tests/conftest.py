@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
-from pycram.world.snapshot import restore_snapshot, take_snapshot
+from pycram.world.transaction import restore_snapshot, take_snapshot
 from recorder.tracing import journal
 from tests import measures, needs
 

@@ -17,7 +17,7 @@ import recorder
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.process_module import ProcessModule
-from pycram.world import settling
+from pycram.world import simulation
 from recorder.records import log_pb2
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ CHANGES = {  # public methods and functions, and the command that each call reco
     (BulletWorld, "set_gravity"): "set_gravity",
     (BulletWorld, "set_robot"): "set_robot",
     (BulletWorld, "simulate_steps"): "simulate",
-    (settling, "settle"): "simulate",  # as placing does
+    (simulation, "settle"): "simulate",  # as placing does
     (BulletWorld, "exit"): "close_world",
 }
 

@@ -18,7 +18,7 @@ from pycram.motions.designator import MotionDesignator
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.places import Pull, standing_places
-from pycram.world import carried
+from pycram.world import attachment
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
@@ -131,7 +131,7 @@ def _access_of(container: Access | Object, joint: str | None, handle: str | None
         return meant[0]
     if handle is not None and joint is None:
         body.check_link(handle)
-        joint = next((name for name in body.joints if handle in carried.moved_links(body.urdf, [name])), None)
+        joint = next((name for name in body.joints if handle in attachment.moved_links(body.urdf, [name])), None)
         if joint is None:
             raise BadArgument("handle", handle, f"a link of {body.name} that a joint moves")
     if joint is None or handle is None:

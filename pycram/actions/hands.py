@@ -19,14 +19,14 @@ from pycram.reasoning.collision import checker
 from pycram.reasoning.driving import drives
 from pycram.reasoning.grasping import placing as settling
 from pycram.reasoning.kinematics.inverse import postures
-from pycram.world import carried
+from pycram.world import attachment
 from pycram.world.world import BulletWorld
 from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from pycram.foundation.collision_pair import CollisionPair
+    from pycram.foundation.failures import CollisionPair
     from pycram.models.robots.description import Arm
     from pycram.world.object import Object
     from recorder.geometry import Pose, PoseLike, Vector
@@ -47,7 +47,7 @@ def arms() -> list[Arm]:
 
 def held_by(arm: Arm) -> Object | None:
     """Return the object that an arm of the current robot holds; None for none."""
-    return carried.attached_to(BulletWorld.current_robot(), arm.tool_frame)
+    return attachment.attached_to(BulletWorld.current_robot(), arm.tool_frame)
 
 
 def holder(body: Object) -> Arm | None:

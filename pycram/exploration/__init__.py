@@ -35,7 +35,7 @@ from pycram.scheduling.locks import refuse_held
 from pycram.scheduling.order import ADDED, Made, text_of
 from pycram.scheduling.schedule import seed_order
 from pycram.seeding import seed_random_numbers
-from pycram.world.current import open_worlds
+from pycram.world.world import open_worlds
 from recorder.errors import RecordingError
 from recorder.mcap_sink import free_path
 from recorder.recording import look_up_revisions, record

@@ -15,19 +15,24 @@ the garbage collector may run finalizers anywhere, and they may set fluents.
 
 from __future__ import annotations
 
+import itertools
 import reprlib
+import weakref
 from abc import ABC, abstractmethod
+from enum import Enum
 from operator import methodcaller
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias, cast
 
 from pycram.foundation.failures import WorldClosed
 from pycram.scheduling.locks import shared_lock
+from recorder import records
+from recorder.tracing import journal, span
+from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from weakref import WeakValueDictionary
 
-    from pycram.fluents.pulses import PulseCounter
 
 #: Any value that a plan gives to a fluent.
 Value: TypeAlias = Any
@@ -217,3 +222,191 @@ def notify(changed: Iterable[Expression]) -> None:
     """Notify the waiters of these expressions, each once; the lock is held."""
     for waiter in dict.fromkeys([waiter for expression in changed for waiter in expression.waiters]):
         waiter.state_changed()
+
+
+class Behavior(Enum):
+    """What happens to pulses that come while the body of a ``whenever`` handles an earlier one."""
+
+    NEVER = 1
+    """They are ignored."""
+    ONCE = 2
+    """The body runs once more for all of them."""
+    ALWAYS = 3
+    """The body runs once more for each of them."""
+
+
+class PulseCounter(Leaf):
+    """Counts the pulses of an expression that aren't handled yet; its value is True while there are any, else None.
+
+    Attributes:
+        missed: What happens to pulses that come while an earlier one is handled.
+    """
+
+    __slots__ = ("missed",)
+
+    def __init__(self, of: Expression, missed: Behavior) -> None:
+        super().__init__((of,), 0)
+        self.missed = missed
+        with lock:
+            for expression in _reachable(
+                (of,), lambda below: () if isinstance(below, PulseCounter) else below.operands
+            ):
+                if expression.counters is None:
+                    expression.counters = weakref.WeakValueDictionary()
+                expression.counters[id(self)] = self
+
+    def value(self, state: State) -> Value:
+        """Return True if there are pulses to handle, else None."""
+        return True if super().value(state) else None
+
+    def text(self, depth: int = 0) -> str:
+        """Return the name of its expression with ``.pulsed(...)``."""
+        return f"{self.operands[0].text(depth + 1)}.pulsed({self.missed.name})"
+
+    def take(self) -> None:
+        """Begin to handle a pulse, if there is one."""
+        self._change(lambda count: max(count - 1, 0))
+
+    def settle(self) -> None:
+        """End what :meth:`take` began: drop pulses that came meanwhile, as the behavior says."""
+        if self.missed is not Behavior.ALWAYS:
+            kept = 1 if self.missed is Behavior.ONCE else 0
+            self._change(lambda count: min(count, kept))
+
+    def _change(self, pulses: Callable[[int], int]) -> None:
+        with lock:
+            if not isinstance(self.held, Ended):
+                self.held = pulses(self.held)
+                notify((self,))
+
+
+def _reachable(given: Iterable[Expression], next_to: Callable[[Expression], Iterable[Expression]]) -> list[Expression]:
+    """Return the given expressions, which are different ones, and all that are next to them, or to those, each once."""
+    queue = list(given)
+    reached = set(queue)
+    for expression in queue:
+        for each in next_to(expression):
+            if each not in reached:
+                reached.add(each)
+                queue.append(each)
+    return queue
+
+
+def _counters(expression: Expression) -> Collection[PulseCounter]:
+    counters = expression.counters
+    if counters is None:
+        return ()
+    return [counter for reference in counters.valuerefs() if (counter := reference()) is not None]
+
+
+def counters_on(pulsed: Collection[Expression]) -> list[PulseCounter]:
+    """Return the counters of pulses of these expressions, and those of pulses of these counters, each once."""
+    return cast("list[PulseCounter]", _reachable(pulsed, _counters)[len(pulsed) :])
+
+
+def pulse(pulsed: Collection[Expression]) -> None:
+    """Count one pulse in every counter of these expressions, and notify waiters; the lock is held."""
+    counters = [counter for counter in counters_on(pulsed) if not isinstance(counter.held, Ended)]
+    for counter in counters:
+        counter.held += 1
+    notify((*pulsed, *counters))
+
+
+_numbers = itertools.count(1)
+
+
+class Variable(Leaf):
+    """A value that is set.
+
+    Attributes:
+        name: Its name.
+        source: What it follows in a world ("pose", "joint", ...), for the record; "" if it is set by the plan.
+        bodies: Names of the objects that it follows.
+        json: Its value as JSON, for the record; None if that isn't known.
+    """
+
+    __slots__ = ("bodies", "json", "name", "source")
+
+    def __init__(self, value: Value, name: str | None = None, source: str = "", bodies: tuple[str, ...] = ()) -> None:
+        super().__init__((), value)
+        self.name = f"fluent_{next(_numbers)}" if name is None else name
+        self.source = source
+        self.bodies = bodies
+        self.json: str | None = None
+
+    def text(self, depth: int = 0) -> str:  # noqa: ARG002  names have no depth
+        """Return its name."""
+        return self.name
+
+    def serialize(self) -> None:
+        """Convert its value to JSON; never with a lock held, as the value may have a conversion of its own."""
+        if self.json is None and not isinstance(self.held, Ended):
+            held = self.held
+            json = records.to_json(held)
+            with lock:
+                if self.held is held:
+                    self.json = json
+
+    def record(self, after: str) -> records.Fluent:
+        """Return the record of its next value, given as JSON."""
+        return records.Fluent(
+            name=self.name, before_json=self.json or "", after_json=after, source=self.source, bodies=self.bodies
+        )
+
+
+def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0) -> None:
+    """Give variables new values, all at the same moment, record that, and pulse them.
+
+    Args:
+        values: The new values.
+        world: Name of the world that they follow.
+        sim_step: Simulated steps of that world when they changed.
+
+    Raises:
+        RecordingError: A change can't be recorded; it isn't made then.
+    """
+    serialized: dict[Variable, str] = {}
+    if journal.recording():
+        for variable, value in values.items():
+            variable.serialize()
+            serialized[variable] = records.to_json(value)
+    with Uninterrupted():
+        old = []  # freed after the lock is released
+        with lock:
+            for variable, json in serialized.items():
+                span.emit(variable.record(json), world=world, sim_step=sim_step)
+            for variable, value in values.items():
+                old.append(variable.held)
+                variable.held, variable.json = value, serialized.get(variable)
+            pulse(values)
+
+
+def pulse_unchanged(expression: Expression) -> None:
+    """Pulse an expression without changing any value; recorded as an assignment of the same value.
+
+    Raises:
+        RecordingError: It can't be recorded; nothing is pulsed then.
+    """
+    record = None
+    if journal.recording():
+        if isinstance(expression, Variable):
+            expression.serialize()
+        record = (
+            expression.record(expression.json or "")
+            if isinstance(expression, Variable)
+            else records.Fluent(name=expression.text())
+        )
+    with Uninterrupted(), lock:
+        if record is not None:
+            record.before_json = record.after_json
+            span.emit(record)
+        pulse((expression,))
+
+
+def end(leaves: Collection[Leaf], ended: Ended) -> None:
+    """End leaves: their values can't be read any more, and waiting for them ends with an error."""
+    with lock:
+        all_ended = (*leaves, *counters_on(leaves))
+        for leaf in all_ended:
+            leaf.held = ended
+        notify(all_ended)

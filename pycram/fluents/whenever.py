@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, overload
 
-from pycram.fluents.pulses import PulseCounter
-from pycram.fluents.waiting import first_value
+from pycram.fluents.expressions import PulseCounter
+from pycram.fluents.fluent import Fluent, first_value
 from pycram.foundation.failures import BadArgument
 from pycram.language.branch import lazy, run
 from pycram.language.nesting import await_turn
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pycram.fluents.expressions import Expression, Value
-    from pycram.fluents.fluent import Fluent
 
 
 @overload
@@ -55,8 +54,6 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
         BadArgument: Not a fluent, or a body that isn't callable.
         Cancelled: The branch is cancelled.
     """
-    from pycram.fluents.fluent import Fluent  # noqa: PLC0415  which shows this function
-
     watched = unwrap(fluent)
     if not isinstance(watched, Fluent):
         raise BadArgument("fluent", watched, "a fluent")

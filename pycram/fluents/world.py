@@ -19,9 +19,8 @@ from __future__ import annotations
 import weakref
 from typing import TYPE_CHECKING
 
-from pycram.fluents.expressions import Ended
+from pycram.fluents.expressions import Ended, Variable, assign, end
 from pycram.fluents.fluent import Derived
-from pycram.fluents.variables import Variable, assign, end
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.refusals import refusing
 from pycram.reasoning.queries.contact import touches

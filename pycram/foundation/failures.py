@@ -6,10 +6,13 @@ in the world's frame, and orientations quaternions xyzw.
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY  # noqa: TC003  dataclasses look for it in the module
+from dataclasses import (
+    KW_ONLY,
+    asdict,
+    dataclass,
+)
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.foundation.collision_pair import CollisionPair, phrases
 from pycram.foundation.errors import (
     AssetError,
     AttachmentError,
@@ -31,11 +34,13 @@ from pycram.foundation.errors import (
     kept_as,
 )
 from pycram.foundation.names import export
+from recorder.records.text import pair_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from recorder.geometry import PoseLike
+
 
 __all__ = [
     "AccessFailed",
@@ -78,6 +83,41 @@ __all__ = [
 ]
 
 _MAX_DIGITS: Final = 3  # of mm in messages
+_MAX_LISTED: Final = 3  # pairs that fit into a message
+
+
+@dataclass(frozen=True, slots=True)
+class CollisionPair:
+    """A link of a robot, or of what it holds, and the link that it meets.
+
+    Attributes:
+        mover: name of the object that moves: the robot, or what it holds.
+        link: the mover's link; "" if it has only one.
+        body: name of the object that it meets; the robot itself, if it meets a link of its own.
+        body_link: that object's link; "" if it has only one.
+        depth: of the overlap, m.
+        gripper: name of the arm whose gripper holds the mover; "" for the robot's own links.
+    """
+
+    mover: str
+    link: str
+    body: str
+    body_link: str
+    depth: float = 0.0
+    gripper: str = ""
+
+    def __record__(self) -> Mapping[str, object]:
+        """Return its fields, as records have it."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        return pair_text(asdict(self))
+
+
+def phrases(pairs: Sequence[CollisionPair]) -> str:
+    """Return pairs in words, the first few."""
+    listed = ", ".join(map(str, pairs[:_MAX_LISTED]))
+    return f"{listed}, and {len(pairs) - _MAX_LISTED} more" if len(pairs) > _MAX_LISTED else listed
 
 
 def _bodies(pairs: Sequence[CollisionPair]) -> list[str]:

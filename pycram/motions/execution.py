@@ -19,8 +19,8 @@ from pycram import planning
 from pycram.foundation.failures import Displaced, NoPath, PlanFailure, WorldClosed
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.grasping import fingers
-from pycram.world import driving, passing_time, settling
-from pycram.world.settling import RestDetector
+from pycram.world import driving, simulation
+from pycram.world.simulation import RestDetector
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
@@ -225,7 +225,7 @@ class InstantExecution(Execution):
 
     def settle(self, world: BulletWorld) -> Sequence[Object]:
         """Simulate, as one change of the world."""
-        restless, completed = settling.settle(world, TIMEOUT * STEPS_PER_SECOND)
+        restless, completed = simulation.settle(world, TIMEOUT * STEPS_PER_SECOND)
         if world.exiting and not completed:
             raise WorldClosed(world.name, "simulate on")
         return restless
@@ -347,7 +347,7 @@ class ContinuousExecution(Execution):
         """Wait until everything is at rest, while others move on."""
         with world.lock:
             detector, end = RestDetector(world), world.sim_step + TIMEOUT * STEPS_PER_SECOND
-        passing_time.wait(world, lambda: detector.sample() or world.sim_step >= end)
+        simulation.wait(world, lambda: detector.sample() or world.sim_step >= end)
         if world.exiting:
             raise WorldClosed(world.name, "simulate on")
         return detector.restless
@@ -379,7 +379,7 @@ def _following(robot: Object, plan: Callable[[], planning.Planned]) -> Step:
             planned = plan()
         active = robot.world.trajectories.active
         while _is_crossed(robot, planned.trajectory):
-            passing_time.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
+            simulation.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
             planned = plan()  # they stand elsewhere now
         _follow(robot.world, [(robot, planned)])
 

@@ -36,7 +36,7 @@ from pycram.motions.designator import Designator, DesignatorError, Resolvers, pe
 from pycram.motions.execution import INSTANT
 from pycram.motions.resources import ResourceQueue, Resources, Ticket, forget_tickets
 from pycram.scheduling.cancellation import Binding, checkpoint, uninterruptible
-from pycram.world import carried
+from pycram.world import attachment
 from pycram.world.world import BulletWorld
 from recorder.records import Decision
 from recorder.tracing.span import Span, span
@@ -502,7 +502,7 @@ class SimulatedModule(ProcessModule):
     @staticmethod
     def held(robot: Object, arm: Arm) -> Object | None:
         """Return what a robot holds with the gripper of an arm; None if nothing."""
-        return carried.attached_to(robot, arm.tool_frame)
+        return attachment.attached_to(robot, arm.tool_frame)
 
     @staticmethod
     def description(robot: Object) -> RobotDescription:

@@ -17,11 +17,8 @@ import numpy as np
 
 from pycram.foundation.failures import AssetError
 from pycram.foundation.redirect import silenced
-from pycram.physics import motors
-from pycram.physics.body import Body, Joint, Snapshot
-from pycram.physics.contacts import ClosestPoint, Contact
-from pycram.physics.loading import NOW
-from pycram.physics.window import pick_ray
+from pycram.physics.body import Body, ClosestPoint, Contact, Joint, Snapshot
+from pycram.physics.loading import MOTOR_GAIN, NOW, Load, holding_forces, least_forces
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, Vector
 from recorder.packages import needed
@@ -54,6 +51,7 @@ _BUTTON: Final = 2  # a mouse event's kind: a button was pressed or released
 _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
 
 _NEXT_TO_NOTHING: Final = 1e-9  # m
+_FAR: Final = 1e4  # m, where PyBullet's vectors of the picture reach
 
 
 def decompose(source: Path, target: Path) -> None:
@@ -131,9 +129,9 @@ class Engine:
         offset = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
         indices = tuple(joint.index for joint in joints.values())
         gain, forces = (
-            (loading.gain, motors.holding_forces(joints.values(), self._loads(number, parents), loading.strength))
+            (loading.gain, holding_forces(joints.values(), self._loads(number, parents), loading.strength))
             if robot
-            else (motors.GAIN, motors.least_forces(joints.values()))
+            else (MOTOR_GAIN, least_forces(joints.values()))
         )
         body = Body(number, links, joints, None if offset == IDENTITY else offset, indices, gain, forces)
         if robot or fixed:
@@ -151,13 +149,13 @@ class Engine:
             self.set_joints(body, start)
         return body
 
-    def _loads(self, number: int, parents: Sequence[int]) -> list[motors.Load]:
+    def _loads(self, number: int, parents: Sequence[int]) -> list[Load]:
         """Return what hangs on the joints of a body that has just been loaded, by index."""
         loads = []
         for index, parent in enumerate(parents):
             place = bullet.getLinkState(number, index, physicsClientId=self._client)[4]
             mass, _, _, center, *_ = bullet.getDynamicsInfo(number, index, physicsClientId=self._client)
-            loads.append(motors.Load(parent, place, mass, math.hypot(*center)))
+            loads.append(Load(parent, place, mass, math.hypot(*center)))
         return loads
 
     def reset_collision_filter(self, body: Body, *, fixed: bool, robot: bool = False) -> None:
@@ -445,7 +443,7 @@ class Engine:
         keys = bullet.getKeyboardEvents(physicsClientId=self._client)
         if any(keys.get(key, 0) & bullet.KEY_IS_DOWN for key in (bullet.B3G_ALT, bullet.B3G_CONTROL)):
             return None
-        start, end = pick_ray(bullet.getDebugVisualizerCamera(physicsClientId=self._client), x, y)
+        start, end = _pick_ray(bullet.getDebugVisualizerCamera(physicsClientId=self._client), x, y)
         body, link, *_ = bullet.rayTest(start, end, physicsClientId=self._client)[0]
         return (body, link) if body >= 0 else None
 
@@ -501,3 +499,18 @@ def _named(a: Body, b: Body, points: Sequence[tuple[Any, ...]] | None) -> list[C
     names_a = {index: name for name, index in a.links.items()}
     names_b = {index: name for name, index in b.links.items()}
     return [ClosestPoint(names_a[p[3]], names_b[p[4]], *p[6:10]) for p in points]
+
+
+def _pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return both ends of the line of sight through a pixel, in the world, m.
+
+    Args:
+        camera: The window's, as PyBullet describes it: width, height, ..., forward, horizontal, vertical, ...,
+            distance, target. The vectors span the picture far away.
+        x: Of the pixel, from the left.
+        y: From above.
+    """
+    width, height, *_ = camera
+    forward, horizontal, vertical, target = (np.array(camera[index], float) for index in (5, 6, 7, 11))
+    eye = target - camera[10] * forward
+    return eye, eye + _FAR * forward + (x / width - 0.5) * horizontal + (0.5 - y / height) * vertical

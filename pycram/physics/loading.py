@@ -6,13 +6,25 @@ the body that a model becomes is an option here, whose default in records is how
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from recorder.records import LoadBody, Loading as LoadingRecord
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from pycram.physics.body import Joint
+    from recorder.geometry import Vector
     from recorder.urdf import Urdf
+
+
+MOTOR_GAIN: Final = 0.1
+"""Share of a joint's error that its motor corrects in a step, for bodies that aren't robots: PyBullet's default."""
+#: Least forces (N, N m) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
+_LEAST: Final = {"revolute": 500.0, "prismatic": 1e4}
+_GRAVITY: Final = 9.81  # m/s^2, that motors of robots have to bear
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,3 +85,47 @@ NOW: Final = Loading()
 _AS_0_1_0: Final = Loading(
     undamped=False, clamped=False, mimic=False, inertia=False, armature=0.0, gain=0.1, strength=0.0
 )
+
+
+class Load(NamedTuple):
+    """A link that hangs on a joint.
+
+    Attributes:
+        parent: index of the joint before, -1 for none; joints come after those that they hang on.
+        place: of the joint in the world, with all joints at 0, m.
+        mass: of the link, kg.
+        lever: from the joint to the link's centre of mass, m.
+    """
+
+    parent: int
+    place: Vector
+    mass: float
+    lever: float
+
+
+def least_forces(joints: Collection[Joint]) -> dict[str, float]:
+    """Return the forces (N, N m) that the motors of all bodies' joints have, by joint."""
+    return {joint.name: _LEAST[joint.kind] for joint in joints}
+
+
+def holding_forces(joints: Collection[Joint], loads: Sequence[Load], strength: float) -> dict[str, float]:
+    """Return the forces (N, N m) of motors that bear what hangs on a robot's joints, by joint; the least, or more.
+
+    Args:
+        joints: those that have motors.
+        loads: of all joints, also fixed ones, by index.
+        strength: how many times the most that gravity may pull in any posture they hold.
+    """
+    slides = [joint for joint in joints if joint.kind == "prismatic" and math.isfinite(joint.upper - joint.lower)]
+    travels = {joint.index: max(abs(joint.lower), abs(joint.upper)) for joint in slides}
+    weights = [_GRAVITY * load.mass for load in loads]  # of all that hangs on each joint
+    torques = [_GRAVITY * load.mass * load.lever for load in loads]
+    for index in reversed(range(len(loads))):
+        load = loads[index]
+        if load.parent >= 0:
+            lever = math.dist(load.place, loads[load.parent].place) + travels.get(index, 0.0)
+            weights[load.parent] += weights[index]
+            torques[load.parent] += torques[index] + weights[index] * lever
+    pulls = {"prismatic": weights, "revolute": torques}
+    least = least_forces(joints)
+    return {joint.name: max(least[joint.name], strength * pulls[joint.kind][joint.index]) for joint in joints}

@@ -1,28 +1,29 @@
-"""PyBullet's window: checks whether one can open before PyBullet tries, which would end the whole process.
+"""PyBullet's window: whether one can open, and how long it stays open.
 
-And where in the world its pixels are.
+The check comes first because PyBullet ends the whole process if it can't open a window.
 """
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import os
 import socket
 import sys
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final
-
-import numpy as np
+import time
+import weakref
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import DisplayError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
+    from pycram.physics.engine import Engine
 
 _CONNECT_TIMEOUT: Final = 2.0  # s
-_FAR: Final = 1e4  # m, where PyBullet's vectors of the picture reach
+_POLL_PERIOD: Final = 1 / 30  # s
 
 
 @contextmanager
@@ -55,21 +56,6 @@ def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
         yield
 
 
-def pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both ends of the line of sight through a pixel, in the world, m.
-
-    Args:
-        camera: The window's, as PyBullet describes it: width, height, ..., forward, horizontal, vertical, ...,
-            distance, target. The vectors span the picture far away.
-        x: Of the pixel, from the left.
-        y: From above.
-    """
-    width, height, *_ = camera
-    forward, horizontal, vertical, target = (np.array(camera[index], float) for index in (5, 6, 7, 11))
-    eye = target - camera[10] * forward
-    return eye, eye + _FAR * forward + (x / width - 0.5) * horizontal + (0.5 - y / height) * vertical
-
-
 @contextmanager
 def _opened(display: str) -> Iterator[str | None]:
     """Open a display of this machine with the library that PyBullet uses; yield None, or why it doesn't answer."""
@@ -98,3 +84,26 @@ def _connected(host: str, port: int) -> Iterator[str | None]:
         return
     with connection:
         yield None
+
+
+def watch(engine: Engine) -> None:
+    """Keep a window open until it is closed by hand."""
+    while engine.connected:
+        engine.pump()
+        time.sleep(_POLL_PERIOD)
+
+
+def outlives_script(engine: Engine, world: str) -> None:
+    """Keep a world's window open when the script ends (thesis 4.2.2), if somebody at a terminal can close it."""
+    atexit.register(_at_end, weakref.ref(engine), world, os.getpid())
+
+
+def _at_end(reference: weakref.ref[Engine], world: str, process: int) -> None:
+    engine = reference()
+    if engine is None or not engine.connected or os.getpid() != process:  # a fork has no window
+        return
+    if os.environ.get("CI") or sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
+        return  # nobody would close it
+    print(f"pycram: {world}'s window stays until it is closed, or Ctrl-C", file=sys.stderr)
+    with suppress(KeyboardInterrupt):
+        watch(engine)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.foundation.collision_pair import CollisionPair
+    from pycram.foundation.failures import CollisionPair
     from pycram.reasoning.collision.checker import Candidate, CollisionChecker, Pair
 
     Array = NDArray[np.float64]

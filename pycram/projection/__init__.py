@@ -26,10 +26,9 @@ from pycram.projection.child import Child, limit_memory, obstacle, usable_cores
 from pycram.projection.pool import ChildPool, ChildResult
 from pycram.scheduling.locks import refuse_held
 from pycram.world import saved_state
-from pycram.world.current import current, open_worlds
 from pycram.world.object import Object
 from pycram.world.saved_state import SavedState
-from pycram.world.world import BulletWorld
+from pycram.world.world import BulletWorld, current_world, open_worlds
 from recorder import records
 from recorder.recording import record
 from recorder.records import format_error
@@ -242,7 +241,7 @@ class _Projection:
         self._action = action
         self._name = name
         self._memory = memory
-        self._world = current()
+        self._world = current_world()
         self._recording = _path()
         self._began = self._world.sim_step if self._world is not None else 0
         given = action.keywords if isinstance(action, partial) else {}
@@ -330,7 +329,7 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
             result = run(action)
     except BaseException as error:  # noqa: BLE001  sent to the parent
         failure = error.with_traceback(None)
-    world = current()
+    world = current_world()
     steps = world.sim_step if world is not None else 0
     state = b""
     if world is not None and not world.trajectories.active:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 from pycram.language.nesting import nothing_open
 from pycram.motions.process_module import forget_claims
 from pycram.scheduling.cancellation import begin_alone
-from pycram.world.current import open_worlds
+from pycram.world.world import open_worlds
 from recorder.tracing import forking, interrupts
 
 if TYPE_CHECKING:

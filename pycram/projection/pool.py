@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeVar
 from pycram.projection.child import Child, wait
 from pycram.scheduling.cancellation import checkpoint
 from pycram.scheduling.schedule import MISSED_SIGNALS_EVERY, scheduler
-from pycram.world.current import number_anew
+from pycram.world.world import number_anew
 from recorder.tracing import interrupts
 
 if TYPE_CHECKING:

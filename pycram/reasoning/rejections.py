@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.foundation.collision_pair import CollisionPair
+from pycram.foundation.failures import CollisionPair
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence

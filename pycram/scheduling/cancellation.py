@@ -13,15 +13,14 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
 from pycram.scheduling.locks import is_held
-from pycram.scheduling.schedule import Condition, Waiter, schedule_alone, scheduler
-from pycram.scheduling.strikes import Deadline
+from pycram.scheduling.schedule import Condition, Deadline, Waiter, schedule_alone, scheduler
 from recorder.tracing.span import Cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextvars import Token
 
-    from pycram.scheduling.strikes import Limit
+    from pycram.scheduling.schedule import Limit
 
 Value = TypeVar("Value")
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pycram.scheduling.cancellation import join, raise_if_cancelled
 from pycram.scheduling.locks import refuse_held
-from pycram.scheduling.schedule import scheduler
-from pycram.scheduling.strikes import Outer
+from pycram.scheduling.schedule import Outer, scheduler
 from recorder.tracing.context import current_name
 from recorder.tracing.span import span
 

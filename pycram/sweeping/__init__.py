@@ -23,7 +23,7 @@ from pycram.sweeping import folder as folders
 from pycram.sweeping.folder import Sweep, SweepRefused, facts_of
 from pycram.sweeping.local import Local, Worker, WorkerLost
 from pycram.sweeping.one_run import RunLost, RunOutcome, Spec, Variations
-from pycram.world.current import open_worlds
+from pycram.world.world import open_worlds
 from recorder.tracing import forking
 
 if TYPE_CHECKING:

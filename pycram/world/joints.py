@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, JointLimitError
-from pycram.world import carried
+from pycram.world import attachment
 from pycram.world.trajectory import Trajectory
 from recorder import records
 
@@ -29,13 +29,13 @@ def set_positions(body: Object, positions: Mapping[str, float]) -> None:
     engine = body.world.engine
     with body.world.transactions.begin(records.Mutation(move_joints=command)) as transaction:
         body.world.trajectories.refuse("set joints", body, checked)
-        links = [] if body.is_robot else carried.moved_links(body.urdf, checked)
-        supported = carried.supported_bodies(body, links) if links else {}
+        links = [] if body.is_robot else attachment.moved_links(body.urdf, checked)
+        supported = attachment.supported_bodies(body, links) if links else {}
         before = {link: engine.link_pose(body.handle, link) for link in set(supported.values())}
         engine.set_joints(body.handle, checked)
         transaction.mark_modified(body)
-        carried.move_supported(body, before, supported, transaction)
-        carried.move_attached(body, transaction)
+        attachment.move_supported(body, before, supported, transaction)
+        attachment.move_attached(body, transaction)
         if body.is_environment:
             transaction.fire(body.world.get_manipulation_event(), body)
 

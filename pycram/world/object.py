@@ -14,8 +14,8 @@ from pycram.models.furniture.of_model import furniture_of
 from pycram.models.robots.description import RobotDescription, find_description
 from pycram.models.surfaces import NONE, Surface
 from pycram.scheduling.future import unwrap
-from pycram.world import attachment, carried, joints, overlaps
-from pycram.world.read_only import ReadOnlyAttributes, update
+from pycram.world import attachment, joints, overlaps
+from pycram.world.transaction import ReadOnlyAttributes, update
 from recorder import geometry, records
 from recorder.tracing.call_stack import call_site
 
@@ -357,7 +357,7 @@ class Object(ReadOnlyAttributes):
             command.position[:], command.orientation[:] = pose
             self.world.engine.set_pose(self.handle, pose)
             transaction.mark_modified(self)
-            carried.move_attached(self, transaction)
+            attachment.move_attached(self, transaction)
             attachment.renew(self, transaction)
             if self.is_environment:
                 transaction.fire(self.world.get_manipulation_event(), self)

@@ -9,7 +9,7 @@ from recorder import records
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pycram.physics.contacts import ClosestPoint
+    from pycram.physics.body import ClosestPoint
     from pycram.world.object import Object
 
 DEEP: Final = 5e-3

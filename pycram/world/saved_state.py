@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import BadArgument, ObjectsChanged, WorldClosed
 from pycram.world import attachment
-from pycram.world.read_only import update
+from pycram.world.transaction import update
 from recorder import records
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 Validate, act in the engine, read the state back, emit one record, notify the observer, fire events. The world's lock is
 held from validating to notifying the observer, so the order of records is the order of changes. Handlers of events are
-user code: they are called when the lock is free again (:mod:`pycram.world.lock`). One change, as in
+user code: they are called when the lock is free again (:mod:`pycram.world.transaction`). One change, as in
 ``Object.set_position``::
 
     with world.transactions.begin(records.Mutation(move_body=command)) as transaction:
@@ -12,21 +12,24 @@ user code: they are called when the lock is free again (:mod:`pycram.world.lock`
 
 from __future__ import annotations
 
+import threading
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
-from pycram.foundation.failures import ChangeRefused, WorldClosed
+from pycram.foundation.errors import call_all, chained
+from pycram.foundation.failures import ChangeRefused, ReadOnly, WorldClosed
+from pycram.foundation.refusals import refused
 from pycram.scheduling.cancellation import before_change
-from pycram.world.lock import WorldLock
-from pycram.world.snapshot import state_delta, take_snapshot
+from pycram.scheduling.locks import Lock
 from recorder import records
 from recorder.tracing import context, journal, span
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from types import TracebackType
 
     from pycram.physics.body import Snapshot
     from pycram.world.attachment import Attachment
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
     from recorder.tracing.journal import Journal
+
 
 #: A keyframe costs 0.3 ms and 3 kB; with one each 100 transactions any step is folded from at most 100 records.
 TRANSACTIONS_PER_KEYFRAME: Final = 100
@@ -210,3 +214,170 @@ class TransactionManager:
         frame.following.extend(followed.following for followed in world.trajectories.active.values())
         self._since_keyframe = 0
         return frame
+
+
+class WorldLock(Lock):
+    """The lock, as a context manager."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = 0
+        self._contenders: dict[int, None] = {}
+        self._deferred: list[Callable[[], None]] = []
+
+    def defer(self, calls: Iterable[Callable[[], None]]) -> None:
+        """Have the holder's thread make calls, in order, when it has released the lock."""
+        self._deferred.extend(calls)
+
+    @property
+    def is_contended(self) -> bool:
+        """Whether another thread waits for it."""
+        return bool(self._contenders)
+
+    def __enter__(self) -> None:
+        if not self._try():
+            thread = threading.get_ident()
+            self._contenders[thread] = None
+            try:
+                super().__enter__()
+            finally:
+                del self._contenders[thread]
+        self._depth += 1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Release it and make the deferred calls.
+
+        Raises:
+            Exception: The first error of a call, when all are made. An error that ends the block already propagates,
+                with those of the calls in its context.
+        """
+        deferred: list[Callable[[], None]] = []
+        self._depth -= 1
+        if not self._depth:
+            deferred, self._deferred = self._deferred, []
+        super().__exit__(kind, error, traceback)
+        errors = call_all(deferred)
+        if error is not None:
+            chained(error, errors)
+        elif errors:
+            raise chained(errors[0], errors[1:])
+
+
+_NOTHING: frozenset[str] = frozenset()
+
+
+class ReadOnlyAttributes:
+    """Refuses assignments to its public attributes and methods from :meth:`_seal` on; setters go on working.
+
+    Attributes of a plan's own, and of subclasses, may be added and assigned.
+    """
+
+    _SUBJECT: ClassVar[str]  # what records call it
+    _CHANGED_BY: ClassVar[Mapping[str, str]]  # what to do instead, by attribute; "" for the others
+    _sealed: frozenset[str] = _NOTHING
+
+    def _seal(self, kind: type) -> None:
+        """Make what its constructor has set read-only, and what the class defines."""
+        settable = {name for name, member in vars(kind).items() if isinstance(member, property) and member.fset}
+        self._sealed = frozenset(name for name in (vars(self).keys() | vars(kind).keys()) - settable if name[0] != "_")
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Set an attribute.
+
+        Raises:
+            ReadOnly: Only transactions change it.
+        """
+        if name in self._sealed:
+            raise self._refused(name, f"{name} = ...", {"value": value})
+        super().__setattr__(name, value)
+
+    def __delattr__(self, name: str) -> None:
+        """Delete an attribute.
+
+        Raises:
+            ReadOnly: Only transactions change it.
+        """
+        if name in self._sealed:
+            raise self._refused(name, f"del {name}", {})
+        super().__delattr__(name)
+
+    def _refused(self, name: str, called: str, arguments: Mapping[str, object]) -> ReadOnly:
+        instead = self._CHANGED_BY.get(name) or self._CHANGED_BY[""]
+        return refused(ReadOnly(repr(self), name, instead), called, {self._SUBJECT: self, **arguments})
+
+
+def update(owner: ReadOnlyAttributes, **values: object) -> None:
+    """Set read-only attributes: for transactions, which also record what they change."""
+    vars(owner).update(values)
+
+
+_AT_REST: Final = (0.0,) * 6
+
+
+def take_snapshot(body: Object) -> Snapshot:
+    """Return the state that an object has in the engine."""
+    return body.world.engine.snapshot(body.handle)
+
+
+def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
+    """Set the state of an object to a snapshot of it, or of the same model elsewhere; motors hold its joints there.
+
+    This is no world transaction and leaves no record: it serves to build worlds in isolation from recordings.
+
+    Raises:
+        RuntimeError: A recording runs, which would miss the change.
+    """
+    if journal.recording():
+        raise RuntimeError(f"the state of {body.name} can only be restored while nothing is recorded")
+    engine, handle = body.world.engine, body.handle
+    engine.set_pose(handle, snapshot.pose)
+    if not body.fixed and snapshot.velocity != _AT_REST:
+        engine.set_velocity(handle, snapshot.velocity)
+    positions = dict(zip(body.joints, snapshot.positions, strict=True))
+    engine.set_joints(handle, positions, dict(zip(body.joints, snapshot.velocities, strict=True)))
+
+
+def state_delta(body: Object, now: Snapshot, last: Snapshot | None, tolerance: float = 0.0) -> records.BodyState | None:
+    """Return what has changed of an object since its last record; None if nothing has.
+
+    Args:
+        body: The object.
+        now: Its state.
+        last: The state of its last record; None for a record of the whole state.
+        tolerance: Differences of poses and joints (m, rad, parts of a quaternion) up to this one don't count, nor do
+            those of velocities alone if it isn't 0.
+    """
+    state = records.BodyState(body=body.name)
+    changed = False
+    if last is None or _differs((*now.pose[0], *now.pose[1]), (*last.pose[0], *last.pose[1]), tolerance):
+        state.position[:], state.orientation[:] = now.pose
+        changed = True
+    moving = now.velocity != _AT_REST
+    if (moving and changed) or (not tolerance and last is not None and now.velocity != last.velocity):
+        state.velocity[:] = now.velocity
+        changed = True
+    joints = _changed_joints(now, last, tolerance)
+    if joints:
+        names = body.joints
+        state.joints[:] = [names[i] for i in joints]
+        state.joint_positions[:] = [now.positions[i] for i in joints]
+        if any(now.velocities[i] for i in joints):
+            state.joint_velocities[:] = [now.velocities[i] for i in joints]
+        changed = True
+    return state if changed else None
+
+
+def _changed_joints(now: Snapshot, last: Snapshot | None, tolerance: float) -> Sequence[int]:
+    if last is None:
+        return range(len(now.positions))
+    if tolerance:
+        return [i for i, position in enumerate(now.positions) if abs(position - last.positions[i]) > tolerance]
+    before = zip(last.positions, last.velocities, strict=True)
+    after = zip(now.positions, now.velocities, strict=True)
+    return [i for i, (old, new) in enumerate(zip(before, after, strict=True)) if old != new]
+
+
+def _differs(a: Iterable[float], b: Iterable[float], tolerance: float) -> bool:
+    return any(abs(x - y) > tolerance for x, y in zip(a, b, strict=True))

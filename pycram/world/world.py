@@ -7,31 +7,29 @@ second.
 
 from __future__ import annotations
 
+import itertools
+import threading
 from contextlib import ExitStack, nullcontext
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.physics.engine import Engine
-from pycram.physics.window import checked_display
+from pycram.physics.window import checked_display, outlives_script
 from pycram.scheduling.cancellation import uninterruptible
-from pycram.world import current, driving, saved_state, settling, simulation
+from pycram.world import driving, saved_state, simulation
 from pycram.world.attachment import end
 from pycram.world.beliefs import WorldBeliefs
-from pycram.world.current import CurrentWorld
+from pycram.world.driving import Trajectories
 from pycram.world.event import Event
-from pycram.world.followed import Trajectories
 from pycram.world.object import Object
 from pycram.world.overlaps import overlaps
-from pycram.world.read_only import ReadOnlyAttributes, update
-from pycram.world.realtime import RealtimeClock
-from pycram.world.transaction import TransactionManager
-from pycram.world.waits import Waits
-from pycram.world.window import outlives_script
+from pycram.world.simulation import RealtimeClock, Waits
+from pycram.world.transaction import ReadOnlyAttributes, TransactionManager, update
 from recorder import records
-from recorder.tracing import journal
+from recorder.tracing import context, journal
 from recorder.tracing.context import current_name
 
 if TYPE_CHECKING:
@@ -39,14 +37,101 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-    from pycram.world.lock import WorldLock
     from pycram.world.saved_state import SavedState
     from pycram.world.trajectory import Trajectory
+    from pycram.world.transaction import WorldLock
     from recorder.tracing.journal import Journal
+
 
 __all__ = ["BulletWorld", "Object"]
 
 _MAX_SECONDS: Final = 366 * 86400.0  # of one simulation; longer ones are mistakes
+
+_lock = threading.Lock()
+_numbers = itertools.count(1)
+_names: set[str] = set()
+
+
+def number_anew() -> None:
+    """Name worlds from "world_1" on again: from here on this process runs a program from its start."""
+    global _numbers  # noqa: PLW0603  the process's
+    _numbers = itertools.count(1)
+
+
+def _reserve_name(name: str | None) -> str:
+    """Reserve the name of a world that is going to open, until it has ended; "world_1", "world_2", ... for None.
+
+    Raises:
+        BadArgument: It isn't a name, or an open world has it.
+    """
+    with _lock:
+        if name is None:
+            name = next(free for number in _numbers if (free := f"world_{number}") not in _names)
+        elif checks.text("name", name) in _names:
+            raise BadArgument("name", name, "a name that no open world has")
+        _names.add(name)
+        return name
+
+
+def make_current(world: BulletWorld) -> None:
+    """Make an open world current, also one that has just been opened.
+
+    Raises:
+        WorldClosed: It has ended.
+    """
+    with _lock:
+        if world.closed:
+            raise WorldClosed(world.name, "become current")
+        context.make_current(world)
+
+
+def _remove(world: BulletWorld) -> None:
+    """Remove a world that has ended or could not open."""
+    with _lock:
+        _names.discard(world.name)
+        context.remove_world(world)
+
+
+def open_worlds() -> tuple[BulletWorld, ...]:
+    """Return the open worlds, the one that was made current last at the end."""
+    return cast("tuple[BulletWorld, ...]", context.open_worlds())
+
+
+def current_world() -> BulletWorld | None:
+    """Return the current world of this branch or thread; None if it has none."""
+    return cast("BulletWorld | None", context.current_world())
+
+
+class CurrentWorld(type):
+    """Makes the current world and its robot attributes of the class, as in the thesis' listings."""
+
+    @property
+    def current_bullet_world(cls) -> BulletWorld | None:
+        """The current world, which is the default wherever one is needed; None if none is open."""
+        return current_world()
+
+    @current_bullet_world.setter
+    @refusing(name="current_bullet_world = ...")
+    def current_bullet_world(cls, world: BulletWorld) -> None:
+        if not isinstance(world, cls):
+            raise BadArgument("current_bullet_world", world, "a world")
+        make_current(world)
+
+    @property
+    def robot(cls) -> Object | None:
+        """The robot of the current world."""
+        world = current_world()
+        return world.robot if world is not None else None
+
+    @robot.setter
+    @refusing(name="robot = ...")
+    def robot(cls, robot: Object | None) -> None:
+        if robot is not None and not isinstance(robot, Object):
+            raise BadArgument("robot", robot, 'an object of type "robot"')
+        world = robot.world if robot is not None else current_world()
+        if world is None:
+            raise NoWorld
+        world.set_robot(robot)
 
 
 @refusing_methods("world")
@@ -84,7 +169,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         if type not in ("DIRECT", "GUI"):
             raise BadArgument("type", type, '"DIRECT" or "GUI"')
         self.mode = type
-        self.name = current.reserve_name(name)
+        self.name = _reserve_name(name)
         self.sim_step = 0
         self.gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self.closed = False
@@ -103,8 +188,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
         self._manipulation = Event("manipulation", self.name, self._envelope, ("object",))
         with ExitStack() as undo:
-            undo.callback(current.remove, self)
-            windows = [world.name for world in current.open_worlds() if world.mode == "GUI"]
+            undo.callback(_remove, self)
+            windows = [world.name for world in open_worlds() if world.mode == "GUI"]
             with checked_display(windows) if type == "GUI" else nullcontext():
                 self.engine = Engine(window=type == "GUI")
             undo.callback(self.engine.close)
@@ -113,9 +198,9 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                 journal.register(self)
             undo.pop_all()
         self._seal(BulletWorld)
-        current.make_current(self)
+        make_current(self)
         if type == "GUI":
-            outlives_script(self)
+            outlives_script(self.engine, self.name)
 
     def __repr__(self) -> str:
         return f"BulletWorld({self.mode!r}, name={self.name!r})"
@@ -321,7 +406,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             raise WorldClosed(self.name, "simulate on")
 
     def settle(self, timeout: float = 5.0) -> bool:
-        """Simulate until everything is at rest; see :mod:`pycram.world.settling` for what that means.
+        """Simulate until everything is at rest; see :mod:`pycram.world.simulation` for what that means.
 
         Free objects that are more than 5 mm inside of each other are lifted apart before.
 
@@ -336,8 +421,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         """
         steps = round(checks.in_range("timeout", timeout, 0, _MAX_SECONDS) * records.STEPS_PER_SECOND)
         with self.lock:
-            settling.separate(self)
-            restless, completed = settling.settle(self, steps)
+            simulation.separate(self)
+            restless, completed = simulation.settle(self, steps)
         if self.exiting and not completed:
             raise WorldClosed(self.name, "simulate on")
         return not restless
@@ -465,4 +550,4 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self.trajectories.end_all()
         self.waits.wake()
         self.engine.close()
-        current.remove(self)
+        _remove(self)

@@ -85,10 +85,10 @@ def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, opti
     if options.json:
         print_json(_plain(step, world, exact=options.exact))
     elif options.gui and not options.shell:
-        from pycram.world.window import watch  # noqa: PLC0415  see run
+        from pycram.physics.window import watch  # noqa: PLC0415  see run
 
         print_message(f"{world.name}: close the window, or press Ctrl-C, to end")
-        watch(world)
+        watch(world.engine)
     else:
         names = ", ".join(name for name in variables if name not in ("log", "step", "btr"))
         clock = f"{world.sim_step / STEPS_PER_SECOND:.3f} s simulated"

@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PycramError
-from pycram.world.snapshot import restore_snapshot, take_snapshot
+from pycram.world.transaction import restore_snapshot, take_snapshot
 from recorder.packages import other_versions
 from recorder.records import Keyframe, Mutation
 from recorder.records.text import text_of

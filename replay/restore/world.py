@@ -20,11 +20,9 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram.foundation.failures import DisplayError, PycramError
 from pycram.physics.body import Snapshot
 from pycram.world import attachment, driving, saved_state
-from pycram.world.current import open_worlds
-from pycram.world.read_only import update
-from pycram.world.snapshot import restore_snapshot
 from pycram.world.trajectory import Trajectory
-from pycram.world.world import BulletWorld, Object
+from pycram.world.transaction import restore_snapshot, update
+from pycram.world.world import BulletWorld, Object, open_worlds
 from recorder import records
 from recorder.records import Keyframe, Mutation
 from recorder.tracing import journal

@@ -23,14 +23,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from pycram import bullet_world_reasoning as btr
+from pycram.fluents.expressions import Variable
 from pycram.fluents.fluent import Fluent
-from pycram.fluents.variables import Variable
 from pycram.foundation.failures import PycramError
 from pycram.reasoning.queries.query import RECORDED_AS, Found, Verdict
 from pycram.scheduling.locks import is_held
 from pycram.seeding import MAX_SEED
-from pycram.world.current import open_worlds
 from pycram.world.object import Object
+from pycram.world.world import open_worlds
 from recorder import records
 from recorder.records import Change, Mutation, Query, from_json
 from recorder.tracing import interrupts, journal

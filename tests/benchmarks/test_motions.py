@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram.world.snapshot import restore_snapshot, take_snapshot
+from pycram.world.transaction import restore_snapshot, take_snapshot
 from tests.benchmarks.timing import goal, ratio, seconds, settlings
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import os
 import time
 from typing import TYPE_CHECKING
 
-from pycram.world import settling
+from pycram.world import simulation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,7 +62,7 @@ def goal(what: str, value: float, most: float, room: float = ROOM) -> None:
 def settlings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, int]]:
     """Return what gets the seconds and the simulated steps of each settling from now on."""
     settled: list[tuple[float, int]] = []
-    settle = settling.settle
+    settle = simulation.settle
 
     def timed(world: BulletWorld, steps: int) -> object:
         found: list[object] = []
@@ -71,7 +71,7 @@ def settlings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, int]]:
         settled.append((took, world.sim_step - before))
         return found[0]
 
-    monkeypatch.setattr(settling, "settle", timed)
+    monkeypatch.setattr(simulation, "settle", timed)
     return settled
 
 

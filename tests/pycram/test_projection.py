@@ -29,7 +29,7 @@ from pycram.process_module import ProcessModule
 from pycram.projection import NotProjectable, Outcome, ProjectedError, ProjectionDied, project, project_all
 from pycram.scheduling.locks import LockHeld
 from pycram.scheduling.schedule import seed_order
-from pycram.world.snapshot import take_snapshot
+from pycram.world.transaction import take_snapshot
 from recorder.records import Mutation, Task
 from replay.restore.verify import verify
 from tests.measures import seeded

@@ -13,7 +13,7 @@ import replay
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld
 from pycram.bullet_world_reasoning import ReasoningError
-from pycram.world import current
+from pycram.world.world import open_worlds
 from tests.conftest import furnish
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ GOLDEN = Path(__file__).parent / "golden"
 def nothing_left() -> Iterator[None]:
     """No world stays open."""
     yield
-    assert not current.open_worlds()
+    assert not open_worlds()
 
 
 @pytest.fixture(scope="session")

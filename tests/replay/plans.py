@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AttachmentError, ObjectsChanged
-from pycram.world.snapshot import take_snapshot
+from pycram.world.transaction import take_snapshot
 from recorder import geometry
 from recorder.records import Keyframe, Mutation
 

@@ -6,15 +6,16 @@ import itertools
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.collision_pair import CollisionPair, phrases
 from pycram.foundation.failures import (
     AccessFailed,
     BadArgument,
+    CollisionPair,
     HandleBlocked,
     HandleUnreachable,
     MissingPart,
     NoPath,
     PostureInCollision,
+    phrases,
 )
 from pycram.models.visual import shapes_of
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
@@ -23,7 +24,7 @@ from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping.handles import DeadEnd, Handle, arms_in_the_way, plan, plan_with_torso, remedies
 from pycram.reasoning.rejections import Touching
-from pycram.world import carried
+from pycram.world import attachment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -56,7 +57,7 @@ class Accessing(SimulatedModule):
             with robot.world.lock:
                 start = container.get_joint_position(joint)
                 container.check_link(link)
-                if link not in carried.moved_links(container.urdf, [joint]):
+                if link not in attachment.moved_links(container.urdf, [joint]):
                     raise BadArgument("drawer-handle", link, f"a link that {joint} moves")
                 held = self.held(robot, arm)
                 if held is not None:
@@ -157,12 +158,12 @@ def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, Col
     What hands hold counts: they stay where they are.
     """
     container = handle.container
-    moved = carried.moved_links(container.urdf, [handle.joint])
+    moved = attachment.moved_links(container.urdf, [handle.joint])
     clone = clone_of(container.world, "reach")
     clone.sync()
     solid = shapes_of(container.model.path, "collision").links
     along = {container, *handle.contents}
-    others = [body for body in container.world.objects if not body.fixed and carried.root_of(body) not in along]
+    others = [body for body in container.world.objects if not body.fixed and attachment.root_of(body) not in along]
     known: set[str] = set()
     try:
         for value, link in itertools.product(values[1:], moved):

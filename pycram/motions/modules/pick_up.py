@@ -29,7 +29,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from pycram.foundation.collision_pair import CollisionPair
+    from pycram.foundation.failures import CollisionPair
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
     from pycram.motions.execution import Step

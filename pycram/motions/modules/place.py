@@ -7,8 +7,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.collision_pair import CollisionPair
-from pycram.foundation.failures import MissingPart, NoPath, PlaceFailed, PlanFailure, PostureInCollision, Unreachable
+from pycram.foundation.failures import (
+    CollisionPair,
+    MissingPart,
+    NoPath,
+    PlaceFailed,
+    PlanFailure,
+    PostureInCollision,
+    Unreachable,
+)
 from pycram.motions.execution import TIMEOUT
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing

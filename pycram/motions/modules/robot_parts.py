@@ -27,13 +27,13 @@ from pycram.reasoning.driving import check_drives, check_ground
 from pycram.reasoning.grasping import fingers
 from pycram.reasoning.kinematics import inverse, pan_tilt
 from pycram.reasoning.rejections import OutOfReach, Touching, Unfit, short
-from pycram.world import settling
+from pycram.world import simulation
 from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pycram.foundation.collision_pair import CollisionPair
+    from pycram.foundation.failures import CollisionPair
     from pycram.models.robots.description import Arm
     from pycram.models.robots.sensors import CameraDescription
     from pycram.motions.designator import Designator
@@ -276,7 +276,7 @@ class MoveGripper(SimulatedModule):
             if held is not None:
                 with robot.world.lock:
                     robot.detach(held)
-                    settling.separate(robot.world)
+                    simulation.separate(robot.world)
                 settled = not self.execution.settle(robot.world)
         return GripperMoved(arm.name, motion.share, motion.stopped_by, held, settled)
 

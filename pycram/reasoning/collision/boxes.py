@@ -18,7 +18,7 @@ from pycram.models import visual
 from pycram.models.files import stored_tree
 from pycram.models.warming import notable
 from pycram.reasoning.kinematics.forward import Articulation, drivers
-from pycram.world import carried
+from pycram.world import attachment
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -364,7 +364,7 @@ def _structure(
         may_touch: pairs of the robot's links that may overlap.
     """
     urdf = stored_tree(path)
-    moving = frozenset(urdf.links if all_links else carried.moved_links(urdf, joints))
+    moving = frozenset(urdf.links if all_links else attachment.moved_links(urdf, joints))
     swung = [each for each in held if each[1] in moving]
     owners = [(robot, link) for link in robot_links]
     owners += [(name, link) for name, _, boxes in swung for link in boxes]

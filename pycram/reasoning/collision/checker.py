@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, TypedDict
 
 import numpy as np
 
-from pycram.foundation.collision_pair import CollisionPair
+from pycram.foundation.failures import CollisionPair
 from pycram.reasoning.collision.boxes import Boxes, MovingLinks, joint_counts, overlaps
 from pycram.reasoning.collision.simulation_clone import clone_of
 from recorder import geometry
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.physics.body import Body
-    from pycram.physics.contacts import ClosestPoint
+    from pycram.physics.body import Body, ClosestPoint
     from pycram.world.object import Object
     from recorder.geometry import Pose
 

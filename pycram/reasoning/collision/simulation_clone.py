@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias, TypeVar
 from pycram.models import rigid_parts
 from pycram.physics.engine import Engine
 from pycram.reasoning.collision.boxes import Boxes, concatenate, overlaps
-from pycram.world.snapshot import take_snapshot
+from pycram.world.transaction import take_snapshot
 from recorder import geometry
 
 if TYPE_CHECKING:

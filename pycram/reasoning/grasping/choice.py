@@ -22,9 +22,9 @@ from recorder.geometry import IDENTITY
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from pycram.foundation.collision_pair import CollisionPair
+    from pycram.foundation.failures import CollisionPair
     from pycram.models.robots.description import Arm
-    from pycram.physics.contacts import ClosestPoint
+    from pycram.physics.body import ClosestPoint
     from pycram.reasoning.collision.checker import Collision, Pair
     from pycram.reasoning.grasping.fingers import Closing
     from pycram.reasoning.kinematics.inverse import Posture

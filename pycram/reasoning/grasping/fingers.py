@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from pycram.foundation.collision_pair import CollisionPair
+from pycram.foundation.failures import CollisionPair
 from pycram.models.files import stored_tree
 from pycram.models.warming import notable
 from pycram.reasoning.collision.boxes import Boxes

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.foundation.collision_pair import CollisionPair
+from pycram.foundation.failures import CollisionPair
 from pycram.models.surfaces import closed_position
 from pycram.models.visual import shapes_of
 from pycram.reasoning.choosing import UNRECORDED
@@ -26,7 +26,7 @@ from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping.grasps import grasp_orientation
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.rejections import Contorted, OutOfReach, Touching
-from pycram.world import carried
+from pycram.world import attachment
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -103,12 +103,14 @@ class Handle:
     def moved(self) -> Sequence[str]:
         """The links with shapes that the joint moves."""
         solid = shapes_of(self.container.model.path, "collision").links
-        return [link for link in carried.moved_links(self.container.urdf, [self.joint]) if link in solid]
+        return [link for link in attachment.moved_links(self.container.urdf, [self.joint]) if link in solid]
 
     @cached_property
     def contents(self) -> Mapping[Object, tuple[str, Pose]]:
         """What lies in or on what the joint moves, and moves along: the link that carries each, and its pose there."""
-        carrying = carried.supported_bodies(self.container, carried.moved_links(self.container.urdf, [self.joint]))
+        carrying = attachment.supported_bodies(
+            self.container, attachment.moved_links(self.container.urdf, [self.joint])
+        )
         found = {}
         for body, link in carrying.items():
             link_T_world = geometry.invert(self.pose(self._now[self.joint], link))
@@ -216,7 +218,7 @@ def plan(
         quick: don't look long; a dead end then proves nothing.
         choice: gets which ways to hold the handle end where, and which one is taken.
     """
-    moved = carried.moved_links(handle.container.urdf, [handle.joint])
+    moved = attachment.moved_links(handle.container.urdf, [handle.joint])
     ignored = {(handle.container, link) for link in moved}
     kept = arm.gripper.positions("open") | dict(others or {})
     joints = [*arm.joints, *kept]
@@ -289,7 +291,7 @@ class _Search:
         self._now = np.array([now[name] for name in arm.joints])
         self._endless = np.array([not math.isfinite(robot.joint_limits(name)[1]) for name in arm.joints])
         self._kept = kept
-        self._links = set(carried.moved_links(robot.urdf, arm.joints))
+        self._links = set(attachment.moved_links(robot.urdf, arm.joints))
         self._hand = checker.links_beyond(arm.joints)
 
     def _base_lifted(self, torso: str, height: float) -> Pose:
@@ -522,7 +524,7 @@ def arms_in_the_way(
 
 def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
     """Whether a link of an arm, or what it holds, is one of a pair."""
-    links = carried.moved_links(robot.urdf, arm.joints)
+    links = attachment.moved_links(robot.urdf, arm.joints)
     own = {pair.link} if pair.mover == robot.name else set()
     own |= {pair.body_link} if pair.body == robot.name else set()
     holds = any(held.body.name == pair.body and held.carrier_link in links for held in robot.carried)

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.collision_pair import CollisionPair
-from pycram.foundation.failures import PlaceFailed
+from pycram.foundation.failures import CollisionPair, PlaceFailed
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.simulation_clone import clone_of

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 import numpy as np
 
 from pycram.foundation import checks
-from pycram.foundation.collision_pair import CollisionPair
-from pycram.foundation.failures import BadArgument, Blocked, GraspFailed, PlaceFailed, PlanFailure, Unreachable
+from pycram.foundation.failures import (
+    BadArgument,
+    Blocked,
+    CollisionPair,
+    GraspFailed,
+    PlaceFailed,
+    PlanFailure,
+    Unreachable,
+)
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
@@ -25,7 +32,7 @@ from pycram.reasoning.grasping.placing import Refusals, placements
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unfit
-from pycram.world import carried
+from pycram.world import attachment
 from pycram.world.object import Object
 from recorder import geometry
 
@@ -275,7 +282,7 @@ class Pulling:
         """Return what of the robot, but of these arms, is where the drawer or door ends, with its base at poses."""
         robot, container, handle = self._robot, self._target.container, self._handle()
         clone = clone_of(robot.world, "reach")
-        moving = set(carried.moved_links(robot.urdf, [joint for arm in arms for joint in arm.joints]))
+        moving = set(attachment.moved_links(robot.urdf, [joint for arm in arms for joint in arm.joints]))
         found: list[Touching | None] = []
         with CollisionChecker(robot, (), all_links=True) as tried:
             parts = [(link, clone.link(container, link)) for link in handle.moved]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.reasoning.queries.query import Verdict, query
 
 if TYPE_CHECKING:
-    from pycram.physics.contacts import ClosestPoint
+    from pycram.physics.body import ClosestPoint
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 

@@ -25,8 +25,8 @@ import numpy as np
 from pycram.models.visual import shapes_of
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.queries.query import Verdict, query
-from pycram.world import carried
-from pycram.world.settling import INTERVALS, SLOW, SLOW_TURN, at_rest
+from pycram.world import attachment
+from pycram.world.simulation import INTERVALS, SLOW, SLOW_TURN, at_rest
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.physics.body import Body
-    from pycram.physics.contacts import Contact
+    from pycram.physics.body import Body, Contact
     from pycram.physics.engine import Engine
     from pycram.reasoning.collision.simulation_clone import PlacedPart
     from pycram.world.object import Object
@@ -79,7 +78,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     clone = clone_of(world, "physics with robots" if robots else "physics")
     copies, furniture = clone.sync(bodies)
     free = [body for body in bodies if not body.fixed]
-    on_their_own = [body for body in free if not carried.root_of(body).fixed]
+    on_their_own = [body for body in free if not attachment.root_of(body).fixed]
     standing = [copies[body.name] for body in on_their_own]
     attached = any(body.attachments for body in on_their_own)  # who carries whom there, contacts don't say
 
@@ -131,7 +130,7 @@ def _bounds(body: Object) -> Box:
 
 def _holder(body: Object) -> Object | None:
     """Return the robot that holds an object, directly or through other things."""
-    root = carried.root_of(body)  # nothing carries a robot
+    root = attachment.root_of(body)  # nothing carries a robot
     return root if root.is_robot and root is not body else None
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from pycram.fluent import Fluent
 from pycram.fluents.expressions import Expression
-from pycram.fluents.waiting import StateStream
+from pycram.fluents.fluent import StateStream
 
 
 @pytest.mark.slow

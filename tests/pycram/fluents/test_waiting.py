@@ -10,7 +10,7 @@ import pytest
 
 from pycram.failures import BadArgument
 from pycram.fluent import Fluent, network, whenever
-from pycram.fluents.waiting import StateStream
+from pycram.fluents.fluent import StateStream
 from pycram.language import par
 from pycram.scheduling.cancellation import CancelScope, entered
 from recorder.tracing.span import Cancelled

@@ -27,7 +27,7 @@ from pycram.failures import (
 from pycram.models.load import resources
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
-from pycram.world.snapshot import restore_snapshot, take_snapshot
+from pycram.world.transaction import restore_snapshot, take_snapshot
 from recorder import geometry
 from recorder.urdf import Urdf
 from tests import measures

@@ -16,7 +16,7 @@ from pycram.language import pursue, timeout
 from pycram.language.timeouts import TimedOut
 from pycram.process_module import execution_environment
 from pycram.projection import project
-from pycram.world.passing_time import wait
+from pycram.world.simulation import wait
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Task
 from replay.recording import Recording

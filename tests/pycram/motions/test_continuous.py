@@ -25,7 +25,7 @@ from pycram.motions.execution import IN_SIMULATED_TIME
 from pycram.motions.process_module import current_environment, set_default
 from pycram.planning import path, through
 from pycram.process_module import ProcessModule, execution_environment
-from pycram.world import passing_time
+from pycram.world import simulation
 from pycram.world.driving import follow
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Driven, Mutation, Query, Task
@@ -273,7 +273,7 @@ def test_ctrl_c_stops_a_motion_and_leaves_the_world_consistent(shared_scene: Bul
 
 def set_joint(world: BulletWorld, begun: int, joint: str, value: float) -> None:
     """Put a joint somewhere half a second later, while nothing of the arm moves."""
-    passing_time.wait(world, lambda: world.sim_step >= begun + STEPS_PER_SECOND // 2)
+    simulation.wait(world, lambda: world.sim_step >= begun + STEPS_PER_SECOND // 2)
     world.robot.set_joint_position(joint, value)
 
 

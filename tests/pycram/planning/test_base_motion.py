@@ -11,7 +11,7 @@ import pytest
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import InCollision, NoPath, NotDrivable
 from pycram.planning import base_motion, path
-from pycram.world.snapshot import take_snapshot
+from pycram.world.transaction import take_snapshot
 from recorder import geometry, records
 from recorder.records.text import rejections
 from tests.pycram.motions.placing_scenes import box

@@ -17,7 +17,7 @@ from pycram.planning import joint_motion, path, through, together
 from pycram.reasoning.collision import checker
 from pycram.reasoning.kinematics import inverse
 from pycram.scheduling.schedule import seed_order
-from pycram.world.snapshot import take_snapshot
+from pycram.world.transaction import take_snapshot
 from recorder import geometry, records
 from recorder.records.text import rejections
 from tests.pycram.motions.placing_scenes import box

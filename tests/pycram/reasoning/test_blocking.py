@@ -18,7 +18,7 @@ from pycram.reasoning.collision import boxes, checker
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import grasps
 from pycram.reasoning.kinematics.inverse import Solver
-from pycram.world import carried
+from pycram.world import attachment
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def cheapest(
     opened = arm.gripper.positions("open")
     clone = clone_of(robot.world, "reach")
     clone.sync()
-    moving = carried.moved_links(robot.urdf, [*solver.joints, *opened])
+    moving = attachment.moved_links(robot.urdf, [*solver.joints, *opened])
     held = [(attachment.body, attachment.carrier_link) for attachment in robot.carried]
     pose_in_hand = {
         other: geometry.multiply(

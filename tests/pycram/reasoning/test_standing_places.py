@@ -20,7 +20,7 @@ from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import choice, fingers
 from pycram.reasoning.grasping.choice import ways_to_hold
 from pycram.reasoning.places import Pull, free_places, goals, standing_places
-from pycram.world.snapshot import take_snapshot
+from pycram.world.transaction import take_snapshot
 from recorder import geometry
 from recorder.records import Query, argument_values
 from recorder.records.text import rejections

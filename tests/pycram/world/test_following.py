@@ -19,9 +19,8 @@ from pycram.failures import (
     UnknownName,
 )
 from pycram.language import par
-from pycram.world.driving import follow
-from pycram.world.followed import LOST
-from pycram.world.passing_time import wait
+from pycram.world.driving import LOST, follow
+from pycram.world.simulation import wait
 from pycram.world.trajectory import Trajectory
 from recorder import geometry
 from recorder.records import Mutation

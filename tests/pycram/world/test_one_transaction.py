@@ -17,7 +17,7 @@ from pycram.failures import PycramError
 from pycram.language import par, seq, try_all
 from pycram.physics import engine
 from pycram.process_module import ProcessModule
-from pycram.world.current import open_worlds
+from pycram.world.world import open_worlds
 from recorder.records import Mutation
 from recorder.tracing import journal
 from tests.conftest import MemorySink, furnish

@@ -20,7 +20,7 @@ from pycram.language.timeouts import TimedOut
 from pycram.projection import project
 from pycram.scheduling.locks import LockHeld
 from pycram.scheduling.schedule import seed_order
-from pycram.world.passing_time import wait
+from pycram.world.simulation import wait
 from recorder import geometry
 from recorder.records import Mutation, Task
 from replay.compare.runs import differing

@@ -12,7 +12,7 @@ from pycram.failures import ReadOnly
 from recorder.records import Keyframe, Mutation, Refusal
 
 if TYPE_CHECKING:
-    from pycram.world.read_only import ReadOnlyAttributes
+    from pycram.world.transaction import ReadOnlyAttributes
     from tests.conftest import MemorySink
 
 SETTERS = {"robot"}  # that make a transaction

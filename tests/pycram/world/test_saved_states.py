@@ -11,7 +11,7 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument, ChangeRefused, ObjectsChanged, WorldClosed
-from pycram.world.snapshot import take_snapshot
+from pycram.world.transaction import take_snapshot
 from recorder.records import Mutation
 from replay.history.blame import blame
 from replay.restore.verify import verify

@@ -11,7 +11,7 @@ import pytest
 from pycram.bullet_world import BulletWorld, Object
 from pycram.bullet_world_reasoning import reachable, stable
 from pycram.failures import WorldClosed
-from pycram.world.snapshot import take_snapshot
+from pycram.world.transaction import take_snapshot
 
 
 def test_objects_fall_with_gravity(world: BulletWorld) -> None:

@@ -13,7 +13,7 @@ import replay
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
-from pycram.world import current
+from pycram.world.world import open_worlds
 from recorder.tracing.span import span
 from replay.cli.main import main
 
@@ -72,8 +72,8 @@ def take_after(file: Path, change: str) -> None:
 def taken(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Recording]:
     with pytest.raises(PlanFailure):
         take_after(tmp_path / "x.mcap", request.param)
-    while current.open_worlds():
-        current.open_worlds()[-1].exit()
+    while open_worlds():
+        open_worlds()[-1].exit()
     with replay.open(tmp_path / "x.mcap") as log:
         yield log
 

@@ -14,7 +14,7 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from pycram.world import current
+from pycram.world.world import open_worlds
 from recorder.records import Query
 from replay.cli.main import main
 from replay.report import phrases
@@ -51,7 +51,7 @@ def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: 
                 assert answer.evidence["moved"] == pytest.approx(live["moved"], abs=1e-3), where
             else:
                 assert_approximately(answer.evidence, live, where, within=1e-6)
-    assert not current.open_worlds()
+    assert not open_worlds()
 
 
 @pytest.mark.slow
@@ -199,7 +199,7 @@ def test_anything_but_a_query_call_is_refused_without_executing_it(text: str, me
 def test_questions_without_an_answer_say_why(scene_log: Path, question: str, message: str) -> None:
     with replay.open(scene_log) as log, pytest.raises(replay.ReplayError, match=message):
         log.ask(first(log, "visible").seq, question)
-    assert not current.open_worlds()
+    assert not open_worlds()
 
 
 def test_identifiers_print_without_quotes_other_names_with_quotes() -> None:

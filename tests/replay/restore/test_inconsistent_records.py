@@ -12,7 +12,7 @@ import recorder
 import replay
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
-from pycram.world import current
+from pycram.world.world import open_worlds
 from recorder.mcap_sink import McapSink
 from recorder.records import TOPICS, Keyframe, Mutation, Query, Task
 from recorder.records.values import AssetFile
@@ -110,7 +110,7 @@ def check(sound: Path, target: Path, seed: int) -> None:
         ["render", file, "-20", "-o", str(target.with_suffix(".png")), "--size", "8x8"],
     ):
         assert main(asked) in (0, 1, 2, 3), f"seed {seed}: {asked}"
-        assert not current.open_worlds(), f"seed {seed}: {asked}"
+        assert not open_worlds(), f"seed {seed}: {asked}"
 
 
 @pytest.mark.slow

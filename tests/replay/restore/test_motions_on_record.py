@@ -13,7 +13,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.fluents import world as world_fluents
 from pycram.language import par, pursue
 from pycram.world import transaction
-from pycram.world.snapshot import take_snapshot
+from pycram.world.transaction import take_snapshot
 from recorder.records import Following, Keyframe, Mutation
 from recorder.records.motion import time_of
 from replay.errors import Damaged

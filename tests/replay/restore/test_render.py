@@ -12,7 +12,7 @@ from PIL import Image
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from pycram.world import current
+from pycram.world.world import open_worlds
 from recorder.records import Query
 from replay.cli.main import main
 from tests.conftest import furnish
@@ -52,7 +52,7 @@ def test_a_picture_shows_the_step_from_the_viewpoint(file: Path) -> None:
         wide = log.render(2, size=(100, 50))
     assert wide.size == (100, 50)
     assert red(wide).any()  # by default it looks at what there is
-    assert not current.open_worlds()
+    assert not open_worlds()
 
 
 @pytest.mark.parametrize("walls", [0, 1, 2])

@@ -14,7 +14,7 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from pycram.world import current
+from pycram.world.world import open_worlds
 from recorder.records import Keyframe, Mutation
 from replay.cli.main import main
 from replay.restore.verify import verify
@@ -77,7 +77,7 @@ def test_a_script_s_exit_code_is_the_verb_s(
     output = capfd.readouterr()
     assert ("ZeroDivisionError" in output.err) is (text == "1/0")
     assert not output.out
-    assert not current.open_worlds()
+    assert not open_worlds()
 
 
 def test_a_script_is_recorded_with_the_option_log(log_file: Path, tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_wrong_usage_is_reported_on_stderr(
     output = capfd.readouterr()
     assert words in output.err
     assert not output.out
-    assert not current.open_worlds()
+    assert not open_worlds()
 
 
 @pytest.mark.costly

@@ -12,7 +12,8 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from pycram.world import attachment, current
+from pycram.world import attachment
+from pycram.world.world import open_worlds
 from recorder import geometry
 from recorder.records import Keyframe, Mutation, OpenWorld
 from tests.measures import seeded
@@ -33,7 +34,7 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def nothing_left() -> Iterator[None]:
     yield
-    for world in current.open_worlds():
+    for world in open_worlds():
         world.exit()
 
 
@@ -130,7 +131,7 @@ def test_restoring_does_not_affect_a_running_plan(planned: Path, file: Path) -> 
             step = end_of(log)
             log.ask(step, "stable(bowl)")
             assert BulletWorld.current_bullet_world is now
-            assert current.open_worlds() == (now,)
+            assert open_worlds() == (now,)
             past = log.world_at(step)
         past.simulate(0.1)
         past.exit()
@@ -166,7 +167,7 @@ def test_a_step_without_an_open_world_is_refused(planned: Path) -> None:
             log.world_at("last", "kitchen")
         with pytest.raises(replay.NoSuchName, match="kitchen"):
             log.world_at(20, "kitchn")
-    assert not current.open_worlds()
+    assert not open_worlds()
 
 
 def test_a_world_from_before_the_recording_cannot_be_restored_exactly(file: Path) -> None:
@@ -194,7 +195,7 @@ def test_a_world_is_not_called_exact_where_a_change_is_lost(file: Path) -> None:
         assert log.world_at(step).get_object("cup").get_position() == [0, 0, 119]
     with replay.open(file) as log, pytest.raises(replay.Damaged, match=r"what led to step .* is lost; without exact"):
         log.world_at(step, exact=True)
-    assert len(current.open_worlds()) == 1, "the one that could be had"
+    assert len(open_worlds()) == 1, "the one that could be had"
 
 
 @seeded("futures of exact worlds", range(20), 1)
