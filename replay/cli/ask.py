@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from replay.cli.arguments import add_step, numbers, print_moment
-from replay.cli.console import native_output_to_stderr, print_result
+from replay.cli.console import native_output_to_stderr, numbers, print_moment, print_result
 from replay.errors import ReplayError
+from replay.history.steps import HINT
 
 if TYPE_CHECKING:
     import argparse
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the question and changed conditions."""
-    add_step(parser)
+    parser.add_argument("step", metavar="STEP", help=HINT)
     parser.add_argument(
         "question",
         metavar="QUESTION",

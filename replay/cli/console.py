@@ -14,8 +14,13 @@ import sys
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final
 
+from replay.errors import ReplayError
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+
+    from replay.recording import Recording
+
 
 _STDOUT, _STDERR = 1, 2
 #: Control characters except newlines and tabs, characters that change the direction of text, and
@@ -110,3 +115,29 @@ def _is_descriptor(stream: object) -> bool:
         return stream.fileno() == _STDOUT  # type: ignore[attr-defined, no-any-return]
     except (AttributeError, OSError, ValueError):
         return False
+
+
+def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
+    """Print how a time within a stretch of simulation is known, if that is the step."""
+    from replay.report.phrases import sampled  # noqa: PLC0415  --help needn't wait for it
+
+    within = log.state_at(step).sampled
+    if within is not None:
+        print_message(sampled(within, exact=exact))
+
+
+def numbers(
+    text: str, expected: str, *counts: int, separator: str = ",", kind: Callable[[str], float] = float
+) -> list[float]:
+    """Parse finite numbers, as "0.5,1,0", of one of the given counts.
+
+    Raises:
+        ReplayError: the text isn't that; it says what was ``expected``.
+    """
+    try:
+        values = [kind(part) for part in text.split(separator)]
+    except ValueError:
+        values = []
+    if len(values) not in counts or not all(map(math.isfinite, values)):
+        raise ReplayError(f"{text!r}: expected {expected}")
+    return values

@@ -2,23 +2,67 @@
 
 from __future__ import annotations
 
+import cmd
+import contextlib
+import inspect
 import linecache
-from typing import TYPE_CHECKING
+import os
+import re
+import shlex
+import sys
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Final
 
-from replay.cli.console import print_message
-from replay.cli.fork import AGAIN
+from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
+from recorder.user_folders import cache_folder
+from replay.cli import main
+from replay.cli.console import print_message, visible
 from replay.cli.main import FINE
-from replay.cli.retrace import add_source_and_arguments
+from replay.cli.retrace import AGAIN, add_source_and_arguments
 from replay.errors import ReplayError
-from replay.history.failures import uncaught_failure
 from replay.history.steps import HINT
+from replay.history.tasks import uncaught_failure
+from replay.report import phrases
+from replay.state.json_data import kind_of
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Callable, Iterable, Iterator
 
+    from recorder.records import Record
+    from replay.debug.session import Halt, Session
     from replay.recording import Recording
 
-EXPECTS_INCOMPLETE = True  # it guides the plan as far as it goes
+
+_HISTORY: Final = 1000  # lines
+_MAIN_THREAD: Final = "MainThread"
+_AROUND: Final = 5  # lines before and after the current one, as pdb lists them
+#: Verbs of ``pycram-replay`` as commands: what stands before and after what is typed; "STEP" is where the plan is.
+_VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
+    "ask": (("STEP",), ()),
+    "blame": ((), ("--at", "STEP")),
+    "diff": (("STEP",), ()),
+    "fork": (("--at", "STEP"), ()),
+    "info": ((), ()),
+    "log": ((), ()),
+    "render": (("STEP",), ()),
+    "show": (("STEP",), ()),
+    "state": (("STEP",), ()),
+    "tree": (("--at", "STEP"), ()),
+    "why": ((), ()),
+}
+_HELP: Final = """\
+where (w, bt)  up (u)  down (d)  list (l)  ll     the plan's frames, and their source
+locals  args (a)  p EXPR  pp EXPR  whatis EXPR   what is in a frame; an expression alone is evaluated, too
+step (s)  next (n)  return (r)  until [STEP]     to the next step; on this task level; to the end of the task
+rstep (rs)  rnext (rn)                           the same, backwards
+continue (c)  rcontinue (rc)  goto STEP (g)      to the next breakpoint; to the one before; to any step
+break (b) [STEP | TASK | KIND | FILE:LINE | failure | event NAME]  tbreak  clear [N]  enable N  disable N
+watch EXPR  rwatch EXPR                          milk.z, holding(left), a variable: where it changes; where it last did
+state  tree  show  log  ask  blame  why  diff  render  info    as pycram-replay has them, at this step
+view                                             the Rerun viewer, which follows from now on
+fork [NAME] [--plan FILE]                        on from here, live, into a recording of its own
+help (h) [COMMAND]  quit (q)"""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -36,8 +80,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Run the plan to the step, and take commands until the end of the input."""
-    from replay.cli.debug_prompt import Prompt  # noqa: PLC0415  needs the executor
-    from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415
+    from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415  needs the executor
     from replay.debug.session import Session  # noqa: PLC0415
     from replay.retrace.plan_process import last_own_step  # noqa: PLC0415
 
@@ -67,3 +110,544 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         prompt.begin(min(step, plan.last))
         prompt.run()
     return FINE
+
+
+class LinePrompt(cmd.Cmd):
+    """Takes commands from a terminal, or from lines on stdin, which are printed as they are carried out."""
+
+    prompt = "(debug) "
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._asks = self.use_rawinput = sys.stdin.isatty()
+        self._coloured = sys.stdout.isatty() and "NO_COLOR" not in os.environ
+
+    def run(self) -> None:
+        """Take commands until the end of the input, or ``quit``."""
+        with self._history():
+            while True:
+                try:
+                    self.cmdloop()
+                except KeyboardInterrupt:
+                    print("--KeyboardInterrupt--")
+                else:
+                    return
+
+    @contextlib.contextmanager
+    def _history(self) -> Iterator[None]:
+        """Keep what is typed at a terminal for the next session, where lines can be edited."""
+        folder = cache_folder() if self._asks else None
+        try:
+            import readline  # noqa: PLC0415  some systems lack it
+        except ImportError:
+            folder = None
+        if folder is None:
+            yield
+            return
+        file = folder / "debug_history"
+        with contextlib.suppress(OSError):
+            readline.read_history_file(file)
+        readline.set_history_length(_HISTORY)
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                folder.mkdir(parents=True, exist_ok=True)
+                readline.write_history_file(file)
+
+    # --- lines ------------------------------------------------------------------------------------------------------
+
+    def precmd(self, line: str) -> str:
+        """Split a line at ``;;``, as pdb does; print those of a script."""
+        if not self._asks:
+            print("" if line == "EOF" else visible(line.rstrip("\n")))
+        first, separator, rest = line.partition(";;")
+        if separator:
+            self.cmdqueue.insert(0, rest.strip())
+        return "" if first.lstrip().startswith("#") else first.strip()
+
+    def onecmd(self, line: str) -> bool:
+        """Carry out a command; what can't be done is told."""
+        try:
+            return bool(super().onecmd(line))
+        except ReplayError as error:
+            self.print_error(str(error))
+        except SystemExit:  # of wrong arguments, which are told already
+            pass
+        except KeyboardInterrupt:
+            print("--KeyboardInterrupt--")
+        finally:
+            sys.stdout.flush()
+        return False
+
+    def emptyline(self) -> bool:
+        """Repeat the last command at a terminal, as pdb does; do nothing in a script."""
+        return bool(self._asks and self.lastcmd and self.onecmd(self.lastcmd))
+
+    # --- what is printed --------------------------------------------------------------------------------------------
+
+    def print_error(self, text: str) -> None:
+        """Print what can't be done, and why."""
+        print(self.painted(f"*** {text}", "31"))
+
+    def print_lines(self, lines: Iterable[str]) -> None:
+        """Print results."""
+        for line in lines:
+            print(visible(line))
+
+    def painted(self, text: str, colour: str) -> str:
+        """Return a text in a colour, by its number in the terminal's sequences, where stdout is a terminal."""
+        shown = visible(text)
+        return f"\x1b[{colour}m{shown}\x1b[0m" if self._coloured else shown
+
+
+class Prompt(LinePrompt):
+    """A prompt in the plan's frames.
+
+    Args:
+        session: what it is about.
+    """
+
+    def __init__(self, session: Session) -> None:
+        super().__init__()
+        self.session = session
+        self.log = session.log  # its recording
+        self.stack: list[dict[str, Any]] = []  # the plan's frames, innermost first
+        # which of them is chosen
+        self.frame = 0  # 0: the innermost
+        self._listed = 0  # the line after the last one that was listed; 0: none was
+        self.follow: Callable[[int], None] | None = None  # brings the viewer to a step; None where there is none
+
+    def begin(self, step: int) -> None:
+        """Go to the first step; where Ctrl-C ends the plan on its way there, to the start."""
+        from replay.debug.guided_plan import PlanInterrupted  # noqa: PLC0415  needs the executor
+
+        try:
+            halt = self.session.go(step)
+        except PlanInterrupted as interrupted:
+            if interrupted.step < 0:
+                raise
+            self.print_error(str(interrupted))
+            halt = self.session.go(interrupted.step)
+        self.halted(halt, halt.arrival.step)
+
+    # --- where the plan is ------------------------------------------------------------------------------------------
+
+    def halted(self, halt: Halt, before: int) -> None:
+        """Tell where the plan has stopped, and what it has printed since the step where it was before."""
+        arrival, step = halt.arrival, halt.arrival.step
+        for output in self.log.records(Output, before + 1, step + 1):
+            print(visible(output.text))
+        for each in halt.met:
+            name = f"Breakpoint {each.number}, " if not each.text.startswith("watch") else ""
+            change = self._change(each.changes.get(step) or halt.changes.get(each.number))
+            print(self.painted(f"{name}{each.text}{change}", "33"))
+        if arrival.reason == "interrupted":
+            print("--KeyboardInterrupt--")
+        if arrival.text:
+            self.print_error(f"the plan differs from its recording after step {step}: {arrival.text}")
+        self.stack = self.session.plan.ask("where")
+        self.frame = self._frame_of(halt)
+        self._listed = 0
+        self._tell_step(step)
+        if self.follow is not None:
+            self.follow(step)
+
+    @staticmethod
+    def _change(change: Any) -> str:
+        if change is None:
+            return ""
+        before, after = change[-2:]
+        texts = [each if isinstance(each, str) else _short(each) for each in (before, after)]
+        return f": {texts[0]} -> {texts[1]}"
+
+    def _frame_of(self, halt: Halt) -> int:
+        """Return the frame of the line of a breakpoint that was met, else the innermost one."""
+        lines = [each.line for each in halt.met if each.line is not None]
+        frames = [number for number, each in enumerate(self.stack) if (each["file"], each["line"]) in lines]
+        return frames[0] if frames else 0
+
+    def _tell_step(self, step: int) -> None:
+        record = self.log[step]
+        place = "" if record.thread == _MAIN_THREAD else f"  [{record.thread}]"
+        time = f"{record.sim_step / STEPS_PER_SECOND:.3f} s"
+        print(
+            self.painted(f"step {step} of {len(self.log) - 1}  {time}{place}", "36"),
+            visible(f" {kind_of(record)} {phrases.record_line(record)}"),
+        )
+        if self.stack:
+            self._tell_frame()
+        if step == len(self.log) - 1:
+            print(visible(f"the recording {_ending(record)}"))
+
+    def _tell_frame(self, number: int | None = None) -> None:
+        at = self.frame if number is None else number
+        frame = self.stack[at]
+        mark = ">" if at == self.frame else " "
+        print(visible(f"{mark} {phrases.path(frame['file'])}({frame['line']}){frame['function']}()"))
+        text = linecache.getline(frame["file"], frame["line"]).strip()
+        if text:
+            print(self.painted(f"-> {text}", "1") if at == self.frame else visible(f"-> {text}"))
+
+    def _selected(self) -> dict[str, Any]:
+        if not self.stack:
+            raise ReplayError("no function of the plan runs at this step")
+        return self.stack[self.frame]
+
+    def do_where(self, _: str) -> None:
+        """``where`` (w, bt): the plan's frames, the innermost last, as pdb prints them.
+
+        Those of a branch come after those of the code that waits for it.
+        """
+        self._selected()
+        for number in reversed(range(len(self.stack))):
+            self._tell_frame(number)
+
+    def do_up(self, count: str) -> None:
+        """``up`` (u) [COUNT]: to the frame that called this one."""
+        self._move(_number(count))
+
+    def do_down(self, count: str) -> None:
+        """``down`` (d) [COUNT]: to the frame that this one called."""
+        self._move(-_number(count))
+
+    def _move(self, count: int) -> None:
+        self._selected()
+        if not 0 <= self.frame + count < len(self.stack):
+            raise ReplayError("Oldest frame" if count > 0 else "Newest frame")
+        self.frame += count
+        self._listed = 0
+        self._tell_frame()
+
+    def do_list(self, text: str) -> None:
+        """``list`` (l) [. | FIRST[, LAST]]: the source around the current line, then on from there."""
+        frame = self._selected()
+        given = [int(each) for each in re.findall(r"\d+", text)]
+        first = given[0] if given else self._listed if self._listed and text != "." else frame["line"] - _AROUND
+        self._list(max(1, first), given[1] if len(given) > 1 else max(1, first) + 2 * _AROUND)
+
+    def do_ll(self, _: str) -> None:
+        """``ll``: the source of the current function, or of the file."""
+        frame = self._selected()
+        lines = linecache.getlines(frame["file"])
+        whole = frame["function"] == "<module>"
+        count = len(lines) if whole else len(inspect.getblock(lines[frame["first"] - 1 :]))
+        self._list(frame["first"], frame["first"] + count - 1)
+
+    def _list(self, first: int, last: int) -> None:
+        frame = self._selected()
+        lines = linecache.getlines(frame["file"])
+        if first > len(lines):
+            raise ReplayError("[EOF]" if lines else f"{frame['file']}: there is no source of it")
+        broken = {each.line for each in self.session.breakpoints}
+        for number in range(first, min(last, len(lines)) + 1):
+            marks = f"{'B' if (frame['file'], number) in broken else ' '}{'->' if number == frame['line'] else '  '}"
+            print(visible(f"{number:3} {marks}  {lines[number - 1].rstrip()}"))
+        self._listed = last + 1
+
+    # --- what is in a frame -----------------------------------------------------------------------------------------
+
+    def do_locals(self, _: str) -> None:
+        """``locals``: the variables of the frame."""
+        self._tell_variables(arguments=False)
+
+    def do_args(self, _: str) -> None:
+        """``args`` (a): the arguments of the frame's function."""
+        self._tell_variables(arguments=True)
+
+    def _tell_variables(self, *, arguments: bool) -> None:
+        self._selected()
+        found = self.session.plan.ask("variables", frame=self.frame, arguments=arguments)
+        self.print_lines(f"{name} = {value}" for name, value in found)
+
+    def do_p(self, expression: str) -> None:
+        """``p`` EXPR: an expression's value in the frame; what evaluating it changes is undone."""
+        self._evaluate(expression, pretty=False)
+
+    def do_pp(self, expression: str) -> None:
+        """``pp`` EXPR: an expression's value in the frame, in several lines if it is long."""
+        self._evaluate(expression, pretty=True)
+
+    def do_whatis(self, expression: str) -> None:
+        """``whatis`` EXPR: an expression's type."""
+        self._evaluate(f"type({expression})", pretty=False)
+
+    def _evaluate(self, expression: str, *, pretty: bool) -> None:
+        self._selected()
+        if _is_statement(expression):
+            self.do_shell(expression)
+            return
+        answer = self.session.plan.ask("evaluate", frame=self.frame, expression=expression, pretty=pretty)
+        print(visible(answer["printed"]), end="")
+        if "error" in answer:
+            self.print_error(answer["error"])
+        else:
+            print(visible(answer["value"]))
+
+    def do_shell(self, text: str) -> None:
+        """! EXPR: its value, also where it begins as a command does; a statement can't be executed.
+
+        The plan is guided by its recording, from which it would differ.
+        """
+        if text and not _is_statement(text):
+            self._evaluate(text, pretty=False)
+            return
+        self.print_error(
+            "a statement can't be executed: the plan is guided by its recording, from which it would differ; "
+            "fork NAME --plan FILE goes on from here with an edited plan"
+        )
+
+    def default(self, line: str) -> None:
+        """Evaluate what is no command."""
+        self.do_p(line)
+
+    do_w = do_bt = do_where
+    do_u, do_d, do_l, do_a = do_up, do_down, do_list, do_args
+
+    # --- from step to step ------------------------------------------------------------------------------------------
+
+    def _forward(self, target: int | None) -> None:
+        before = self.session.step
+        self.halted(self.session.forward(target), before)
+
+    def _back(self, target: int) -> None:
+        halt = self.session.back(target)
+        self.halted(halt, halt.arrival.step)
+
+    def do_step(self, _: str) -> None:
+        """``step`` (s): to the next recorded step."""
+        self._forward(self.session.step + 1)
+
+    def do_rstep(self, _: str) -> None:
+        """``rstep`` (rs): back to the recorded step before."""
+        self._back(self.session.step - 1)
+
+    def do_next(self, _: str) -> None:
+        """``next`` (n): to the next step on this task level: over what a task does."""
+        self._forward(self.session.timeline.following(self.session.step))
+
+    def do_rnext(self, _: str) -> None:
+        """``rnext`` (rn): back to the step before on this task level."""
+        self._back(self.session.timeline.preceding(self.session.step))
+
+    def do_return(self, _: str) -> None:
+        """``return`` (r): to the end of the task that this step is in."""
+        self._forward(self.session.timeline.end(self.session.step))
+
+    def do_until(self, step: str) -> None:
+        """``until`` (unt) [STEP]: on to a step; without one to a later line, out of a loop."""
+        timeline, now = self.session.timeline, self.session.step
+        target = self.log.step(step) if step else timeline.onwards(now)
+        if target <= now:
+            raise ReplayError(f"step {target} is not after this one; goto goes there")
+        self._forward(target)
+
+    def do_continue(self, _: str) -> None:
+        """``continue`` (c, cont): to the next breakpoint or change of what is watched, else to the end."""
+        self._forward(None)
+
+    def do_rcontinue(self, _: str) -> None:
+        """``rcontinue`` (rc): back to the breakpoint or change before, else to the start."""
+        self._back(0)
+
+    def do_goto(self, step: str) -> None:
+        """``goto`` (g) STEP: to any step, forwards or back, whatever is on the way."""
+        halt = self.session.go(self.log.step(step))
+        self.halted(halt, halt.arrival.step)
+
+    # --- breakpoints ------------------------------------------------------------------------------------------------
+
+    def do_break(self, place: str) -> None:
+        """``break`` (b) [STEP | TASK | KIND | FILE:LINE | failure | event [NAME]]: stop there; without one list all.
+
+        A task is a path of names, as par/moving or pick-up; a kind is motion, attempt, block and so on.
+        """
+        if place:
+            self._tell_set(place, temporary=False)
+            return
+        for each in self.session.breakpoints:
+            state = f"{'' if each.enabled else ' (disabled)'}{' (once)' if each.temporary else ''}"
+            self.print_lines([f"{each.number:3}  {each.text}{state}: {each.counted}"])
+
+    def do_tbreak(self, place: str) -> None:
+        """``tbreak`` PLACE: a breakpoint that ends when it has stopped the plan."""
+        self._tell_set(place, temporary=True)
+
+    def _tell_set(self, place: str, *, temporary: bool) -> None:
+        made = self.session.set_break(place, temporary=temporary)
+        self.print_lines([f"Breakpoint {made.number}: {made.text}: {made.counted}"])
+
+    def do_watch(self, expression: str) -> None:
+        """``watch`` EXPR: stop where its value changes: milk.z, holding(left), distance(pr2, milk) < 1, a variable."""
+        made = self.session.set_watch(expression, self.frame)
+        self.print_lines([f"Watch {made.number}: {expression}: {made.counted}"])
+
+    def do_rwatch(self, expression: str) -> None:
+        """``rwatch`` EXPR: back to where its value last changed."""
+        halt = self.session.back_to_change(expression, self.frame)
+        self.halted(halt, halt.arrival.step)
+
+    def do_clear(self, numbers: str) -> None:
+        """``clear`` (cl) [NUMBER ...]: remove breakpoints and watches; without a number all."""
+        for each in self._numbered(numbers) if numbers else list(self.session.breakpoints):
+            self.session.breakpoints.remove(each)
+            print(f"Deleted {each.number}: {visible(each.text)}")
+
+    def do_enable(self, numbers: str) -> None:
+        """``enable`` NUMBER ...: have breakpoints stop the plan again."""
+        for each in self._numbered(numbers):
+            each.enabled = True
+
+    def do_disable(self, numbers: str) -> None:
+        """``disable`` NUMBER ...: have breakpoints not stop the plan."""
+        for each in self._numbered(numbers):
+            each.enabled = False
+
+    def _numbered(self, numbers: str) -> list[Any]:
+        return [self.session.numbered(each) for each in numbers.split()]
+
+    # --- the recording at this step -----------------------------------------------------------------------------------
+
+    def _verb(self, name: str, text: str) -> None:
+        given = _words(text)
+        if name == "ask" and text and not text.startswith("-"):
+            question, option, rest = text.partition(" --")
+            given = [question.strip(), *_words(option + rest)]
+        if name == "fork" and given and not given[0].startswith("-"):
+            given.insert(0, "-o")
+        if name == "fork" and self.session.plan.recorded_files and "--plan" not in given:
+            given.insert(0, "--recorded-source")
+        before, after = _VERBS[name]
+        step = str(self.session.step)
+        arguments = [step if each == "STEP" else each for each in chain(before, given, after)]
+        main.call(name, self.log, arguments)
+
+    def do_view(self, text: str) -> None:
+        """``view`` [--connect URL]: show the recording in the Rerun viewer, at this step; it follows from now on."""
+        from replay.view import follow  # noqa: PLC0415  needs the viewer's library
+
+        url = _words(text)[-1] if text else None
+        viewer, self.follow = follow(self.log, self.session.step, url)
+        print_message(f"the viewer at {viewer} follows")
+
+    # --- help, end --------------------------------------------------------------------------------------------------
+
+    def do_help(self, command: str) -> None:
+        """``help`` (h) [COMMAND]: what a command does; without one, which there are."""
+        if not command:
+            print(_HELP)
+            return
+        text = getattr(self, f"do_{command}", None)
+        if text is None:
+            raise ReplayError(f"there is no command {command}")
+        print("\n".join(line.strip() for line in (text.__doc__ or "").replace("``", "").strip().splitlines()))
+
+    def do_quit(self, _: str) -> bool:
+        """``quit`` (q, exit): end the debugger."""
+        return True
+
+    def do_EOF(self, _: str) -> bool:  # noqa: N802  as cmd calls it
+        """The end of the input: end the debugger."""
+        if self._asks:
+            print()
+        return True
+
+    # --- completion -------------------------------------------------------------------------------------------------
+
+    def completenames(self, text: str, *_: Any) -> list[str]:
+        """Complete commands."""
+        return [name for name in super().completenames(text) if name not in ("EOF", "shell")]
+
+    def completedefault(self, text: str, *_: Any) -> list[str]:
+        """Complete an expression in the frame."""
+        if not self.stack:
+            return []
+        found: list[str] = self.session.plan.ask("complete", frame=self.frame, text=text)
+        return found
+
+    def _complete_place(self, text: str, *_: Any) -> list[str]:
+        timeline = self.session.timeline
+        names = {*timeline.kinds.values(), *(path[-1] for path in timeline.paths.values()), *timeline.events}
+        return _beginning(text, (*names, "failure", "event"))
+
+    def _complete_quantity(self, text: str, *rest: Any) -> list[str]:
+        from replay.debug.expressions import quantity_names  # noqa: PLC0415  as above
+
+        found = _beginning(text, quantity_names(self.log, self.session.step))
+        return found or self.completedefault(text, *rest)
+
+    def _complete_object(self, text: str, *_: Any) -> list[str]:
+        worlds = self.log.state_at(self.session.step).worlds.values()
+        return _beginning(text, (name for world in worlds for name in world.bodies))
+
+    complete_break = complete_tbreak = _complete_place
+    complete_watch = complete_rwatch = _complete_quantity
+    complete_state = complete_blame = _complete_object
+
+    do_s, do_n, do_r, do_unt = do_step, do_next, do_return, do_until
+    do_c = do_cont = do_continue
+    do_rs, do_rn, do_rc, do_g = do_rstep, do_rnext, do_rcontinue, do_goto
+    do_b, do_cl, do_h = do_break, do_clear, do_help
+    do_q = do_exit = do_quit
+    complete_b = complete_break
+
+
+def _add_verb(name: str) -> None:
+    """Make a verb of ``pycram-replay`` a command."""
+
+    def do(self: Prompt, text: str) -> None:
+        self._verb(name, text)
+
+    do.__doc__ = f"``{name}``: {main.VERBS[name]}, at this step; as pycram-replay {name} --help tells."
+    setattr(Prompt, f"do_{name}", do)
+
+
+for _name in _VERBS:
+    _add_verb(_name)
+
+
+def _words(text: str) -> list[str]:
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise ReplayError(f"{text}: {error}") from None
+
+
+def _beginning(text: str, names: Iterable[str]) -> list[str]:
+    return sorted({name for name in names if name.startswith(text)})
+
+
+def _ending(last: Record) -> str:
+    if not isinstance(last, Run) or last.phase != Run.FINISHED:
+        return "was cut here"
+    return "ends here" if last.succeeded else f"ends here; the plan failed: {format_failure(last.failure)}"
+
+
+def _number(text: str) -> int:
+    if text and not text.isdecimal():
+        raise ReplayError(f"{text}: expected a number of frames")
+    return int(text or 1)
+
+
+def _is_statement(text: str) -> bool:
+    if not text:
+        return False
+    try:
+        compile(text, "<prompt>", "eval")
+    except SyntaxError:
+        try:
+            compile(text, "<prompt>", "exec")
+        except SyntaxError:
+            return False  # evaluating it tells what is wrong
+        return True
+    except ValueError:
+        return False
+    return False
+
+
+def _short(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_short, value))}]"
+    return phrases.short(str(value))

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE, INCOMPLETE, opened
-from replay.compare import states
-from replay.compare.runs import compare, lines as run_lines
+from replay.compare import compare_recordings, comparison_lines, difference, difference_lines
 from replay.errors import ReplayError
 from replay.history.steps import HINT
 from replay.recording import Recording
@@ -45,15 +44,15 @@ def _tolerance(text: str) -> float:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the difference; of two whole recordings that differ, the exit code is 1."""
     if options.second is not None:
-        delta = states.difference(log.state_at(options.first), log.state_at(options.second))
-        print_result(lambda: report.data(delta), states.lines(delta, whole=options.all), as_json=options.json)
+        delta = difference(log.state_at(options.first), log.state_at(options.second))
+        print_result(lambda: report.data(delta), difference_lines(delta, whole=options.all), as_json=options.json)
         return FINE
     if not Path(options.first).exists():
         raise ReplayError(f"{options.first}: no such recording; to compare steps of this one, give two")
     with Recording(options.first) as other:
-        compared = compare(log, other, options.tolerance)
+        compared = compare_recordings(log, other, options.tolerance)
         problems = other.problems  # it was read to its end
-    print_result(lambda: report.data(compared), run_lines(compared, whole=options.all), as_json=options.json)
+    print_result(lambda: report.data(compared), comparison_lines(compared, whole=options.all), as_json=options.json)
     if problems:
         print_message(f"{other.path} is incomplete: {problems}")
     if problems or log.problems:  # lost records may be the difference

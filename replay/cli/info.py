@@ -25,10 +25,6 @@ _DIGITS: Final = 12  # of a commit or hash
 _VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
 
-def add(_: argparse.ArgumentParser) -> None:
-    """Add nothing."""
-
-
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the summary."""
     info = summary(log)

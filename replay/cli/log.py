@@ -1,13 +1,16 @@
-"""``log``: the records as lines, filtered; also while they are written."""
+"""``log``, ``show`` and ``tree``: the records as lines, one whole record, and the task tree."""
 
 from __future__ import annotations
 
+import json
+import sys
+import textwrap
 import threading
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
-from replay.cli.console import print_json, print_message, print_text
+from replay.cli.console import print_json, print_json_list, print_message, print_result, print_text
 from replay.errors import NoSuchName
 from replay.file.chunks import KINDS
 from replay.history.source import PlanSource, is_file
@@ -19,10 +22,15 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Collection, Iterator
 
-    from recorder.records import LoadBody, Record
+    from recorder.records import LoadBody, Plain, Record
     from replay.recording import Recording
 
-_POLL_PERIOD = 0.2  # s between reads of a recording that is being written
+
+_POLL_PERIOD: Final = 0.2  # s between reads of a recording that is being written
+_FIELD_WIDTH: Final = 100  # characters; longer values are printed on several lines
+_MAX_IN_LINE: Final = 12  # numbers; more are printed in rows
+_MANY: Final = 100  # numbers that are printed
+_ENDS: Final = 18  # of more than that, which are printed at each end
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -180,3 +188,83 @@ def _loaded(record: Record) -> list[LoadBody]:
     if isinstance(record, Keyframe):
         return list(record.loaded)
     return [record.load_body] if isinstance(record, Mutation) and record.HasField("load_body") else []
+
+
+def add_show(parser: argparse.ArgumentParser) -> None:
+    """Add the step."""
+    parser.add_argument("step", metavar="STEP", help=HINT)
+
+
+def run_show(log: Recording, options: argparse.Namespace) -> int:
+    """Print the record."""
+    record = log[log.step(options.step)]
+    fields = record_data(record)
+    further = {key: item for key, item in fields.items() if key not in ("step", "kind")}
+    lines = [f"step {record.seq}: {kind_of(record)}: {phrases.record_line(record)}", *_field_lines(further, "  ")]
+    print_result(lambda: fields, lines, as_json=options.json)
+    return 0
+
+
+def _field_lines(fields: dict[str, Plain], indent: str) -> Iterator[str]:
+    for key, item in fields.items():
+        short = json.dumps(item, ensure_ascii=False)
+        if isinstance(item, str) and "\n" in item:
+            yield f"{indent}{key}:"
+            yield from (f"{indent}  {line}" for line in item.rstrip().splitlines())
+        elif len(short) + len(indent) + len(key) <= _FIELD_WIDTH or not isinstance(item, dict | list):
+            yield f"{indent}{key}: {item if isinstance(item, str) else short}"
+        else:
+            yield f"{indent}{key}:"
+            yield from _field_lines(item, indent + "  ") if isinstance(item, dict) else _items(item, indent + "  ")
+
+
+def _items(values: list[Plain], indent: str) -> Iterator[str]:
+    if len(values) > _MAX_IN_LINE and all(isinstance(item, float | int) for item in values):
+        yield from (f"{indent}{line}" for line in _numbers([json.dumps(item) for item in values]))
+        return
+    for item in values:
+        if isinstance(item, dict) and item:
+            first, *rest = _field_lines(item, indent + "  ")
+            yield f"{indent}- {first.strip()}"
+            yield from rest
+        else:
+            yield f"{indent}- {json.dumps(item, ensure_ascii=False)}"
+
+
+def _numbers(texts: list[str]) -> Iterator[str]:
+    """Numbers in rows; of very many, as of a trajectory, the first and last."""
+    if len(texts) <= _MANY:
+        yield from textwrap.wrap(", ".join(texts), _FIELD_WIDTH)
+        return
+    yield from textwrap.wrap(", ".join(texts[:_ENDS]), _FIELD_WIDTH)
+    yield f"... {len(texts) - 2 * _ENDS} more, all with --json"
+    yield from textwrap.wrap(", ".join(texts[-_ENDS:]), _FIELD_WIDTH)
+
+
+def add_tree(parser: argparse.ArgumentParser) -> None:
+    """Add what part of the tree is shown, and in which format."""
+    parser.add_argument("--at", metavar="STEP", help=f"as it was after a step: {HINT}")
+    parser.add_argument("--depth", type=int, metavar="N", help="only so many levels")
+    parser.add_argument("--all", action="store_true", help="also repeated tasks")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--dot", action="store_true", help="for Graphviz")
+    form.add_argument("--svg", action="store_true", help="as a picture, with a time line")
+
+
+def run_tree(log: Recording, options: argparse.Namespace) -> int:
+    """Print the tree."""
+    tree = log.tree(options.at)
+    if options.json:
+        print_json_list(tree.facts(options.depth))
+    elif options.dot:
+        print_text(tree.to_dot(), end="")
+    elif options.svg:
+        encoding = sys.stdout.encoding or "ascii"  # XML can refer to characters that the encoding lacks
+        picture = tree.to_svg(options.depth, whole=options.all).encode(encoding, "xmlcharrefreplace")
+        print_text(picture.decode(encoding), end="")
+    elif not (tree.roots or tree.output):
+        print_text("no tasks")
+    else:
+        for line in tree.lines(options.depth, whole=options.all):
+            print_text(line)
+    return 0

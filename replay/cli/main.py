@@ -15,7 +15,7 @@ import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from recorder.closed_output import discard, until_closed
 from recorder.errors import suggestion
@@ -24,13 +24,12 @@ from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from types import ModuleType
+    from collections.abc import Callable, Iterator, Sequence
 
     from replay.recording import Recording
     from replay.runs.runs import Runs
 
-#: A verb's module is imported when it is called: some need libraries that others don't.
+#: A verb's file is imported when the verb is called: some need libraries that others don't.
 VERBS: Final = {
     "info": "what ran, when, for how long, and how it ended",
     "log": "the records as lines",
@@ -57,6 +56,9 @@ VERBS: Final = {
     "stats": "of a folder of recordings: how often runs succeed, of what they fail, what takes long",
     "separate": "of a folder of recordings: what separates the runs that failed from those that succeeded",
 }
+#: Verbs that share the file of another verb, with functions of their own: ``add_fork``, ``run_fork``.
+_FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"}
+_TAKE_INCOMPLETE: Final = ("debug", "resume")  # verbs that are made for incomplete recordings
 _FOLDER: Final = "the folder of recordings"
 _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.fromkeys(
     ("info", "diff", "why", "view", "export"), "the recording, or a folder of recordings"
@@ -68,6 +70,14 @@ _MAX_SKIPPED: Final = 8  # files of a folder that are named
 _POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")
 _NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a step that isn't there, which says so
+
+
+class Verb(NamedTuple):
+    """The functions of a verb."""
+
+    add: Callable[[argparse.ArgumentParser], None]  # adds its arguments
+    run: Callable[[Recording, argparse.Namespace], int] | None  # on a recording; None if it takes none
+    run_folder: Callable[[Runs, argparse.Namespace], int] | None  # on a folder of recordings; None if it takes none
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -97,12 +107,11 @@ def _command(arguments: list[str]) -> int:
 
         print(f"pycram-replay {version('pycram')}")
         return FINE
-    verb = _module(arguments[0]) if arguments and arguments[0] in VERBS else None
     try:
-        options = _parser(arguments[:1], verb).parse_args(arguments)
+        options = _parser(arguments[:1]).parse_args(arguments)
     except SystemExit as end:  # after printing help, or an error
         return FINE if not end.code else USAGE
-    return _run(_module(options.verb), options)
+    return _run(_verb(options.verb), options)
 
 
 def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
@@ -112,8 +121,9 @@ def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
         SystemExit: The arguments were wrong, which is printed.
         ReplayError: As the verb raises it.
     """
-    module = _module(verb)
-    module.run(log, _parser([verb], module).parse_args([verb, str(log.path), *arguments]))
+    run = _verb(verb).run
+    assert run is not None  # noqa: S101  for mypy
+    run(log, _parser([verb]).parse_args([verb, str(log.path), *arguments]))
 
 
 def _own_error(error: Exception) -> str:
@@ -149,11 +159,14 @@ def _joined(arguments: Sequence[str]) -> list[str]:
     return joined
 
 
-def _module(verb: str) -> ModuleType:
-    return importlib.import_module(f"replay.cli.{verb}")
+def _verb(name: str) -> Verb:
+    module = importlib.import_module(f"replay.cli.{_FILES.get(name, name)}")
+    suffix = f"_{name}" if name in _FILES else ""
+    add, run, run_folder = (getattr(module, f"{part}{suffix}", None) for part in ("add", "run", "run_folder"))
+    return Verb(add or (lambda _: None), run, run_folder)
 
 
-def _parser(arguments: Sequence[str], module: ModuleType | None) -> argparse.ArgumentParser:
+def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     for wrong in arguments:
         if wrong not in VERBS and not wrong.startswith("-"):
             _report(f"there is no verb {wrong!r}; {suggestion(wrong, VERBS)}", USAGE)
@@ -169,24 +182,24 @@ def _parser(arguments: Sequence[str], module: ModuleType | None) -> argparse.Arg
     for name, text in VERBS.items():
         verb = verbs.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
         verb.add_argument("log", metavar="LOG", help=_LOG_HELP.get(name, "the recording"))
-        if module is not None and name in arguments:
-            module.add(verb)
+        if name in arguments:
+            _verb(name).add(verb)
         verb.add_argument("--json", action="store_true", help="print JSON")
     return parser
 
 
-def _run(verb: ModuleType, options: argparse.Namespace) -> int:
+def _run(verb: Verb, options: argparse.Namespace) -> int:
     from replay.recording import Recording  # noqa: PLC0415  --help needn't wait for it
 
     try:
-        if not hasattr(verb, "run") or Path(options.log).is_dir():
+        if verb.run is None or Path(options.log).is_dir():
             return _run_on_folder(verb, options)
         with Recording(options.log) as log:
             if log.newer is not None:
                 print_message(f"{log.path}: {log.newer}")
             try:
                 with needed():
-                    code: int = verb.run(log, options)
+                    code = verb.run(log, options)
             except ReplayError as error:
                 lost = log.problems or isinstance(error, Damaged | Unreadable)
                 code = _report(str(error), INCOMPLETE if lost else USAGE)
@@ -201,19 +214,19 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
         raise
     except Exception as error:  # noqa: BLE001  no recording may cause one: whatever it is, it is ours
         return _report(_own_error(error), INTERNAL)
-    if problems and not getattr(verb, "EXPECTS_INCOMPLETE", False):
+    if problems and options.verb not in _TAKE_INCOMPLETE:
         return _report(f"the recording is incomplete: {problems}", code or INCOMPLETE)
     return code
 
 
-def _run_on_folder(verb: ModuleType, options: argparse.Namespace) -> int:
+def _run_on_folder(verb: Verb, options: argparse.Namespace) -> int:
     """Run a verb on a folder of recordings; say which of its files are left out."""
-    if not hasattr(verb, "run_folder"):
+    if verb.run_folder is None:
         takes = ", ".join(name for name in VERBS if name in _LOG_HELP)
         return _report(f"{options.log}: {options.verb} takes one recording; of a folder there are {takes}", USAGE)
     try:
         with needed(), opened(options.log) as runs:  # a verb may need another extra
-            code: int = verb.run_folder(runs, options)
+            code = verb.run_folder(runs, options)
             skipped = runs.skipped
     except NotInstalled as error:
         return _report(f"{options.verb}: {error}", USAGE)

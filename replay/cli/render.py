@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.arguments import add_step, numbers, print_moment
-from replay.cli.console import print_message, print_result
+from replay.cli.console import numbers, print_message, print_moment, print_result
 from replay.errors import ReplayError
+from replay.history.steps import HINT
 from replay.report.phrases import names
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the file, and the viewpoint."""
-    add_step(parser)
+    parser.add_argument("step", metavar="STEP", help=HINT)
     parser.add_argument("-o", dest="file", metavar="FILE", help="the picture (default: LOG_STEP.png in this folder)")
     parser.add_argument("--camera", metavar="FRAME", help="a frame of the robot, as wide_stereo_optical_frame")
     parser.add_argument(

@@ -1,6 +1,6 @@
-"""``repair``: a sound copy of the readable parts of a recording, and a list of the lost parts.
+"""Verbs that copy a recording: ``repair`` its readable parts, ``pack`` the recording with its models.
 
-A verb writes a copy of a recording atomically, and overwrites nothing but recordings.
+A copy is written atomically, and overwrites nothing but recordings.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from replay.file.repair import Losses
     from replay.recording import Recording
+
 
 R = TypeVar("R")
 
@@ -103,3 +104,23 @@ def _check(log: Recording, target: Path, *, overwrite: bool) -> None:
             raise ReplayError(f"{target}: there is a file that is no recording; move it away or name another file")
         if is_locked(file):
             raise ReplayError(f"{target}: another recording is writing it; name another file")
+
+
+def add_pack(parser: argparse.ArgumentParser) -> None:
+    """Add the copy's path."""
+    add_output(parser, "whole")
+
+
+def run_pack(log: Recording, options: argparse.Namespace) -> int:
+    """Write the copy."""
+    target: Path = options.output or log.path.with_name(f"{log.path.stem}.whole.mcap")
+    write_copy(log, target, log.write_packed, overwrite=options.overwrite)
+    shared = log.assets.shared
+    models = "" if shared is None else shared.name
+    of = f", those of {models} among them" if models else "; it held them itself before"
+    print_result(
+        lambda: {"file": str(target), "files": len(log.assets), "models": models},
+        [f"{target}: {len(log.assets)} attached files{of}"],
+        as_json=options.json,
+    )
+    return 0

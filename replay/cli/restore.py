@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND
-from replay.cli.arguments import add_step, print_moment
-from replay.cli.console import native_output_to_stderr, print_json, print_message, visible
+from replay.cli.console import native_output_to_stderr, print_json, print_message, print_moment, visible
 from replay.cli.main import FAILED, FINE
 from replay.errors import ReplayError
+from replay.history.steps import HINT
 
 if TYPE_CHECKING:
     import argparse
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, and what to do there."""
-    add_step(parser)
+    parser.add_argument("step", metavar="STEP", help=HINT)
     doing = parser.add_mutually_exclusive_group()
     doing.add_argument(
         "--script",

@@ -1,24 +1,42 @@
-"""``retrace``: whether a plan, run again, does what its recording has; else the first difference.
-
-What verbs that run a plan again have in common: which source runs with which arguments, and the comparison.
-"""
+"""Verbs that run a plan again: ``retrace`` compares, ``fork`` and ``resume`` go on into a new recording."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
-from typing import TYPE_CHECKING
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
+from recorder.mcap_sink import free_path
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE, INCOMPLETE, USAGE
 from replay.errors import ReplayError, Unreadable
+from replay.history.steps import HINT
 from replay.recording import Recording
 from replay.report import phrases
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from replay.retrace.fork import Fork
     from replay.retrace.retrace import Retracing
+
+
+AGAIN: Final = "its effects outside of its worlds (files, network) happen again"
+_MAX_FIELDS: Final = 4  # that are listed
+_MAX_CALLERS: Final = 4
+
+
+def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add which source runs, and the plan's arguments."""
+    parser.add_argument(
+        "--recorded-source",
+        action="store_true",
+        help="run the source that is attached to the recording (default: the files on the disk)",
+    )
+    parser.add_argument(
+        "--arguments", nargs=argparse.REMAINDER, help="all that follow are the plan's (default: the recorded ones)"
+    )
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -67,9 +85,9 @@ def _retrace(log: Recording, options: argparse.Namespace, results: list[dict[str
         )
     except CantRetrace as error:  # the others are to be run
         return _not_run(str(log.path), error, results)
-    results.append({"file": str(log.path), **facts_of(result)})
+    results.append({"file": str(log.path), **_facts(result)})
     if not options.json:
-        print_result(dict, lines_of(result, f"{log.path}: "), as_json=False)
+        print_result(dict, _lines(result, f"{log.path}: "), as_json=False)
     return FINE if result.identical else FAILED
 
 
@@ -80,33 +98,12 @@ def _not_run(name: str, error: ReplayError, results: list[dict[str, object]]) ->
     return INCOMPLETE if isinstance(error, Unreadable) else USAGE
 
 
-_MAX_FIELDS = 4  # that are listed
-_MAX_CALLERS = 4
-
-
-def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add which source runs, and the plan's arguments."""
-    parser.add_argument(
-        "--recorded-source",
-        action="store_true",
-        help="run the source that is attached to the recording (default: the files on the disk)",
-    )
-    add_arguments(parser)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the plan's arguments."""
-    parser.add_argument(
-        "--arguments", nargs=argparse.REMAINDER, help="all that follow are the plan's (default: the recorded ones)"
-    )
-
-
-def facts_of(result: Retracing) -> dict[str, object]:
+def _facts(result: Retracing) -> dict[str, object]:
     """Return the result as JSON data."""
     return {**asdict(result), "plan": str(result.plan), "identical": result.identical}
 
 
-def lines_of(result: Retracing, of: str) -> Iterator[str]:
+def _lines(result: Retracing, of: str) -> Iterator[str]:
     """Yield the result as text, with what it is the result of before the plan's name."""
     difference = result.difference
     of += phrases.path(str(result.plan))
@@ -129,3 +126,113 @@ def _short(line: str) -> tuple[str, str]:
     """Return a plan's line, and with its file's path from the folder that one is in."""
     file, _, number = line.rpartition(":")
     return (line, f"{phrases.path(file)}:{number}") if file else ("\0", "")
+
+
+def add_fork(parser: argparse.ArgumentParser) -> None:
+    """Add the step, what is to be changed, the control and the new recording."""
+    parser.epilog = (
+        "Exit code 0: the plan succeeded. 1: it failed. 2: it can't be run, or isn't the same up to the step. With "
+        "--control, 0: the control came out as recorded. 1: it didn't."
+    )
+    parser.add_argument("--at", metavar="STEP", required=True, help=f"the last step that is the same: {HINT}")
+    parser.add_argument("--plan", metavar="FILE", help="an edited plan, which does the same up to that step")
+    parser.add_argument(
+        "--set",
+        metavar="WHAT=VALUE",
+        action="append",
+        default=[],
+        help="set something after that step: milk.position=1,2,0.9 (also orientation, color), a joint as "
+        "pr2.torso_lift_joint=0.2, a fluent as battery=20 (fluent:left.battery=20 if its name has a dot); repeatable",
+    )
+    parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last)")
+    parser.add_argument(
+        "--answer",
+        metavar="QUERY=ANSWER",
+        action="append",
+        default=[],
+        help="the next such query gets that answer: 'reachable_object(milk, ...)=false', 'blocking(...)=[bowl]'; "
+        "repeatable",
+    )
+    parser.add_argument("--seed", metavar="N", type=int, help="from there on, draw random numbers and order from this")
+    parser.add_argument(
+        "--control", action="store_true", help="also run the plan without the change, and compare it to its end"
+    )
+    parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.fork.mcap)")
+    add_source_and_arguments(parser)
+
+
+def run_fork(log: Recording, options: argparse.Namespace) -> int:
+    """Fork, and print where the new recording is."""
+    from replay.retrace.fork import fork  # noqa: PLC0415  needs the executor
+
+    step = log.step(options.at)
+    target = _new_file(log, options.target, "fork")
+    forked = fork(
+        log,
+        step,
+        target,
+        plan=options.plan,
+        arguments=options.arguments,
+        settings=options.set,
+        world=options.world,
+        answers=options.answer,
+        seed=options.seed,
+        control=options.control,
+        recorded_source=options.recorded_source,
+        begun=lambda: print_message(f"the plan runs again up to step {step}; {AGAIN}"),
+    )
+    return _print_fork(log, forked, as_json=options.json)
+
+
+def _new_file(log: Recording, given: str | None, kind: str) -> Path:
+    """Return the path of a new recording, which is none that is there."""
+    return free_path(Path(given) if given is not None else log.path.with_suffix(f".{kind}{log.path.suffix}"))
+
+
+def _print_fork(log: Recording, forked: Fork, *, as_json: bool) -> int:
+    """Print what has become of the plan, and return the exit code."""
+    control = forked.control
+    facts = {
+        **asdict(forked),
+        "file": str(forked.file),
+        "parent": str(log.path),
+        "control": control and _facts(control),
+    }
+    print_result(lambda: facts, _fork_lines(log, forked), as_json=as_json)
+    if control is not None:
+        return FINE if control.identical else FAILED
+    return FINE if forked.succeeded else FAILED
+
+
+def _fork_lines(log: Recording, forked: Fork) -> Iterator[str]:
+    ended = "succeeded" if forked.succeeded else "failed"
+    file = phrases.path(str(forked.file))
+    yield f"{file}: {forked.records} records, the first {forked.step + 1} as in {log.path}; the plan {ended}"
+    yield from (f"note  {note}" for note in forked.notes)
+    if forked.control is not None:
+        notes = tuple(note for note in forked.control.notes if note not in forked.notes)
+        yield from _lines(replace(forked.control, notes=notes), "without the change: ")
+
+
+def add_resume(parser: argparse.ArgumentParser) -> None:
+    """Add the new recording."""
+    parser.epilog = "Exit code 0: the plan succeeded. 1: it failed. 2: it can't be run, or isn't the same up to there."
+    parser.add_argument("--plan", metavar="FILE", help="the plan's file, where it is another one than was recorded")
+    parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.resumed.mcap)")
+    add_source_and_arguments(parser)
+
+
+def run_resume(log: Recording, options: argparse.Namespace) -> int:
+    """Resume, and print where the new recording is."""
+    from replay.retrace.fork import resume  # noqa: PLC0415  needs the executor
+
+    target = _new_file(log, options.target, "resumed")
+    resumed = resume(
+        log,
+        target,
+        plan=options.plan,
+        arguments=options.arguments,
+        recorded_source=options.recorded_source,
+        begun=lambda: print_message(f"the plan runs again up to step {len(log) - 1}, where it was killed; {AGAIN}"),
+    )
+    return _print_fork(log, resumed, as_json=options.json)

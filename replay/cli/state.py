@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND
 from recorder.records.motion import time_of
-from replay.cli.arguments import add_step
 from replay.cli.console import print_message, print_result
-from replay.compare.states import NOTABLE_METRES
+from replay.compare import NOTABLE_METRES
+from replay.history.steps import HINT
 from replay.report import phrases
 from replay.state.fold import last_open_step
 from replay.state.json_data import state_data
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, an object and a world."""
-    add_step(parser)
+    parser.add_argument("step", metavar="STEP", help=HINT)
     parser.add_argument("object", metavar="OBJECT", nargs="?", help="only this one, with its joints")
     parser.add_argument("--world", metavar="NAME", help="only this world")
     parser.add_argument("--links", action="store_true", help="also where each link is, in the world")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from replay.errors import NoSuchName
 from replay.explain.causes import find
 from replay.explain.causes.case import FailureCase, objects_in
-from replay.history.failures import failures
+from replay.history.tasks import failures
 from replay.report import phrases
 from replay.state.fold import state_at
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.records import Plain
     from recorder.tasks import Node
-    from replay.explain.causes.cause import Cause
+    from replay.explain.causes.case import Cause
     from replay.history.source import Line
     from replay.state.state import Attachment, Body
 

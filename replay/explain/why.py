@@ -13,15 +13,14 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Failure, Query, Run, argument_values
 from recorder.records.text import fates_text, foreseen, is_choice
-from replay.compare.states import Difference, difference
+from replay.compare import Difference, difference
 from replay.errors import NoSuchStep
 from replay.explain.causes import find
 from replay.explain.causes.case import FailureCase, bodies_in
 from replay.explain.scene import FailedBranch, InvolvedBody, bodies, branches
-from replay.history.failures import RootCause, failed_threads, failures, root_cause
 from replay.history.source import Line, ParsedException, PlanSource
 from replay.history.summary import summary
-from replay.history.tasks import choices
+from replay.history.tasks import RootCause, choices, failed_threads, failures, root_cause
 from replay.report import phrases
 from replay.state.fold import state_at
 from replay.state.json_data import mentions
@@ -30,10 +29,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from recorder.tasks import Node
-    from replay.explain.causes.cause import Cause
+    from replay.explain.causes.case import Cause
     from replay.file.record_reader import RecordReader
-    from replay.history.failures import Failures
     from replay.history.summary import Summary
+    from replay.history.tasks import Failures
     from replay.state.state import Body, State, World
 
 

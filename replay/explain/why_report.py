@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query, format_failure
 from recorder.records.text import chosen_name, decision_text, fates_text, foreseen, rejection_lines
-from replay.compare import states
-from replay.explain.causes.cause import Cause
+from replay.compare import difference_lines
+from replay.explain.causes.case import Cause
 from replay.explain.causes.waiting import Interruption
 from replay.explain.scene import InvolvedBody, facing
 from replay.explain.why import TriedAction
@@ -343,7 +343,7 @@ def _changes(why: Why) -> Iterator[str]:
 
 def _since(since: ChangesSince) -> Iterator[str]:
     task = since.task
-    changes = list(states.lines(since.difference)) if since.difference.notable or since.difference.added else []
+    changes = list(difference_lines(since.difference)) if since.difference.notable or since.difference.added else []
     name = f"{phrases.node(task)} succeeded at step {task.last_step}"
     if not changes:
         yield f"{name}; since then nothing in the world has changed."

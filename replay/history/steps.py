@@ -34,7 +34,7 @@ def step_of(log: RecordReader, name: int | str) -> int:
     if text == "last":
         return len(log) - 1
     if text == "failure":
-        from replay.history.failures import root_cause  # noqa: PLC0415  it and what it needs take long to import
+        from replay.history.tasks import root_cause  # noqa: PLC0415  it and what it needs take long to import
 
         cause = root_cause(log)
         if cause is None:

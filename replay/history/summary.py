@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Run, format_failure
 from replay.errors import Unreadable
-from replay.history.failures import INTERRUPT, failed_threads
+from replay.history.tasks import INTERRUPT, failed_threads
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

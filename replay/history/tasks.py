@@ -1,25 +1,166 @@
-"""The tasks around a record, and the tree of all tasks, as in :mod:`recorder.tasks`."""
+"""The tasks of a recording: its failures and their root cause, the tasks around a record, and the tree of all.
+
+Failures are collected in one pass. Of successful tasks only motions, and the last of each kind, are kept; of very many
+tasks only the last ones, so that memory is bounded.
+
+The root cause is the one failure that explains how a plan ended; ``why``, the step ``failure`` and trees use it:
+
+- The plan failed: the task that raised its exception, or the nearest cause of that; else the plan's own code.
+- It was interrupted: the point of the interrupt, whatever failed before.
+- It succeeded, but a thread of its own failed: as if the plan had failed with that exception.
+- Otherwise, or if the recording was cut: the last failure that no task around it recovered from, or else the last.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Output, Query, Task
+from recorder.records import Output, Query, Run, Task
 from recorder.records.text import is_choice
-from recorder.tasks import Tree
+from recorder.tasks import Node, Tree, decisive
 from replay.errors import Damaged
-from replay.history.failures import root_cause, uncaught_failure
-from replay.history.source import PlanSource
+from replay.history.source import ParsedException, PlanSource, parse_traceback
 from replay.state.integrity import TaskDepths
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from recorder.records import Record
-    from recorder.tasks import Node
+    from recorder.records import Failure, Record
     from replay.file.record_reader import RecordReader
     from replay.history.source import Line
+
+
+_RUN_RECORDS: Final = 2  # of a run without failed threads: started, finished
+#: What a plan ends with that somebody interrupts.
+INTERRUPT: Final = "KeyboardInterrupt"
+_UNPACKED: Final = 20_000  # tasks of a tree; each takes some 3 kB, packed ones less than 1
+_MAX_KEPT: Final = 5_000  # failures, and motions: a node with its records takes some 3 kB
+
+
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """Failed, unfinished and successful tasks; as parts they have only failed and unfinished tasks."""
+
+    origins: tuple[Node, ...]  # the tasks in which failures began, in the order of their ends; the last ones
+    running: tuple[Node, ...]  # the tasks that have not ended, in the order of their starts
+    successes: Mapping[tuple[str, str], Node]  # the last successful one of each kind and name
+    motions: tuple[Node, ...] = ()  # the motions that have ended, in the order of their ends; the last ones
+    forgotten: int = 0  # number of earlier origins that were left out
+    first_motion: int | None = None  # the step at which the first motion began; None if none did
+
+    @property
+    def last_success(self) -> Node | None:
+        """The last motion, or else task, that succeeded."""
+        motions = [task for (kind, _), task in self.successes.items() if kind == "motion"]
+        return max(motions or self.successes.values(), key=lambda task: task.last_step, default=None)
+
+
+def failures(log: RecordReader, stop: int | None = None) -> Failures:
+    """Return the failures of a recording, or of its part before a step."""
+    running: dict[int, Node] = {}
+    successes: dict[tuple[str, str], Node] = {}
+    origins: deque[Node] = deque()
+    motions: deque[Node] = deque(maxlen=_MAX_KEPT)
+    forgotten, first_motion = 0, None
+    for record in log.records(Task, stop=stop):
+        if first_motion is None and record.kind == "motion":
+            first_motion = record.seq
+        number, parent = record.task, running.get(record.parent)
+        if record.phase == Task.STARTED:
+            running[number] = Node(record, parent)
+            if parent is not None:
+                parent.parts[number] = running[number]
+        elif record.phase == Task.FINISHED:
+            task = running.pop(number, None) or Node(record, parent)
+            task.finished = record
+            if task.is_origin:
+                forgotten += _keep(origins, task)
+            if task.kind == "motion":
+                motions.append(task)
+            if task.parent is not None and not task.failed:
+                task.parent.parts.pop(number, None)
+            if record.status == Task.SUCCEEDED:
+                successes[record.kind, record.name] = task
+    return Failures(tuple(origins), tuple(running.values()), successes, tuple(motions), forgotten, first_motion)
+
+
+def _keep(origins: deque[Node], task: Node) -> int:
+    """Add a task in which a failure began, and return how many had to be dropped, also from what they were part of."""
+    origins.append(task)
+    if len(origins) <= _MAX_KEPT:
+        return 0
+    outer = origins.popleft().outermost_failed
+    if outer.parent is not None:
+        outer.parent.parts.pop(outer.id, None)
+    return 1
+
+
+def failed_threads(log: RecordReader) -> tuple[Run, ...]:
+    """Return the records of the plan's own threads that failed while the plan went on."""
+    if log.counts().get("run", 0) <= _RUN_RECORDS:
+        return ()
+    return tuple(record for record in log.records(Run) if record.phase == Run.THREAD_FAILED)
+
+
+@dataclass(frozen=True, slots=True)
+class RootCause:
+    """The root cause of a failure."""
+
+    #: The end of the task in which it began. If the plan's own code failed: the last step before worlds were closed, or
+    #: the step in which its thread ended.
+    step: int
+    task: Node | None  # the task in which it began; None if the plan's own code did it
+    failure: Failure | None = None  # what the plan, or a thread of it, failed with; None if neither did
+    thread: str = ""  # name of that thread; "" if the plan failed
+    exceptions: tuple[ParsedException, ...] = ()  # those from that task on that led to the plan's failure, causes first
+
+
+def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:
+    """Return the root cause; None if nothing failed."""
+    failed = failed if failed is not None else failures(log)
+    end = uncaught_failure(log)
+    if end is None:
+        task = decisive(failed.origins)
+        return RootCause(task.last_step, task) if task is not None else None
+    thread = end.thread if end.phase == Run.THREAD_FAILED else ""
+    parsed = parse_traceback(end.failure.traceback, PlanSource(log))
+    last = parsed.pop() if parsed else ParsedException("", "", ())  # it is the failure itself: the record has its words
+    exceptions = (*parsed, ParsedException(end.failure.type, end.failure.message, last.lines, last.own))
+    earlier = [
+        task for task in failed.origins if task.last_step < end.seq
+    ]  # the plan may fail with the same error later
+    if end.failure.type == INTERRUPT:  # earlier failures aren't the reason
+        exceptions = exceptions[-1:]
+        earlier = [task for task in earlier if task.error is not None and task.error[0] == INTERRUPT]
+    origin = _origin(earlier, exceptions)
+    if origin is None:
+        return RootCause(end.seq if thread else log.final_step(), None, end.failure, thread, exceptions)
+    task, first = origin
+    return RootCause(task.last_step, task, end.failure, thread, exceptions[first:])
+
+
+def uncaught_failure(log: RecordReader) -> Run | None:
+    """Return the record of the uncaught failure of the plan, else of its last failed thread."""
+    end = log[-1]
+    if isinstance(end, Run) and end.HasField("failure"):
+        return end
+    return next(reversed(failed_threads(log)), None)
+
+
+def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
+    """Return the task that raised the failure or else its nearest cause, and the index of that exception.
+
+    Earlier exceptions were handled, even if they are in Python's traceback. Of several failed tasks in a block it is
+    the one whose error became the block's error.
+    """
+    for number in range(len(exceptions) - 1, -1, -1):
+        error = exceptions[number].type, exceptions[number].message
+        raising = [task for task in origins if any(outer.error == error for outer in task.around())]
+        if raising:
+            return next((task for task in reversed(raising) if task.error == error), raising[-1]), number
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +196,6 @@ def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
                 break
     stacks = [source.call_stack(record), *(task.call_stack for task in tasks)]
     return CausingTasks(tuple(tasks), next(filter(None, stacks), ()))
-
-
-_UNPACKED: Final = 20_000  # tasks; each takes some 3 kB, packed ones less than 1
 
 
 def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterator[Query]:

@@ -1,7 +1,7 @@
 """Guides a run by its recording: each record is compared with the recorded one as soon as it is made.
 
 Clocks, durations, ids of tasks and source lines differ from run to run and aren't compared (see
-:func:`replay.compare.runs.differing`); the order of records is.
+:func:`replay.compare.differing`); the order of records is.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from recorder.records import Change, Run, Task, format_failure
 from recorder.records.text import text_of, values
 from recorder.tracing.journal import NullSink
-from replay.compare.runs import differing
+from replay.compare import differing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence

@@ -37,7 +37,7 @@ from recorder.records import (
 from recorder.records.text import chosen_name, mutation_text, pair_text
 from replay.errors import Damaged
 from replay.file.record_reader import RecordReader
-from replay.history.failures import INTERRUPT, root_cause, uncaught_failure
+from replay.history.tasks import INTERRUPT, root_cause, uncaught_failure
 from replay.runs.schema import COLUMNS, TABLES, VERSION, arrow_schema
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from recorder.records import Argument, BodyState, Failure, Record
-    from replay.history.failures import RootCause
+    from replay.history.tasks import RootCause
 
 
 FOLDER: Final = "tables"

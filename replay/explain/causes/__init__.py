@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Final
 
-from replay.explain.causes.cause import CausingChange
-from replay.explain.causes.gone import Gone, HandState
+from replay.explain.causes.case import CausingChange
+from replay.explain.causes.changed import Gone, HandState, Misbelief, NoLonger
 from replay.explain.causes.lacked import RefusedRequest, Swallowed
-from replay.explain.causes.no_longer import Misbelief, NoLonger
 from replay.explain.causes.out_of_reach import NoCandidate, ObstructingBody, UnreachedTarget
 from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import Raised
 from replay.explain.causes.waiting import Interruption, Timeout
 
 if TYPE_CHECKING:
-    from replay.explain.causes.case import FailureCase
-    from replay.explain.causes.cause import Cause
+    from replay.explain.causes.case import Cause, FailureCase
 
 #: All kinds, those that explain most first.
 KINDS: Final[tuple[type[Cause], ...]] = (

@@ -21,8 +21,7 @@ from recorder.records import Mutation, Plain, Query, Refusal, Task, argument_val
 from recorder.tasks import Node, State
 from recorder.urdf import read_shapes
 from replay.errors import Damaged, NoSuchName
-from replay.explain.causes.case import HANDLER, FailureCase, about, joints_of, objects_in, values
-from replay.explain.causes.cause import Cause
+from replay.explain.causes.case import HANDLER, Cause, FailureCase, about, joints_of, objects_in, values
 from replay.explain.causes.raised import is_mistake
 from replay.history.source import Line, syntax_nodes
 from replay.history.tasks import causing_tasks

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder.records.text import rejection_lines
-from replay.explain.causes.case import FailureCase, joints_of
-from replay.explain.causes.cause import Cause, CausingChange, since
+from replay.explain.causes.case import Cause, CausingChange, FailureCase, joints_of, since
+from replay.explain.causes.changed import Misbelief, NoLonger
 from replay.explain.causes.lacked import Swallowed
-from replay.explain.causes.no_longer import Misbelief, NoLonger
 from replay.explain.causes.physics import Physics
 from replay.history.tasks import choices
 from replay.report import phrases

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
-from replay.explain.causes.case import FailureCase, about, objects_in, result
-from replay.explain.causes.cause import Cause, CausingChange
+from replay.explain.causes.case import Cause, CausingChange, FailureCase, about, objects_in, result
 from replay.history.blame import commanded, is_physics
 from replay.report import phrases
 from replay.state.fold import state_at

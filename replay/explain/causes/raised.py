@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Fluent, Query, Refusal, Task, from_json
 from recorder.records.text import is_choice
-from replay.explain.causes.cause import Cause
+from replay.explain.causes.case import Cause
 from replay.report import phrases
 
 if TYPE_CHECKING:

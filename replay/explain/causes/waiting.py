@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, from_json
 from recorder.tasks import Node, State, Tree
-from replay.explain.causes.case import FailureCase, objects_in
-from replay.explain.causes.cause import Cause
+from replay.explain.causes.case import Cause, FailureCase, objects_in
 from replay.explain.causes.raised import answers
-from replay.history.failures import INTERRUPT
 from replay.history.source import Line, syntax_nodes
+from replay.history.tasks import INTERRUPT
 from replay.report import phrases
 
 if TYPE_CHECKING:

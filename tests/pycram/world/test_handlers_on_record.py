@@ -19,7 +19,7 @@ from recorder.records import Event as EventRecord, Fluent as FluentRecord, Mutat
 from recorder.tracing import journal
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.compare.runs import differing
+from replay.compare import differing
 from tests.conftest import MemorySink
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from pycram.scheduling.schedule import seed_order
 from pycram.world.simulation import wait
 from recorder import geometry
 from recorder.records import Mutation, Task
-from replay.compare.runs import differing
+from replay.compare import differing
 from replay.recording import Recording
 from replay.restore.verify import verify
 from tests.smooth_motions import drive, move, to

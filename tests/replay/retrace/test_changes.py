@@ -11,7 +11,7 @@ import pytest
 import replay
 from recorder.records import Fluent, Mutation, Output, Query, Task
 from replay.cli.main import main
-from replay.compare.runs import differing
+from replay.compare import differing
 from replay.errors import NoSuchName, ReplayError
 from replay.restore.verify import verify
 from replay.retrace.changes import BadChange, parse_answer

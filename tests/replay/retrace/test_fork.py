@@ -18,7 +18,7 @@ import pytest
 import replay
 from recorder.records import Run
 from replay.cli.main import main
-from replay.compare.runs import differing
+from replay.compare import differing
 from replay.errors import ReplayError
 from replay.retrace.fork import NotForked, fork, resume
 from replay.retrace.retrace import retrace

@@ -14,7 +14,7 @@ from recorder import mcap_sink
 from recorder.mcap_sink import McapSink
 from recorder.records import Mutation
 from replay.cli.main import main
-from replay.compare.states import difference
+from replay.compare import difference
 from replay.file.lifetimes import title
 from replay.history.summary import summary
 

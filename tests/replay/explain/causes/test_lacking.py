@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from replay.explain.causes.cause import Cause
+    from replay.explain.causes.case import Cause
     from replay.explain.why import Why
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from replay.explain import causes as kinds
-from replay.explain.causes.cause import CausingChange
+from replay.explain.causes.case import CausingChange
 from tests.replay.explain.causes.explaining import line_of, words
 
 if TYPE_CHECKING:

@@ -169,7 +169,7 @@ def test_a_variable_without_a_value_leads_to_the_failure_that_left_it_so(robot: 
 def test_of_very_many_failures_the_last_are_looked_at_and_the_others_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("replay.history.failures._MAX_KEPT", 10)
+    monkeypatch.setattr("replay.history.tasks._MAX_KEPT", 10)
     with contextlib.suppress(PlanFailure), recorder.record(tmp_path / "x.mcap"), span("plan", "long", {}):
         for number in range(40):
             with (

@@ -19,8 +19,7 @@ from recorder.records import TOPICS, Query, Task
 from recorder.records.values import AssetFile
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.compare.runs import compare
-from replay.compare.states import difference
+from replay.compare import compare_recordings, difference
 from replay.report import phrases
 from replay.restore.verify import verify
 from tests.replay.commands import mutation
@@ -56,7 +55,7 @@ def test_two_runs_of_the_same_plan_are_the_same(small_log: Path, tmp_path: Path)
     again = tmp_path / "again.mcap"
     again.write_bytes(small_log.read_bytes())
     with replay.open(small_log) as first, replay.open(again) as second:
-        compared = compare(first, second)
+        compared = compare_recordings(first, second)
         assert compared.divergence is None
         assert compared.equal == len(first)
         assert not compared.difference
@@ -97,11 +96,11 @@ def test_runs_in_one_process_are_compared_whatever_their_worlds_and_fluents_are_
         replay.open(tmp_path / "third.mcap") as third,
     ):
         assert first.lifetimes[0].world != second.lifetimes[0].world  # or nothing would be shown here
-        same = compare(first, second)
+        same = compare_recordings(first, second)
         assert same.divergence is None
         assert same.equal == len(first)
         assert not same.difference
-        other = compare(first, third)
+        other = compare_recordings(first, third)
         assert other.divergence is not None
         assert set(other.divergence.fields) == {"load_body.position[2]", "effect.bodies[0].position[2]"}
         assert [change.distance for change in other.difference.changed] == [1, 1]
@@ -112,9 +111,9 @@ def test_worlds_of_other_names_are_compared_in_order(tmp_path: Path) -> None:
     fill(tmp_path / "second.mcap", 1, "lab", "yard")
     fill(tmp_path / "third.mcap", 1, "hall", "lab")
     with replay.open(tmp_path / "first.mcap") as first, replay.open(tmp_path / "second.mcap") as second:
-        assert compare(first, second).divergence is None
+        assert compare_recordings(first, second).divergence is None
         with replay.open(tmp_path / "third.mcap") as third:
-            crossed = compare(first, third)  # names that both have are the same worlds
+            crossed = compare_recordings(first, third)  # names that both have are the same worlds
             assert crossed.divergence is not None
             assert [change.distance for change in crossed.difference.changed] == [1, 1]
 
@@ -123,11 +122,11 @@ def test_runs_diverge_at_the_first_different_record(tmp_path: Path) -> None:
     drop(tmp_path / "a.mcap", [1, 2, 3])
     drop(tmp_path / "b.mcap", [1, 2.5, 3])
     with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
-        divergence = compare(first, second).divergence
+        divergence = compare_recordings(first, second).divergence
         assert divergence.task == "drop"
         assert divergence.first.seq == divergence.second.seq == first.step("task:drop#2@start")
         assert divergence.fields == {"parameters.height": (2, 2.5)}
-        assert compare(first, second, tolerance=1.0).divergence is None
+        assert compare_recordings(first, second, tolerance=1.0).divergence is None
 
 
 def test_a_record_of_only_one_run_is_the_divergence(tmp_path: Path) -> None:
@@ -135,12 +134,12 @@ def test_a_record_of_only_one_run_is_the_divergence(tmp_path: Path) -> None:
     drop(tmp_path / "b.mcap", [1, 2], extra=True)
     with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
         for log, second_log, side in ((first, second, "second"), (second, first, "first")):
-            divergence = compare(log, second_log).divergence
+            divergence = compare_recordings(log, second_log).divergence
             alone = getattr(divergence, side)
             assert isinstance(alone, Task)
             assert alone.name == "look"
             assert alone.phase == Task.STARTED
-        compared = compare(first, second)
+        compared = compare_recordings(first, second)
         (change,) = compared.difference.changed
         assert change.body == "ball"
         assert change.after[0][2] > 8
@@ -167,9 +166,9 @@ def test_a_record_of_only_one_run_comes_before_its_consequences(tmp_path: Path) 
         replay.open(tmp_path / "b.mcap") as second,
         replay.open(tmp_path / "c.mcap") as third,
     ):
-        assert compare(first, second).divergence.second.name == "look"
-        assert compare(first, third).divergence.second.name == "look"
-        assert compare(second, third).divergence.fields == {"parameters.height": (2.5, 2.0)}
+        assert compare_recordings(first, second).divergence.second.name == "look"
+        assert compare_recordings(first, third).divergence.second.name == "look"
+        assert compare_recordings(second, third).divergence.fields == {"parameters.height": (2.5, 2.0)}
 
 
 def test_diff_of_diverging_runs_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -254,7 +253,7 @@ def test_a_recording_of_an_earlier_release_differs_only_in_what_happened(tmp_pat
     as_of_earlier_release(now, then)
     with replay.open(now) as first, replay.open(then) as second:
         assert {query.name for query in first.records(Query)} == {"gaze"}
-        assert compare(first, second).divergence is None
-        assert compare(second, first).divergence is None
-        assert compare(first, first).equal == len(first)
+        assert compare_recordings(first, second).divergence is None
+        assert compare_recordings(second, first).divergence is None
+        assert compare_recordings(first, first).equal == len(first)
         assert verify(second).exact

@@ -1,1 +1,0 @@
-"""Comparisons: of two states, two runs, two records."""
