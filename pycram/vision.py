@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.visual import Each, Shapes, shapes_of
+from pycram.models.shapes import Each, Shapes, shapes_of
 from recorder import geometry
 
 if TYPE_CHECKING:

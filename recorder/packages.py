@@ -7,10 +7,13 @@ commands end with one line that says so. The line speaks of a checkout, as PyPI'
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import platform
 import sys
 from functools import cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
+
+from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -86,6 +89,26 @@ def needed(extra: str | None = None) -> Iterator[None]:
         if name not in _EXTRAS:
             raise
         raise NotInstalled(name, extra or _EXTRAS[name]) from error
+
+
+class LazyModule:
+    """A module that is imported when one of its attributes is first read: some take longer to load than plans run.
+
+    Raises:
+        ModuleNotFoundError: The module isn't installed, which is checked without importing it.
+    """
+
+    def __init__(self, name: str) -> None:
+        package = name.partition(".")[0]
+        if importlib.util.find_spec(package) is None:
+            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        with Uninterrupted():  # libraries that import each other lazily would swallow a Ctrl-C
+            value = getattr(importlib.import_module(self._name), attribute)
+        setattr(self, attribute, value)
+        return value
 
 
 @cache

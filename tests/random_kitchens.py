@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 
 from pycram.bullet_world import BulletWorld, Object
-from pycram.models.load import resources
+from pycram.models.files import resources
 from recorder import geometry
 
 if TYPE_CHECKING:

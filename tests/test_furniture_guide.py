@@ -16,7 +16,7 @@ from pycram import cli
 from pycram.bullet_world import BulletWorld
 from pycram.failures import UsageError
 from pycram.models import corrections, load
-from pycram.models.furniture.of_model import furniture_of
+from pycram.models.furniture import furniture_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

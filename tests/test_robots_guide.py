@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pycram.models import robot_urdfs
+from pycram.models import files
 from pycram.models.robots.description import RobotDescription
 
 REPO = Path(__file__).parent.parent
@@ -48,7 +48,7 @@ def test_commands_print_what_the_guide_shows(tmp_path: Path, command: str, shown
 
 def test_the_guide_names_the_robots_in_the_box_and_their_arms() -> None:
     rows = re.findall(r"^\| [\w ]+ \| `([\w.]+)` \| ((?:`\w+`(?:, )?)+) \|", GUIDE, re.MULTILINE)
-    assert {urdf for urdf, _ in rows} == set(robot_urdfs.NAMES)
+    assert {urdf for urdf, _ in rows} == set(files.ROBOT_URDFS)
     for urdf, arms in rows:
         described = RobotDescription.load(REPO / "pycram" / "models" / "robots" / urdf.replace(".urdf", ".toml"))
         assert set(re.findall(r"`(\w+)`", arms)) == set(described.arms)

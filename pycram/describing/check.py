@@ -8,20 +8,23 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.describing.hand import Corners
-from pycram.describing.postures import chain_of
+from pycram.describing.grippers import Corners
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.kinematics import pan_tilt
+from pycram.reasoning.kinematics.forward import Chain
 from pycram.reasoning.kinematics.inverse import Solver, spread
 from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pycram.models.robots.arm import Arm
-    from pycram.models.robots.description import RobotDescription
+    from numpy.typing import NDArray
+
+    from pycram.models.robots.description import Arm, RobotDescription
     from pycram.models.robots.gripper import Gripper
     from pycram.world.object import Object
+
+    Array = NDArray[np.float64]
 
 _POSES: Final = 40  # of the tool that an arm is asked to reach
 _ENOUGH: Final = 0.9  # of them that it has to reach again
@@ -29,6 +32,11 @@ _CENTRED: Final = 0.003  # m that the middle between fingers may be beside the t
 _APERTURE: Final = 0.005  # m by which a description may be wrong about fingers
 _STILL_TIME: Final = 2.0  # s
 _STILL: Final = 1e-3  # rad or m
+_TRIED: Final = 4000  # postures among which one to park in is looked for
+_CHECKED: Final = 300  # of them that are checked for self collisions, best first
+_SAMPLED: Final = 40  # postures in which links that always overlap do so
+_FLOOR: Final = 0.05  # m above the root link that arms stay
+_STRAIN: Final = 0.1  # m that a posture at joint limits may be larger than one in the middle
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,3 +175,41 @@ def _stillness(robot: Object) -> Finding:
         text = f"in {_STILL_TIME:g} s of simulation {worst} moves most, by {moved[worst]:.5f} rad or m"
     finite = all(np.isfinite(value) for value in moved.values())
     return Finding(finite and (not worst or moved[worst] < _STILL), "stillness", text)
+
+
+def chain_of(robot: Object, arm: Arm) -> Chain:
+    """Return the kinematics of an arm as the robot stands."""
+    now = robot.get_joint_positions()
+    return Chain(robot.urdf, arm.base_link, arm.tool_frame, arm.joints, now, arm.tool_offset)
+
+
+def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
+    """Return pairs of links that overlap in all postures of an arm that are looked at: their shapes do, not they."""
+    chain = chain_of(robot, arm)
+    postures = [dict(zip(arm.joints, row, strict=True)) for row in spread(chain, 0, _SAMPLED).tolist()]
+    with CollisionChecker(robot, arm.joints) as checker:
+        found = [
+            {(pair.link, pair.body_link) for pair in checker.self_collisions(candidate)}
+            for candidate in checker.predict(postures)
+        ]
+    return set.intersection(*found) if found else set()
+
+
+def parked(robot: Object, arm: Arm) -> list[float]:
+    """Return a compact posture in which the robot doesn't touch itself; its other arms are where they are."""
+    chain = chain_of(robot, arm)
+    postures = chain.limited(spread(chain, 0, _TRIED))
+    root = geometry.pose_matrix(robot.urdf.forward_kinematics(robot.get_joint_positions(), arm.base_link))
+    frames = np.concatenate([chain.frames(postures), chain.poses(postures)[None]])
+    points = (root @ frames)[:, :, :3, 3]
+    size = np.hypot(points[:, :, 0], points[:, :, 1]).max(axis=0)
+    low = np.maximum(_FLOOR - points[:, :, 2].min(axis=0), 0.0)
+    middle = np.abs((postures - chain.lower) / (chain.upper - chain.lower) - 0.5).max(axis=1)
+    order = np.argsort(size + 10 * low + _STRAIN * 2 * middle, kind="stable")[:_CHECKED]
+    rows = postures[order].round(3).tolist()
+    with CollisionChecker(robot, arm.joints) as checker:
+        named = [dict(zip(arm.joints, row, strict=True)) for row in rows]
+        for row, candidate in zip(rows, checker.predict(named), strict=True):
+            if not checker.self_collisions(candidate):
+                return [float(value) for value in row]
+    return [float(value) for value in chain.limited(np.zeros((1, len(arm.joints))))[0].round(3)]

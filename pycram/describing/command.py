@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
-from pycram.describing import furniture
-from pycram.describing.check import check
-from pycram.describing.describe import describe
+from pycram.describing.check import always_touching, check, parked
+from pycram.describing.guess import as_toml, guess, quoted
 from pycram.foundation.failures import AssetError
-from pycram.models import load, robot_urdfs
+from pycram.models import load
+from pycram.models.corrections import SUFFIX
+from pycram.models.files import ROBOT_URDFS, parse_toml
+from pycram.models.furniture import find_furniture, furniture_of
 from pycram.models.robots.description import RobotDescription
+from pycram.models.surfaces import Container, Surface, closed_position
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
+from recorder import geometry
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterator, Mapping, Sized
 
     from pycram.models.load import Model
+    from pycram.models.surfaces import Surface
+    from recorder.urdf import Urdf
 
 _FINE, _FAILED, _WRONG_USAGE = 0, 1, 2  # exit codes
+_IN_A_ROW: Final = 2  # movable joints of furniture: a drawer behind a door
 
 
 def run(options: argparse.Namespace) -> int:
@@ -28,9 +37,9 @@ def run(options: argparse.Namespace) -> int:
     if options.file is None and options.check is None:
         return _refused("it takes a URDF, or --check with a description")
     try:
-        if options.file and not options.check and furniture.is_furniture(model := load.load(options.file)):
+        if options.file and not options.check and is_furniture(model := load.load(options.file)):
             return _furniture(model, options)
-        text = None if options.check else describe(options.file)
+        text = None if options.check else describe_robot(options.file)
         if options.check:
             description = RobotDescription.load(options.check)
         else:
@@ -49,7 +58,7 @@ def _write(text: str, description: RobotDescription, options: argparse.Namespace
 
 
 def _furniture(model: Model, options: argparse.Namespace) -> int:
-    print(furniture.describe(model, options.file), end="")
+    print(describe_furniture(model, options.file), end="")
     if options.picture:
         with BulletWorld() as world:
             _draw(Object(model.urdf.name or "furniture", "environment", options.file, world=world), options.picture)
@@ -93,7 +102,7 @@ def _draw(body: Object, file: Path) -> None:
 
 def _urdf_of(description: RobotDescription) -> str | None:
     """Return the URDF in the box of a robot with that name."""
-    for name in robot_urdfs.NAMES:
+    for name in ROBOT_URDFS:
         if description.robot in (Path(name).stem, f"{Path(name).stem}_with_gripper"):
             return name
     return None
@@ -102,3 +111,107 @@ def _urdf_of(description: RobotDescription) -> str | None:
 def _refused(reason: str) -> int:
     print(f"pycram describe: {reason}", file=sys.stderr)
     return _WRONG_USAGE
+
+
+def describe_robot(urdf: str | Path) -> str:
+    """Return a first description of the robot with a URDF.
+
+    Args:
+        urdf: a file, or the name of a robot in the box.
+
+    Raises:
+        AssetError: it can't be loaded.
+    """
+    model = load.load(urdf)
+    found = guess(model)
+    draft = RobotDescription.parse(as_toml(found), "the first description")
+    with BulletWorld() as world:
+        robot = Object("robot", "robot", urdf, description=draft, model=model)
+        arms = [draft.arm(chain.name) for chain, _ in found.arms]
+        with world.lock:
+            touching = set().union(*(always_touching(robot, arm) for arm in arms))
+        robot.remove()
+        tolerant = RobotDescription.parse(as_toml(found, may_touch=touching), "the first description")
+        robot = Object("robot", "robot", urdf, description=tolerant, model=model)
+        park: dict[str, list[float]] = {}
+        with world.lock:
+            for arm in arms:
+                park[arm.name] = parked(robot, arm)
+                robot.set_joint_positions(dict(zip(arm.joints, park[arm.name], strict=True)))
+    return as_toml(found, park, touching)
+
+
+def is_furniture(model: Model) -> bool:
+    """Whether a model is furniture: something can stand on or in it, and it has neither arms, legs nor wheels."""
+    found, tree = guess(model), model.urdf
+    in_a_row = max(sum(joint.movable for joint in tree.chain(tree.root, link)) for link in tree.links)
+    has_arms = bool(found.arms) or in_a_row > _IN_A_ROW
+    return not has_arms and not found.drives and bool(furniture_of(model).surfaces)
+
+
+def describe_furniture(model: Model, urdf: str | Path) -> str:
+    """Return the TOML of furniture: what is found, with the corrections that it has.
+
+    Args:
+        model: the furniture.
+        urdf: its file.
+
+    Raises:
+        AssetError: its corrections don't fit.
+    """
+    tree = model.urdf
+    found, now = find_furniture(model.path, tree), furniture_of(model)
+    beside = next((file for file in model.files if file.name.endswith(SUFFIX)), None)
+    said: Any = parse_toml(beside.content.decode(), beside.name) if beside else {}
+    surfaces = {name: _of_surface(surface, tree) for name, surface in now.surfaces.items()}
+    containers = {name: _of_container(container, tree) for name, container in now.containers.items()}
+    opening = {container.joint for container in now.containers.values()}
+    others = [f"{joint} ({tree.joints[joint].type})" for joint in tree.movable if joint not in opening]
+    file = f"{Path(urdf).stem}{SUFFIX}"
+    lines = [
+        f"# {tree.name}: {_count(surfaces, 'surface')}, {_count(containers, 'container')}; written by pycram describe.",
+        f"# To name or correct them, save this beside the URDF as {file}. Metres, radians.",
+        *_tables("surfaces", [*found.surfaces], said.get("surfaces", {}), surfaces),
+        *_tables("containers", [*found.containers], said.get("containers", {}), containers),
+    ]
+    if others:
+        lines += ["", "# Joints that open nothing:", *(f"#   {joint}" for joint in others)]
+    return "\n".join(lines) + "\n"
+
+
+def _count(things: Sized, name: str) -> str:
+    return f"{len(things) or 'no'} {name}{'' if len(things) == 1 else 's'}"
+
+
+def _tables(kind: str, found: list[str], said: Mapping[str, Any], now: Mapping[str, str]) -> Iterator[str]:
+    """Yield the tables of all that was found or added, each with what is known of it and what is said of it."""
+    for key in dict.fromkeys([*found, *said]):
+        entries = said.get(key, {})
+        about = now.get(entries.get("name", key), "removed")
+        yield from ("", f"[{kind}.{quoted(key)}]  # {about}")
+        yield from (f"{entry} = {_value(value)}" for entry, value in entries.items())
+
+
+def _of_surface(surface: Surface, tree: Urdf) -> str:
+    closed = {name: closed_position(tree.joints[name]) for name in tree.movable}
+    height = geometry.transform(tree.forward_kinematics(closed, surface.link), surface.position)[2]
+    x, y = surface.size
+    above = "open above" if surface.clearance == math.inf else f"{surface.clearance:.2f} free above"
+    inside = f", in {quoted(surface.container)}" if surface.container else ""
+    return f"{x:.2f} x {y:.2f} at height {height:.3f}, {above}, on {surface.link}{inside}"
+
+
+def _of_container(container: Container, tree: Urdf) -> str:
+    joint = f"{tree.joints[container.joint].type} {container.joint} {container.closed:g} to {container.open:.4g}"
+    return f"{container.kind}, {joint}, {f'handle {container.handle}' if container.handle else 'no handle'}"
+
+
+def _value(value: object) -> str:
+    """Return a value as TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return quoted(value)
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    return repr(value)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.models.robots.arm import Arm
+    from pycram.models.robots.description import Arm
     from pycram.models.surfaces import Surface
     from pycram.world.object import Object
     from recorder.geometry import Vector

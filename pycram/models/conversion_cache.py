@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _WORTH: Final = 50_000  # bytes from which on a binary STL takes longer to convert than to be found again
 _LARGEST: Final = 1_000_000_000  # bytes of all entries; those that weren't used for longest go
-_CODE: Final = ("links.py", "mesh.py", "parts.py", "texture.py")
+_CODE: Final = ("canonical_urdf.py", "mesh.py", "object_urdf.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
 _IMAGE: Final = re.compile(rb"<image\b(?:(?!</image>).)*?<init_from>\s*([^<]+?)\s*</init_from>", re.DOTALL)
 _MATERIALS: Final = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)

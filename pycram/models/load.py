@@ -1,47 +1,47 @@
-"""Loading of models: from the file that a user names to a checked, canonical URDF for the engine and for recordings.
+"""Loading of models: from a file that a user names, or a recording's attachments, to a checked, canonical URDF.
 
-PyBullet refuses broken files without a reason, or loads them without a shape: every file is checked here first. A
-canonical URDF refers to its meshes as ``<sha256>/<file name>``, their names in the store (:mod:`pycram.models.store`).
-The same store can be built again from a recording's attachments on another machine (:mod:`pycram.models.recorded`).
+PyBullet refuses broken files without a reason, loads them without a shape, or ends the process over a mesh that makes
+no sense. So every file is checked here first, those of a recording too: a stranger may have written it. A canonical
+URDF refers to its meshes as ``<sha256>/<file name>``, their names in the store (:mod:`pycram.models.store`).
 """
 
 from __future__ import annotations
 
+import os
+import re
 import xml.etree.ElementTree as ET
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from hashlib import sha256
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from pycram.foundation.failures import AssetError, BadArgument
-from pycram.models import (
-    canonical_urdf,
-    conversion_cache,
-    corrections,
-    mesh,
-    packages as packages_of,
-    robot_urdfs,
-    store,
-    textured_shapes,
-)
-from pycram.models.files import read_bytes, read_text
-from pycram.models.texture import warn_of_missing
-from pycram.models.visual import piece_bounds
+from pycram.foundation.failures import AssetError
+from pycram.models import canonical_urdf, conversion_cache, corrections, mesh, object_urdf, store
+from pycram.models.files import check_packages, find, find_mesh, parse_urdf, read_bytes, read_text
+from pycram.models.shapes import piece_bounds
+from pycram.models.texture import cover_shape, warn_of_missing
 from pycram.models.warming import notable
 from pycram.physics.loading import NOW, Loading
 from recorder.records.values import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from recorder.urdf import Urdf
 
 _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _CACHED_MODELS: Final = 128
 _SIZES: Final = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}  # that take a texture
+_CACHED_MESHES: Final = 1024
+_START: Final = b"<robot "  # of canonical text: no declarations, no entities, no other encoding
+_MATERIALS: Final = re.compile(rb"^[ \t]*(?:mtllib|usemtl)\b", re.MULTILINE)
+_MAX_NAME: Final = 230  # bytes of a file's name; file systems take 255, and one is written under a longer name first
+_MAX_LINE: Final = 8000  # bytes of a line of a URDF: PyBullet breaks longer ones, where it reads something else then
+_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # of a byte that isn't UTF-8, as recorders write it
+_RESERVED: Final = ("", ".", "..")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,41 +62,6 @@ class Model:
     loading: Loading = NOW
 
 
-def resources() -> Path:
-    """Return the folder with the kitchen, the floor and the household objects."""
-    here = Path(__file__).parent.parent
-    installed = here / "resources"
-    return installed if installed.is_dir() else here.parent / "resources"
-
-
-def find(path: str | Path) -> Path:
-    """Return the absolute path of a model's file.
-
-    Args:
-        path: A file; a bare name that isn't in the working directory is looked for among PyCRAM's resources, and
-            ``pr2.urdf``, ``tiago_pro.urdf``, ``panda.urdf`` and ``ur5.urdf`` are robots of example-robot-data.
-
-    Raises:
-        BadArgument: It isn't a path.
-        AssetError: There is no such file.
-    """
-    if not isinstance(path, str | Path) or not str(path):
-        raise BadArgument("path", path, "a file's path")
-    given = Path(path).expanduser()
-    if given.is_file():
-        return given.resolve()
-    if given.exists():
-        raise AssetError(path, "is not a file")
-    if given.name == str(path):
-        if given.name in robot_urdfs.NAMES:
-            return robot_urdfs.robot_urdf(given.name, resources())
-        shipped = resources() / given
-        if shipped.is_file():
-            return shipped
-    known = sorted(file.name for kind in ("*.urdf", "*.stl") for file in resources().glob(kind))
-    raise AssetError(path, f"no such file; PyCRAM's own are {', '.join([*robot_urdfs.NAMES, *known])}")
-
-
 def load(path: str | Path, color: Sequence[float] | None = None, packages: Sequence[str | Path] = ()) -> Model:
     """Check a model and make it canonical.
 
@@ -104,7 +69,7 @@ def load(path: str | Path, color: Sequence[float] | None = None, packages: Seque
         path: A .urdf, .stl, .obj or .dae file, as :func:`find` takes it.
         color: RGBA 0..1 for a mesh; None keeps the colours of the file.
         packages: Folders of ROS packages that a URDF names, or folders in which these are; see
-            :mod:`pycram.models.packages`.
+            :mod:`pycram.models.files`.
 
     Raises:
         BadArgument: A folder of packages doesn't exist.
@@ -114,7 +79,7 @@ def load(path: str | Path, color: Sequence[float] | None = None, packages: Seque
     kind = file.suffix.lower()
     with Uninterrupted():  # libraries that import each other lazily would swallow a Ctrl-C
         if kind == ".urdf":
-            return _corrected(file, _canonical(file, read_bytes(file), file.stem, packages_of.check_folders(packages)))
+            return _corrected(file, _canonical(file, read_bytes(file), file.stem, check_packages(packages)))
         if kind in _MESH_SUFFIXES:
             return _canonical(file, _object_urdf(file, color), file.stem)
     if kind == ".xacro":
@@ -135,7 +100,9 @@ def _corrected(file: Path, model: Model) -> Model:
 def _object_urdf(file: Path, color: Sequence[float] | None) -> bytes:
     """Return the URDF of an object that is one mesh, and write its meshes into the store."""
     kind = f"object {None if color is None else [float(part) for part in color]}"
-    files = conversion_cache.get(kind, file, lambda: [*mesh.as_urdf(file, color, _decompose)], mesh.beside(file))
+    files = conversion_cache.get(
+        kind, file, lambda: [*object_urdf.as_urdf(file, color, _decompose)], object_urdf.beside(file)
+    )
     *meshes, (_, urdf, _) = files
     for name, content, _ in meshes:
         store.write_mesh(name, content)
@@ -154,10 +121,10 @@ def _decompose(content: bytes) -> bytes:
 
 def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ...] = ()) -> Model:
     meshes, textures = _file_names(source, content)
-    found = {name: packages_of.find_mesh(source, name, packages) for name in meshes}
+    found = {name: find_mesh(source, name, packages) for name in meshes}
     for name in textures:
         try:
-            found[name] = packages_of.find_mesh(source, name, packages)
+            found[name] = find_mesh(source, name, packages)
         except AssetError:
             warn_of_missing(source, name)
     versions = tuple(
@@ -285,5 +252,73 @@ def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple
 @cache
 def _covered(kind: str, size: tuple[float, ...], picture: _FileVersion) -> tuple[_Painted, ...]:
     """Write what is seen of a shape with a texture into the store, by colour."""
-    parts = textured_shapes.cover(kind, size, picture.file)
-    return tuple(_Painted(store.write_mesh(name, content), rgba) for name, content, rgba in parts)
+    name = f"{picture.file.stem}-{kind}"
+    parts = enumerate(cover_shape(kind, size, picture.file))
+    return tuple(_Painted(store.write_mesh(f"{name}-{n}.stl", mesh.stl(some)), rgba) for n, (some, rgba) in parts)
+
+
+def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
+    """Load a model from a recording's attachments as they are.
+
+    Args:
+        files: Attachment names (``<sha256>/<file name>``) and contents of the model's files, the URDF first.
+        loading: How the engine made a body of it.
+
+    Raises:
+        AssetError: A file's name isn't the hash of its content, the URDF is broken or names another file, a mesh is
+            broken, or corrections of its furniture don't fit.
+    """
+    model, *others = [_file(key, content) for key, content in files]
+    beside = [file for file in others if file.name.endswith(corrections.SUFFIX)]
+    meshes = [file for file in others if file not in beside]
+    path, _ = store.write_urdf(model.name, model.content)
+    tree = _tree(path, model.key, frozenset(asset.key for asset in meshes))
+    for asset in meshes:
+        _check_mesh(store.write(asset.key, asset.content))
+    for file in beside:
+        corrections.check(corrections.read(_text(file), file.name), tree)
+    return Model(path, tree, (model, *others), loading)
+
+
+def _text(file: AssetFile) -> str:
+    try:
+        return file.content.decode()
+    except UnicodeDecodeError as error:
+        raise AssetError(file.key, f"is not UTF-8: {error}") from error
+
+
+def _file(key: str, content: bytes) -> AssetFile:
+    name = key.partition("/")[2]
+    asset = AssetFile(name, content, store.URDF_TYPE if name.endswith(".urdf") else store.MESH_TYPE)
+    if name.endswith(corrections.SUFFIX):
+        asset = corrections.asset(name, content)
+    forbidden = name in _RESERVED or not name.isprintable() or len(os.fsencode(name)) > _MAX_NAME
+    if asset.key != key or forbidden or "/" in name or "\\" in _ESCAPE.sub("", name):
+        raise AssetError(key, "is not the file that its name says")
+    return asset
+
+
+@lru_cache(maxsize=_CACHED_MODELS)
+def _tree(path: Path, key: str, meshes: frozenset[str]) -> Urdf:
+    """Return the tree of a model in the store, whose name changes with its content."""
+    content = path.read_bytes()
+    if not content.startswith(_START):
+        raise AssetError(key, "is no URDF as recordings have them: these begin with <robot")
+    if max(map(len, content.splitlines())) > _MAX_LINE:
+        raise AssetError(key, f"has a line of more than {_MAX_LINE} bytes, which canonical URDF doesn't have")
+    canonical_urdf.read(path, content)
+    for element in ET.fromstring(content).iter():  # noqa: S314  without entities; also what isn't URDF: engines read more
+        named = element.get("filename")
+        if element.tag == "texture" or (named is not None and named not in meshes):
+            raise AssetError(key, f"names the file {named!r}, which isn't one of the recording's for this body")
+    tree = parse_urdf(content, key)
+    canonical_urdf.check_size(path, tree)
+    return tree
+
+
+@lru_cache(maxsize=_CACHED_MESHES)
+def _check_mesh(path: Path) -> None:
+    """Refuse a mesh in the store that isn't as recordings have them: a binary STL, or an OBJ that is alone."""
+    if path.suffix.lower() == ".obj" and _MATERIALS.search(path.read_bytes()):
+        raise AssetError(path.name, "names materials in another file")
+    mesh.check(path)

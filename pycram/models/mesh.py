@@ -1,9 +1,8 @@
-"""Meshes: checked before the engine reads them, and the URDF of an object that is one mesh.
+"""Meshes: STL, OBJ and COLLADA files, checked and converted to what the engine and viewers read.
 
-PyBullet loads a truncated or ASCII STL as a body without a shape, and collides with the convex hull of any mesh, so
-that a bowl would be solid. So every mesh is parsed here, and concave ones get a convex decomposition: from
-``NAME.collision.obj`` beside the mesh (one ``o`` group per convex piece), else by V-HACD. A table ``[NAME]`` in the
-``objects.toml`` beside it may give its mass (kg), friction and coloured visual parts.
+PyBullet loads a truncated or ASCII STL as a body without a shape. So every mesh is parsed here first. COLLADA files are
+read by pycollada directly: what trimesh does to them besides takes three times as long. OBJ files of triangles without
+materials, as all are that recordings hold, are read here: to import trimesh takes a second.
 """
 
 from __future__ import annotations
@@ -11,38 +10,40 @@ from __future__ import annotations
 import io
 import re
 import struct
-import xml.etree.ElementTree as ET
+import warnings
+from contextlib import contextmanager
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from pycram.foundation.checks import number
 from pycram.foundation.failures import AssetError
-from pycram.models.files import parse_toml, read_text
-from pycram.models.lazy_module import LazyModule
-from pycram.models.links import DENSITY
-from pycram.models.parts import STL_FACE, STL_HEADER, check_vertices, mean, quiet, read_image, read_parts, stl
-from pycram.models.warming import notable
-from recorder.packages import needed
-from recorder.records import escaped
-from recorder.records.values import AssetFile
+from pycram.models.texture import bake, mean, read_image
+from recorder.packages import LazyModule, needed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
+    import collada
     import trimesh
     from numpy.typing import NDArray
-else:
-    with needed():
-        trimesh = LazyModule("trimesh")
+    from PIL import Image
 
-_MIN_CONVEXITY: Final = 0.9  # share of its hull's volume that a convex mesh fills
-_GREY: Final = (0.8, 0.8, 0.8, 1.0)
+    from pycram.models.texture import Rgba
+
+    Array = NDArray[np.float64]
+else:
+    with needed("executor"):
+        collada, trimesh = LazyModule("collada"), LazyModule("trimesh")
+
 _LARGE: Final = 5000  # faces
 _FAR: Final = 1e9  # in the file's unit, of an STL, which a URDF may scale
 _HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
+STL_HEADER: Final = 84
+STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
+_MAX_COORDINATE: Final = 1e4  # m; larger ones are not in metres
+_MAX_LINE: Final = 8000  # bytes of a line of OBJ; PyBullet reads 8,192 at once
 
 
 def convert(file: Path) -> tuple[str, bytes]:
@@ -227,128 +228,176 @@ def _with_normals(content: bytes) -> bytes:
     return filled
 
 
-def _obj(shape: trimesh.Trimesh) -> bytes:
-    return _exported(shape, "obj", include_color=False, include_texture=False)
+class Part(NamedTuple):
+    """Triangles of one colour.
 
-
-def _exported(shape: trimesh.Trimesh, kind: str, **options: Any) -> bytes:
-    content = shape.export(file_type=kind, **options)
-    return content.encode() if isinstance(content, str) else bytes(content)
-
-
-def beside(file: Path) -> Iterator[Path]:
-    """Yield the files beside a mesh that :func:`as_urdf` reads: pieces, its table, meshes that this names.
-
-    Raises:
-        AssetError: The table is broken.
+    Attributes:
+        triangles: (n, 3, 3) corners in the mesh's frame, m.
+        rgba: Their colour, 0..1; None where the file gives none.
     """
-    yield _pieces(file)
-    yield _table(file)
-    for part in _colored(_properties(file)) or ():
-        yield file.parent / str(part["mesh"])
+
+    triangles: Array
+    rgba: Rgba | None
 
 
-def as_urdf(
-    file: Path, color: Sequence[float] | None, decompose: Callable[[bytes], bytes]
-) -> Iterator[tuple[str, bytes, None]]:
-    """Yield the files of a URDF of one link: a mesh with convex collision shape, mass, centre of mass and inertia.
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep warnings and logged tracebacks of mesh libraries off the plan's output: errors are raised as AssetError."""
+    log = trimesh.util.log
+    before, log.disabled = log.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.disabled = before
 
-    Each has a name, a content and no colour, for :mod:`pycram.models.conversion_cache`. The URDF is the last, and names
-    the others by their keys.
+
+@lru_cache(maxsize=2)  # most models collide with what is seen of them, which is asked for next
+def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[Part, ...]:
+    """Return the parts of a .dae or .obj file that have triangles, those of one colour together.
 
     Args:
-        file: The mesh.
-        color: RGBA 0..1 for all of it; None for its own colours, or grey.
-        decompose: Takes an OBJ, returns its convex decomposition as an OBJ with one group per piece.
+        file: Where it is, for textures and materials beside it.
+        content: What it contains.
+        cover: The texture's content, of what has no material of its own.
 
     Raises:
-        AssetError: The mesh or a file beside it is broken.
+        AssetError: It can't be parsed, or a number isn't finite or too large for metres.
     """
-    shape = parse(file)
-    spread = np.linalg.svd(shape.vertices - shape.vertices.mean(axis=0), compute_uv=False)
-    if len(spread) < 3 or spread[2] <= 1e-9 * spread[0]:
-        raise AssetError(file, "is flat: it encloses no volume")
-    robot = ET.Element("robot", name=file.stem)
-    link = ET.SubElement(robot, "link", name=file.stem)
-    entry = _properties(file)
-    if "friction" in entry:
-        ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=repr(entry["friction"]))
-    _add_inertia(link, shape, _mass(shape, entry))
-    for name, content, rgba in _visuals(file, color, entry):
-        visual = ET.SubElement(link, "visual")
-        ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=AssetFile(name, content).key)
-        yield name, content, None
-        material = ET.SubElement(visual, "material", name=name)
-        ET.SubElement(material, "color", rgba=" ".join(f"{part:g}" for part in rgba))
-    collision = ET.SubElement(ET.SubElement(link, "collision"), "geometry")
-    name, content = _collision(file, shape, decompose)
-    ET.SubElement(collision, "mesh", filename=AssetFile(name, content).key)
-    yield name, content, None
-    # pieces have the name of the file
-    yield f"{file.stem}.urdf", escaped(ET.tostring(robot, encoding="unicode")).encode(), None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            image = None if cover is None else read_image(io.BytesIO(cover))
+            found = list((_dae_parts if file.suffix.lower() == ".dae" else _obj_parts)(file, content, image))
+    except Exception as error:  # the parsers raise whatever goes wrong in them
+        raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
+    by_color: dict[Rgba | None, list[Array]] = {}
+    for triangles, rgba in found:
+        if len(triangles):
+            by_color.setdefault(rgba, []).append(triangles)
+    parts = tuple(Part(np.concatenate(triangles), rgba) for rgba, triangles in by_color.items())
+    for part in parts:
+        check_vertices(file, part.triangles)
+    return parts
 
 
-def _visuals(
-    file: Path, color: Sequence[float] | None, entry: Mapping[str, object]
-) -> list[tuple[str, bytes, Sequence[float]]]:
-    parts = _colored(entry)
-    if color is not None or (parts is None and file.suffix.lower() == ".stl"):
-        name, content = convert(file)
-        return [(name, content, color if color is not None else _GREY)]
-    if parts is not None:
-        return [(*convert(file.parent / str(part["mesh"])), part["rgba"]) for part in parts]
-    return [(name, content, rgba or _GREY) for name, content, rgba in convert_visual(file)]
+def check_vertices(file: Path, vertices: Array) -> None:
+    """Refuse corners that aren't finite, or too large for metres."""
+    if not np.isfinite(vertices).all():
+        raise AssetError(file, "has vertices that are not finite numbers")
+    if np.abs(vertices).max() > _MAX_COORDINATE:
+        raise AssetError(file, f"has vertices more than {_MAX_COORDINATE:g} m away from its origin")
 
 
-def _collision(file: Path, shape: trimesh.Trimesh, decompose: Callable[[bytes], bytes]) -> tuple[str, bytes]:
-    pieces = _pieces(file)
-    if pieces.is_file():
-        return convert(pieces)
-    hull = shape.convex_hull
-    if not shape.is_watertight or shape.volume > _MIN_CONVEXITY * hull.volume:
-        return f"{file.stem}.hull.obj", _obj(hull)
-    return f"{file.stem}.collision.obj", decompose(_obj(shape))
+def stl(triangles: Array) -> bytes:
+    """Return a binary STL of triangles (n, 3, 3): every reader here takes it many times as fast as text."""
+    table = np.zeros(len(triangles), dtype=STL_FACE)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    table["numbers"][:, 0] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    table["numbers"][:, 1:] = triangles
+    content: bytes = b"\0" * 80 + struct.pack("<I", len(table)) + table.tobytes()
+    return content
 
 
-def _pieces(file: Path) -> Path:
-    return file.with_suffix(".collision.obj")
+def _dae_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[Part]:
+    """As ROS reads them: in the file's unit of length, whichever axis it says is up."""
+    document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
+    unit = document.assetInfo.unitmeter or 1.0
+    for geometry in document.scene.objects("geometry") if document.scene else ():
+        for primitive in geometry.primitives():
+            mesh = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
+            if not isinstance(mesh, collada.triangleset.BoundTriangleSet) or mesh.vertex is None or not len(mesh):
+                continue  # lines
+            triangles = np.asarray(mesh.vertex[mesh.vertex_index], dtype=np.float64) * unit
+            diffuse = getattr(getattr(mesh.material, "effect", None), "diffuse", None)
+            if isinstance(diffuse, collada.material.Map):
+                image = read_image(file.parent / _path(diffuse.sampler.surface.image.path))
+                yield from _textured(triangles, _dae_uv(mesh) if image else None, image)
+            elif diffuse is None and cover is not None:
+                yield from _textured(triangles, _dae_uv(mesh), cover)
+            else:
+                yield Part(triangles, _rgba(diffuse))
 
 
-def _table(file: Path) -> Path:
-    return file.parent / "objects.toml"
+def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
+    """Return the numbers of an OBJ's vertices, as text, and for each face its vertices, counted from 0.
+
+    Raises:
+        ValueError: A face has a corner that isn't there, or a line is one that PyBullet breaks in two: either would end
+            the process.
+    """
+    known = dict.fromkeys((b"v", b"vt", b"vn"), 0)
+    vertices: list[list[bytes]] = []
+    faces: list[list[int]] = []
+    for line in content.replace(b"\r", b"\n").split(b"\n"):
+        if len(line) > _MAX_LINE:
+            raise ValueError(f"a line has {len(line)} bytes")
+        key, *words = line.split() or [b""]
+        if key in known:
+            known[key] += 1
+            if key == b"v":
+                vertices.append(words[:3])
+        elif key == b"f":
+            corners = []
+            for word in words:
+                for place, (number, count) in enumerate(zip(word.split(b"/"), known.values(), strict=False)):
+                    at = int(number or 1) if number[:1] != b"-" else count + 1 + int(number)
+                    if number and not 0 < at <= count:
+                        raise ValueError(f"the face {line.decode(errors='replace')!r} has a corner that isn't there")
+                    if not place:
+                        corners.append(at - 1)
+            faces.append(corners)
+    return vertices, faces
 
 
-def _colored(entry: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
-    """Return the coloured visual parts that a mesh's table gives; None if it gives none."""
-    parts = entry.get("visual")
-    return parts if isinstance(parts, list) else None
+def _dae_uv(mesh: collada.triangleset.BoundTriangleSet) -> Array | None:
+    return mesh.texcoordset[0][mesh.texcoord_indexset[0]] if mesh.texcoordset else None
 
 
-def _properties(file: Path) -> Mapping[str, object]:
-    """Return a mesh's table in the ``objects.toml`` beside it; empty if there is none."""
-    table = _table(file)
-    entry = _parsed(read_text(table), table).get(file.stem) if table.is_file() else None
-    return entry if isinstance(entry, dict) else {}
+def _obj_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[Part]:
+    vertices, faces = _read_faces(content)
+    if cover is None and b"mtl" not in content and all(len(corners) == 3 for corners in faces):
+        if any(len(numbers) < 3 for numbers in vertices):
+            raise ValueError("a vertex has less than three numbers")
+        table = np.array(vertices).astype(np.float64).reshape(-1, 3)
+        yield Part(table[np.array(faces, dtype=np.intp).reshape(-1, 3)], None)
+        return
+    has_materials = b"mtllib" in content
+    resolver = trimesh.resolvers.FilePathResolver(str(file))
+    with quiet():
+        meshes = trimesh.load_scene(io.BytesIO(content), file_type="obj", resolver=resolver, process=False).dump()
+    for mesh in meshes:
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        triangles = np.asarray(mesh.triangles, dtype=np.float64)
+        material = getattr(mesh.visual, "material", None) if has_materials else None
+        image, uv = getattr(material, "image", None), getattr(mesh.visual, "uv", None)
+        image = cover if material is None else image
+        if image is not None and (uv is not None or image is cover):
+            yield from _textured(triangles, None if uv is None else np.asarray(uv)[mesh.faces], image)
+        else:
+            color = getattr(material, "diffuse", None)
+            yield Part(triangles, None if color is None else _rgba([float(part) / 255 for part in color]))
 
 
-@lru_cache(maxsize=8)  # each object of a folder asks for the same
-@notable
-def _parsed(text: str, table: Path) -> Mapping[str, object]:
-    return parse_toml(text, table)
+def _textured(triangles: Array, uv: Array | None, image: Image.Image | None) -> Iterator[Part]:
+    if image is None:
+        yield Part(triangles, None)
+    elif uv is None:
+        yield Part(triangles, mean(image))
+    else:
+        for some, rgba in bake(triangles, np.asarray(uv, dtype=np.float64)[:, :, :2], image):
+            yield Part(some, rgba)
 
 
-def _mass(shape: trimesh.Trimesh, entry: Mapping[str, object]) -> float:
-    if "mass" in entry:
-        return number("mass", entry["mass"])
-    solid = shape if shape.is_watertight else shape.convex_hull
-    return float(max(abs(solid.volume) * DENSITY, 1e-3))
+def _path(name: str) -> str:
+    return name.removeprefix("file://").replace("%20", " ")
 
 
-def _add_inertia(link: ET.Element, shape: trimesh.Trimesh, mass: float) -> None:
-    solid = shape if shape.is_watertight and shape.volume > 0 else shape.convex_hull
-    tensor = solid.moment_inertia * (mass / solid.volume)
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in solid.center_mass), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=repr(mass))
-    moments = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(tensor[i, j])) for i in range(3) for j in range(i, 3)}
-    ET.SubElement(inertial, "inertia", attrib=moments)
+def _rgba(color: Iterable[float] | None) -> Rgba | None:
+    if color is None or isinstance(color, str):
+        return None
+    red, green, blue, *more = (min(max(float(part), 0.0), 1.0) for part in color)
+    alpha = more[0] if more and more[0] > 0 else 1.0  # many exporters write 0 for opaque
+    return red, green, blue, alpha

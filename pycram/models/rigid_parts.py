@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.models import store
-from pycram.models.files import stored_tree
+from pycram.models.store import stored_tree
 from pycram.models.warming import notable
 from recorder import geometry
 

@@ -21,10 +21,12 @@ from typing import Final
 
 from recorder.records.values import AssetFile
 from recorder.tracing.interrupts import Uninterrupted, drop_pending
+from recorder.urdf import Urdf
 
 MESH_TYPE: Final = "model/mesh"
 URDF_TYPE: Final = "application/xml"
 _CACHED_DOCUMENTS: Final = 64
+_CACHED_TREES: Final = 128
 _PREFIX: Final = "pycram-models-"
 _LOCK: Final = "lock"  # a file in each store
 
@@ -106,6 +108,12 @@ def document(path: Path) -> ET.Element:
 def _known(_path: Path) -> list[ET.Element]:
     """Return where the root element of a URDF is kept; nowhere yet if it is empty."""
     return []
+
+
+@lru_cache(maxsize=_CACHED_TREES)
+def stored_tree(path: Path) -> Urdf:
+    """Return the tree of links and joints of a canonical URDF in the store."""
+    return Urdf.parse(path.read_bytes())
 
 
 def write_mesh(name: str, content: bytes) -> AssetFile:

@@ -1,28 +1,33 @@
 """Textures as colours of triangles: what draws models here, and the engine, have one colour a shape.
 
 A texture is reduced to a palette, and triangles on which it changes are divided until each shows about one spot of it.
+It is upright on each face of a box, goes once around a cylinder, whose ends show a disc of it, and around a sphere from
+pole to pole.
 """
 
 from __future__ import annotations
 
+import math
 import warnings
 from functools import cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.lazy_module import LazyModule
-from recorder.packages import needed
+from recorder.packages import LazyModule, needed
 from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    import io
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
     from PIL import Image
 
     Array = NDArray[np.float64]
+    Rgba = tuple[float, float, float, float]
 else:
     with needed("executor"):
         Image = LazyModule("PIL.Image")
@@ -31,6 +36,8 @@ _COLORS: Final = 8  # of a palette; each is a shape of its own
 _SPOT: Final = 1 / 48  # of the texture's width that a triangle may span
 _MAX_TRIANGLES: Final = 20_000
 _MAX_SIDE: Final = 256  # pixels to which larger images are reduced
+_SECTIONS: Final = 32  # around a cylinder or sphere
+_AXES: Final = np.eye(3)
 
 
 class MissingTexture(UserWarning):
@@ -44,7 +51,23 @@ def warn_of_missing(file: Path, name: str) -> None:
     warnings.warn_explicit(text, MissingTexture, *call_site())
 
 
-def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Array, tuple[float, float, float, float]]]:
+def read_image(source: Path | io.BytesIO) -> Image.Image | None:
+    """Return a texture; None if it isn't there, as in many published models, or no picture."""
+    try:
+        image = Image.open(source)
+        image.load()
+    except OSError:
+        return None
+    return image
+
+
+def mean(image: Image.Image) -> Rgba:
+    """Return the mean colour of a picture, for what doesn't say where it is in it."""
+    red, green, blue = np.asarray(image.convert("RGB"), dtype=np.float64).reshape(-1, 3).mean(axis=0) / 255
+    return float(red), float(green), float(blue), 1.0
+
+
+def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Array, Rgba]]:
     """Yield triangles (m, 3, 3) with their colour RGBA 0..1, one for each colour that is seen.
 
     Args:
@@ -79,3 +102,73 @@ def _divide(triangles: Array, uv: Array) -> tuple[Array, Array]:
         ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
         quarters = [np.stack(each, axis=1) for each in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
         corners = np.concatenate([corners[~large], *quarters])
+
+
+def cover_shape(kind: str, size: Sequence[float], picture: Path) -> list[tuple[Array, Rgba]]:
+    """Return the triangles (m, 3, 3) of a shape with their colour, for each colour; nothing of an unreadable picture.
+
+    Args:
+        kind: "box", "cylinder" or "sphere".
+        size: The box's edges; radius and length of the cylinder; radius of the sphere, m.
+        picture: The texture.
+    """
+    image = read_image(picture)
+    if image is None:
+        return []
+    triangles, uv = {"box": _box, "cylinder": _cylinder, "sphere": _sphere}[kind](size)
+    edges = triangles[:, 1:] - triangles[:, :1]
+    solid = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) > 1e-12 * np.ptp(triangles)  # not so at poles
+    return list(bake(triangles[solid], uv[solid], image))
+
+
+def _box(size: Sequence[float]) -> tuple[Array, Array]:
+    """Return triangles (n, 3, 3), and where their corners are in the texture (n, 3, 2)."""
+    faces = []
+    for axis in range(3):
+        for side in (1.0, -1.0):
+            out, up = side * _AXES[axis], _AXES[1 if axis == 2 else 2]
+            right = np.cross(up, out)
+            faces.append([out + u * right + v * up for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    corners = np.array(faces) * np.array(size) / 2
+    return _halves(corners), _halves(np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), (6, 1, 1)))
+
+
+def _cylinder(size: Sequence[float]) -> tuple[Array, Array]:
+    radius, length = size
+    around = np.linspace(0.0, 1.0, _SECTIONS + 1)
+    ring = np.column_stack([np.cos(2 * math.pi * around), np.sin(2 * math.pi * around)])
+    ends = [np.column_stack([ring * radius, np.full(len(ring), z)]) for z in (-length / 2, length / 2)]
+    triangles, uv = _strip(ends, np.array([0.0, 1.0]), around)
+    for number, end in enumerate(ends):
+        middle = np.array([0.0, 0.0, end[0, 2]])
+        disc = np.stack([np.broadcast_to(middle, end[:-1].shape), end[:-1], end[1:]], axis=1)
+        triangles.append(disc if number else disc[:, ::-1])
+        uv.append(triangles[-1][:, :, :2] / (2 * radius) + 0.5)
+    return np.concatenate(triangles), np.concatenate(uv)
+
+
+def _sphere(size: Sequence[float]) -> tuple[Array, Array]:
+    (radius,) = size
+    around, upwards = np.linspace(0.0, 1.0, _SECTIONS + 1), np.linspace(0.0, 1.0, _SECTIONS // 2 + 1)
+    rings = []
+    for height in upwards:
+        angle = math.pi * (height - 0.5)
+        ring = np.column_stack([np.cos(2 * math.pi * around), np.sin(2 * math.pi * around)]) * math.cos(angle)
+        rings.append(radius * np.column_stack([ring, np.full(len(ring), math.sin(angle))]))
+    triangles, uv = _strip(rings, upwards, around)
+    return np.concatenate(triangles), np.concatenate(uv)
+
+
+def _strip(rings: Sequence[Array], upwards: Array, around: Array) -> tuple[list[Array], list[Array]]:
+    """Return triangles between rings (k, 3), one above the other, and where their corners are in the texture."""
+    triangles, uv = [], []
+    for (low, high), (v, w) in zip(pairwise(rings), pairwise(upwards), strict=True):
+        triangles.append(_halves(np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)))
+        corners = [np.column_stack([u, np.full(len(u), h)]) for u, h in ((around, v), (around, w))]
+        uv.append(_halves(np.stack([corners[0][:-1], corners[0][1:], corners[1][1:], corners[1][:-1]], axis=1)))
+    return triangles, uv
+
+
+def _halves(squares: Array) -> Array:
+    """Return the triangles (2 n, 3, k) of squares (n, 4, k)."""
+    return np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])

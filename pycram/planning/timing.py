@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.lazy_module import LazyModule
 from pycram.models.robots.description import MotionLimits
 from pycram.planning.space import between
-from recorder.packages import needed
+from recorder.packages import LazyModule, needed
 from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:

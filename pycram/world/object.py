@@ -10,7 +10,7 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.models import load
-from pycram.models.furniture.of_model import furniture_of
+from pycram.models.furniture import furniture_of
 from pycram.models.robots.description import RobotDescription, find_description
 from pycram.models.surfaces import NONE, Surface
 from pycram.scheduling.future import unwrap
@@ -56,7 +56,7 @@ class Object(ReadOnlyAttributes):
         color: RGBA 0..1 for a mesh; None keeps its own colours.
         description: Of a robot; by default found by the name in its URDF.
         packages: Folders of ROS packages that the URDF's meshes are in (``package://``), or folders that hold these;
-            others are looked for as :mod:`pycram.models.packages` says.
+            others are looked for as :mod:`pycram.models.files` says.
         model: The loaded model, where it doesn't come from the path but from a recording.
 
     Attributes:

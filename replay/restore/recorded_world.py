@@ -10,7 +10,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import AssetError
-from pycram.models import recorded
+from pycram.models import load
 from pycram.models.robots.description import RobotDescription
 from pycram.physics.loading import Loading
 from replay.errors import Damaged, NotRestored
@@ -61,7 +61,7 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
         raise Damaged(log.path, f"the attached file {missing}", "it isn't there")
     files = [(name, log.assets[name]) for name in names]
     try:
-        return recorded.restore(files, Loading.of(loaded))
+        return load.restore(files, Loading.of(loaded))
     except AssetError as error:
         cause = f"{PurePath(error.path).name}: {error.cause}"
         raise Damaged(log.path, f"the model of {loaded.body}", cause) from error

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 with needed("render"):
     from PIL import Image
 
-    from pycram.models.visual import shapes_of
+    from pycram.models.shapes import shapes_of
     from pycram.vision import Camera, Window, drawable_link
     from replay.restore.recorded_world import description_of, model_of, world_state
 

@@ -19,8 +19,8 @@ import pytest
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
-from pycram.models import rigid_parts, visual
-from pycram.models.convex_pieces import solids_of
+from pycram.models import rigid_parts, shapes
+from pycram.models.shapes import solids_of
 from pycram.physics.engine import bullet
 from pycram.reasoning.collision import boxes, simulation_clone
 from pycram.reasoning.kinematics import forward
@@ -140,7 +140,7 @@ def test_what_queries_cost(kitchen: Object) -> None:
 
 def forget() -> None:
     """Begin as if no query had been asked yet, nor anything been loaded for one."""
-    for cached in (visual.shapes_of, visual._read, visual._mesh, visual._mesh_ends, boxes._bounds, solids_of):
+    for cached in (shapes.shapes_of, shapes._read, shapes._mesh, shapes._mesh_ends, boxes._bounds, solids_of):
         cached.cache_clear()
     for cached in (rigid_parts.divided, rigid_parts.single_link):
         cached.cache_clear()

@@ -6,25 +6,24 @@ have, its description leaves out: arms, grippers, a head, a camera, a torso (doc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from pycram.foundation import checks
-from pycram.foundation.failures import AssetError, BadArgument, UnknownName
+from pycram.foundation.failures import AssetError, BadArgument, MissingPart, UnknownName
 from pycram.models.files import parse_toml, read_text
 from pycram.models.robots import tables
-from pycram.models.robots.arm import Arm, read_arm
-from pycram.models.robots.gripper import Gripper
-from pycram.models.robots.limits import MotionLimits, read_limits
-from pycram.models.robots.sensors import CameraDescription, Head, read_camera, read_head
+from pycram.models.robots.gripper import Gripper, read_gripper
 from pycram.models.warming import notable
+from recorder import geometry
 from recorder.urdf import UrdfError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
+    from recorder.geometry import Pose, PoseLike
     from recorder.urdf import Urdf
 
 __all__ = [
@@ -37,6 +36,10 @@ __all__ = [
     "Torso",
     "find_description",
 ]
+_MIN_RATE, _MAX_RATE = 1e-3, 1e3
+_MAX_SIGHT: Final = 1e4  # m
+_MAX_FOV: Final = 3.1  # rad
+_MAX_PIXELS: Final = 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,3 +210,219 @@ def _pairs(value: object) -> frozenset[frozenset[str]]:
     if any(len(pair) != 2 for pair in pairs):
         raise BadArgument("may_touch", value, "pairs of two different links each")
     return pairs
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """An arm.
+
+    Attributes:
+        name: any name: "left", "right", "panda", ...
+        joints: its joints from the shoulder on.
+        base_link: the link that its first joint hangs on.
+        tool_frame: the link with the tool frame: x points out of the gripper, the fingers close along y.
+        tool_offset: pose of the tool frame in that link, where that isn't the tool frame itself.
+        hand: its gripper, if it has one.
+        poses: named postures, values in the order of the joints.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    base_link: str
+    tool_frame: str
+    tool_offset: Pose
+    hand: Gripper | None
+    poses: Mapping[str, tuple[float, ...]]
+
+    @property
+    def gripper(self) -> Gripper:
+        """Its gripper.
+
+        Raises:
+            MissingPart: It has none.
+        """
+        if self.hand is None:
+            raise MissingPart(f"{self.name} arm", "gripper")
+        return self.hand
+
+    def tool_pose(self, link_pose: PoseLike) -> Pose:
+        """Return the tool frame's pose for the pose of its link, both in the same frame."""
+        return geometry.multiply(link_pose, self.tool_offset)
+
+    def posture(self, name: str) -> dict[str, float]:
+        """Return the joint values of a named posture.
+
+        Raises:
+            UnknownName: The arm has none of that name.
+        """
+        if name not in self.poses:
+            raise UnknownName("named pose", name, f"the {self.name} arm", self.poses)
+        return dict(zip(self.joints, self.poses[name], strict=True))
+
+    def links(self) -> list[str]:
+        """Return all links that its description names."""
+        hand = [self.hand.palm, *self.hand.fingers] if self.hand else []
+        return [self.base_link, self.tool_frame, *hand]
+
+    def values(self) -> dict[str, list[float]]:
+        """Return all joints that its description names, with all values that it has for them."""
+        values = {joint: [posture[i] for posture in self.poses.values()] for i, joint in enumerate(self.joints)}
+        if self.hand:
+            values |= {joint: [self.hand.at(0.0)[joint], self.hand.at(1.0)[joint]] for joint in self.hand.joints}
+        return values
+
+    def bias(self, urdf: Urdf) -> float:
+        """Return how unevenly the sides of its gripper close; see :meth:`Gripper.bias`."""
+        return self.gripper.bias(urdf, self.tool_frame, self.tool_offset)
+
+    def problems(self, urdf: Urdf) -> Iterator[str]:
+        """Yield what doesn't fit a URDF that has its links and joints.
+
+        Raises:
+            UrdfError: Its tool frame doesn't hang on its base link.
+        """
+        chain = tuple(joint.name for joint in urdf.chain(self.base_link, self.tool_frame) if joint.movable)
+        if chain != self.joints:
+            yield f"the {self.name} arm's joints from base_link to tool_frame are {', '.join(chain) or 'none'}"
+        elif self.hand:
+            for problem in self.hand.wrong_ways(urdf, self.tool_frame, self.tool_offset):
+                yield f"the {self.name} gripper: {problem}; tool_offset can turn the tool frame"
+
+
+def read_arm(name: str, table: tables.Table) -> Arm:
+    """Return the arm of a TOML table, checked.
+
+    Raises:
+        KeyError: An entry is missing.
+        BadArgument: An entry is unknown or impossible.
+    """
+    tables.only(table, "base_link", "tool_frame", "tool_offset", "joints", "poses", "gripper")
+    joints = tables.texts("joints", table["joints"])
+    if not joints:
+        raise BadArgument("joints", [], "at least one")
+    poses: dict[str, tuple[float, ...]] = {}
+    for pose, values in tables.table(table, "poses").items() if "poses" in table else ():
+        if not isinstance(values, list) or len(values) != len(joints):
+            raise BadArgument(f"arms.{name}.poses.{pose}", values, f"{len(joints)} numbers")
+        poses[pose] = tuple(checks.number(pose, value) for value in values)
+    base_link, tool_frame = (checks.text(key, table[key]) for key in ("base_link", "tool_frame"))
+    offset = tables.pose(table, "tool_offset")
+    hand = read_gripper(tables.table(table, "gripper")) if "gripper" in table else None
+    return Arm(name, joints, base_link, tool_frame, offset, hand, poses)
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """Largest velocities and accelerations.
+
+    Attributes:
+        turning_velocity: of joints that turn and have no velocity limit in the URDF, rad/s.
+        turning_acceleration: of joints that turn, rad/s^2.
+        sliding_velocity: of joints that slide and have no velocity limit in the URDF, m/s.
+        sliding_acceleration: of joints that slide, m/s^2.
+        base_velocity: of the base, m/s.
+        base_acceleration: of the base, m/s^2.
+        base_turning_velocity: of the base about its upright axis, rad/s.
+        base_turning_acceleration: of the base about its upright axis, rad/s^2.
+    """
+
+    turning_velocity: float = 1.0
+    turning_acceleration: float = 4.0
+    sliding_velocity: float = 0.2
+    sliding_acceleration: float = 0.5
+    base_velocity: float = 0.5
+    base_acceleration: float = 0.5
+    base_turning_velocity: float = 1.0
+    base_turning_acceleration: float = 1.0
+
+
+def read_limits(table: tables.Table) -> MotionLimits:
+    """Return the limits of a TOML table, checked; what it leaves out is as by default.
+
+    Raises:
+        BadArgument: An entry is unknown or impossible.
+    """
+    tables.only(table, *(field.name for field in fields(MotionLimits)))
+    return MotionLimits(**{name: checks.in_range(name, value, _MIN_RATE, _MAX_RATE) for name, value in table.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """A head that turns: names of its joints, "" for one that it doesn't have.
+
+    Attributes:
+        pan: turns the camera to the left and right.
+        tilt: turns the camera up and down.
+    """
+
+    pan: str = ""
+    tilt: str = ""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints that it has."""
+        return tuple(joint for joint in (self.pan, self.tilt) if joint)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraDescription:
+    """A camera.
+
+    Attributes:
+        frame: the link with its optical frame: z forward, x right, y down.
+        offset: pose of the optical frame in that link, where that isn't the optical frame itself.
+        horizontal_fov: field of view in rad.
+        vertical_fov: field of view in rad.
+        width: pixels.
+        height: pixels.
+        near: m from which on it sees.
+        far: m up to which it sees.
+    """
+
+    frame: str
+    offset: Pose
+    horizontal_fov: float
+    vertical_fov: float
+    width: int
+    height: int
+    near: float
+    far: float
+
+    def pose(self, link_pose: PoseLike) -> Pose:
+        """Return the optical frame's pose for the pose of its link, both in the same frame."""
+        return geometry.multiply(link_pose, self.offset)
+
+
+def read_head(table: tables.Table) -> Head:
+    """Return the head of a TOML table, checked.
+
+    Raises:
+        BadArgument: An entry is unknown or impossible, or there is none.
+    """
+    tables.only(table, "pan", "tilt")
+    if not table:
+        raise BadArgument("head", table, "the name of a pan joint, of a tilt joint, or of both")
+    return Head(**{key: checks.text(key, value) for key, value in table.items()})
+
+
+def read_camera(table: tables.Table) -> CameraDescription:
+    """Return the camera of a TOML table, checked.
+
+    Raises:
+        KeyError: An entry is missing.
+        BadArgument: An entry is unknown or impossible.
+    """
+    tables.only(table, "frame", "frame_offset", "horizontal_fov", "vertical_fov", "width", "height", "near", "far")
+    wide, high = (checks.in_range(key, table[key], 1e-3, _MAX_FOV) for key in ("horizontal_fov", "vertical_fov"))
+    width, height = (int(checks.in_range(key, table[key], 1, _MAX_PIXELS)) for key in ("width", "height"))
+    near = checks.in_range("near", table["near"], 1e-4, _MAX_SIGHT)
+    return CameraDescription(
+        frame=checks.text("frame", table["frame"]),
+        offset=tables.pose(table, "frame_offset"),
+        horizontal_fov=wide,
+        vertical_fov=high,
+        width=width,
+        height=height,
+        near=near,
+        far=checks.in_range("far", table["far"], near, _MAX_SIGHT),
+    )

@@ -17,7 +17,7 @@ from pycram.foundation.failures import (
     PostureInCollision,
     phrases,
 )
-from pycram.models.visual import shapes_of
+from pycram.models.shapes import shapes_of
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH

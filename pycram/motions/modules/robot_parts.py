@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pycram.foundation.failures import CollisionPair
-    from pycram.models.robots.description import Arm
-    from pycram.models.robots.sensors import CameraDescription
+    from pycram.models.robots.description import Arm, CameraDescription
     from pycram.motions.designator import Designator
     from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object

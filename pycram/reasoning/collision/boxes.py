@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models import visual
-from pycram.models.files import stored_tree
+from pycram.models import shapes
+from pycram.models.store import stored_tree
 from pycram.models.warming import notable
 from pycram.reasoning.kinematics.forward import Articulation, drivers
 from pycram.world import attachment
@@ -131,13 +131,13 @@ class Boxes:
 @notable
 def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     """Return links, and lowest and highest corners (k, 3) in their frames: of each piece, or of all if many."""
-    pieces: dict[str, list[visual.Ends]] = {}
-    for link, ends in visual.piece_bounds(path):
+    pieces: dict[str, list[shapes.Ends]] = {}
+    for link, ends in shapes.piece_bounds(path):
         pieces.setdefault(link, []).append(ends)
     boxes = [
         (link, ends)
         for link, each in pieces.items()
-        for ends in (each if len(each) <= _MAX_BOXES else [visual.bounds(np.array(each))])
+        for ends in (each if len(each) <= _MAX_BOXES else [shapes.bounds(np.array(each))])
     ]
     corners = np.array([ends for _, ends in boxes]).reshape(-1, 2, 3)
     return tuple(link for link, _ in boxes), corners[:, 0], corners[:, 1]

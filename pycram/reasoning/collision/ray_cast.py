@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.convex_pieces import solids_of
+from pycram.models.shapes import solids_of
 from recorder import geometry
 
 if TYPE_CHECKING:

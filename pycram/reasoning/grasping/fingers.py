@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from pycram.foundation.failures import CollisionPair
-from pycram.models.files import stored_tree
+from pycram.models.store import stored_tree
 from pycram.models.warming import notable
 from pycram.reasoning.collision.boxes import Boxes
 from pycram.reasoning.collision.checker import DEPTH, link_name

@@ -18,7 +18,7 @@ import numpy as np
 
 from pycram.foundation import checks
 from pycram.foundation.failures import UnknownName
-from pycram.models.convex_pieces import solids_of
+from pycram.models.shapes import solids_of
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
 from pycram.reasoning.rejections import Misfit, Uneven

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.files import stored_tree
+from pycram.models.store import stored_tree
 from pycram.models.warming import notable
 from recorder import geometry
 

@@ -13,7 +13,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pycram.models.robots.sensors import CameraDescription
+    from pycram.models.robots.description import CameraDescription
     from recorder.geometry import Pose, Vector
     from recorder.urdf import Joint, Urdf
 

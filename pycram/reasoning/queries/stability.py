@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.visual import shapes_of
+from pycram.models.shapes import shapes_of
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.queries.query import Verdict, query
 from pycram.world import attachment

@@ -12,8 +12,8 @@ from PIL import Image
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.models import load
+from pycram.models.shapes import pieces_of, shapes_of
 from pycram.models.texture import MissingTexture
-from pycram.models.visual import pieces_of, shapes_of
 from recorder.urdf import read_shapes
 
 RED, BLUE, YELLOW = (0.8, 0.1, 0.1), (0.1, 0.2, 0.9), (0.9, 0.9, 0.1)

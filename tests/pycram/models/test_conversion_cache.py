@@ -12,7 +12,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from pycram.models import conversion_cache, load, parts
+from pycram.models import conversion_cache, load
+from pycram.models.mesh import convert_visual, read_parts
 
 REPO = Path(__file__).parents[3]
 URDF = """<robot name="ball"><link name="ball">
@@ -54,7 +55,7 @@ def paint(folder: Path, color: tuple[int, int, int]) -> None:
 
 def pieces(ball: Path) -> list[tuple[str, bytes, list[float] | None]]:
     mesh = ball.with_suffix(".obj")
-    made = conversion_cache.get("visual", mesh, lambda: load.mesh.convert_visual(mesh))
+    made = conversion_cache.get("visual", mesh, lambda: convert_visual(mesh))
     return [(name, content, None if rgba is None else list(rgba)) for name, content, rgba in made]
 
 
@@ -119,12 +120,12 @@ def test_what_was_converted_is_not_read_again(cache: Path, ball: Path, monkeypat
 def test_textures_materials_and_meshes_that_change_are_converted_anew(cache: Path, ball: Path) -> None:
     (_, _, red), *_ = pieces(ball)
     paint(ball.parent, (0, 0, 255))
-    parts.read_parts.cache_clear()
+    read_parts.cache_clear()
     (_, _, blue), *_ = pieces(ball)
     assert np.argmax(red[:3]) == 0
     assert np.argmax(blue[:3]) == 2
     ball.with_suffix(".mtl").write_text("newmtl paint\nKd 0 1 0\n")
-    parts.read_parts.cache_clear()
+    read_parts.cache_clear()
     (_, _, green), *_ = pieces(ball)
     assert np.argmax(green[:3]) == 1
     mesh = ball.with_suffix(".obj")

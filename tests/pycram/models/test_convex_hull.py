@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from pycram.models import load
-from pycram.models.convex_hull import convex_hull
-from pycram.models.visual import pieces_of
+from pycram.models.shapes import convex_hull, pieces_of
 
 
 @pytest.mark.parametrize("model", ["kitchen.urdf", "bowl.stl", "pot.stl", "spoon.stl", "breakfast_cereal.stl"])
@@ -46,8 +45,8 @@ def test_surfaces_and_grasps_of_household_things_are_found_without_loading_scipy
     program = """
 import sys
 from pycram.models import load
-from pycram.models.convex_pieces import solids_of
-from pycram.models.furniture.of_model import furniture_of
+from pycram.models.shapes import solids_of
+from pycram.models.furniture import furniture_of
 print(len(furniture_of(load.load("kitchen.urdf")).surfaces), len(solids_of(load.load("milk.stl").path).links))
 print("scipy" in sys.modules)
 """

@@ -12,9 +12,9 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError, UnknownName
-from pycram.models import load, recorded
+from pycram.models import load
 from pycram.models.corrections import SUFFIX
-from pycram.models.furniture.of_model import furniture_of
+from pycram.models.furniture import furniture_of
 from pycram.models.surfaces import DOOR, DRAWER, Furniture
 from recorder import geometry
 from tests.large_kitchen import CABINETS, TOP, write_row
@@ -390,8 +390,8 @@ def test_corrections_of_what_is_not_there_are_refused_when_it_is_looked_for(
 def test_what_is_restored_from_a_recording_has_the_same_furniture() -> None:
     model = load.load("kitchen.urdf")
     files: Sequence[tuple[str, bytes]] = [(file.key, file.content) for file in model.files]
-    restored = recorded.restore(files, model.loading)
+    restored = load.restore(files, model.loading)
     assert furniture_of(restored) == kitchen()
     forged = [*files[:-1], (files[-1][0], files[-1][1] + b"[")]
     with pytest.raises(AssetError, match="is not the file that its name says"):
-        recorded.restore(forged, model.loading)
+        load.restore(forged, model.loading)

@@ -11,8 +11,8 @@ import trimesh
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError
-from pycram.models.load import resources
-from pycram.models.parts import read_parts
+from pycram.models.files import resources
+from pycram.models.mesh import read_parts
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
-from pycram.models import load, rigid_parts, visual
+from pycram.models import load, rigid_parts, shapes
 from pycram.physics.engine import Engine
 from recorder import geometry
 from tests import large_kitchen
@@ -49,7 +49,7 @@ def test_rigid_parts_and_single_links_are_where_the_whole_is(world: BulletWorld,
     path = row.model.path
     rigid = [loaded(part.path, part.frame) for part in rigid_parts.divided(path)]
     assert len(rigid) == 1 + len(row.joints), "what never moves, and each drawer"
-    solid = visual.shapes_of(path, "collision").links
+    solid = shapes.shapes_of(path, "collision").links
     assert sorted(link for part in rigid_parts.divided(path) for link in part.links) == sorted(solid)
     single = [loaded(rigid_parts.single_link(path, link), link) for link in solid]
     model = load.load("knife.stl")
@@ -83,8 +83,8 @@ def test_links_of_other_friction_are_parts_of_their_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["kitchen.urdf", "pr2.urdf", "bowl.stl", "knife.stl"])
 def test_bounds_of_pieces_are_those_of_their_corners(name: str) -> None:
     path = load.load(name).path
-    expected = [(link, *corners.min(axis=0), *corners.max(axis=0)) for link, corners in visual.pieces_of(path)]
-    found = [(link, *low, *high) for link, (low, high) in visual.piece_bounds(path)]
+    expected = [(link, *corners.min(axis=0), *corners.max(axis=0)) for link, corners in shapes.pieces_of(path)]
+    found = [(link, *low, *high) for link, (low, high) in shapes.piece_bounds(path)]
     assert [link for link, *_ in found] == [link for link, *_ in expected]
     for (_, *ends), (_, *right) in zip(found, expected, strict=True):
         assert ends == pytest.approx(right, abs=1e-9)

@@ -17,7 +17,7 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError
-from pycram.models import load
+from pycram.models import files
 from recorder import geometry
 from tests.measures import seeded
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 GUIDE = (Path(__file__).parents[3] / "docs" / "models.md").read_text()
-FOLDER = load.find("pr2.urdf").parents[2]
+FOLDER = files.find("pr2.urdf").parents[2]
 ROWS = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in GUIDE.splitlines() if ".urdf` |" in line]
 ROBOTS = [row for row in ROWS if len(row) == 5 and (FOLDER / row[0]).is_file()]
 REFUSED = [row for row in ROWS if len(row) == 2 and (FOLDER / row[0]).is_file()]

@@ -10,7 +10,7 @@ import pytest
 
 from pycram.models import load
 from pycram.models.mesh import stl
-from pycram.models.visual import piece_bounds, pieces_of, shapes_of
+from pycram.models.shapes import piece_bounds, pieces_of, shapes_of
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from pycram.models import convex_pieces, load, rigid_parts, visual, warming
+from pycram.models import load, rigid_parts, shapes, warming
 from recorder import urdf
 
 
 @pytest.mark.slow
 def test_what_was_noted_is_found_done() -> None:
-    cached = (load._cached_model, visual._read, convex_pieces.solids_of, rigid_parts.divided, urdf._parse)
+    cached = (load._cached_model, shapes._read, shapes.solids_of, rigid_parts.divided, urdf._parse)
 
     def forget() -> None:
         for each in cached:
@@ -18,7 +18,7 @@ def test_what_was_noted_is_found_done() -> None:
 
     def compute() -> None:
         model = load.load("table.urdf")
-        convex_pieces.solids_of(model.path)
+        shapes.solids_of(model.path)
         rigid_parts.divided(model.path)
         urdf.Urdf.parse(model.path.read_bytes())  # as the recording does
 

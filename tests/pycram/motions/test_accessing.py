@@ -24,7 +24,7 @@ from pycram.failures import (
     UnknownName,
     Unreachable,
 )
-from pycram.models.load import resources
+from pycram.models.files import resources
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
 from pycram.world.transaction import restore_snapshot, take_snapshot

@@ -10,7 +10,7 @@ import pytest
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
-from pycram.models.visual import pieces_of
+from pycram.models.shapes import pieces_of
 from pycram.process_module import ProcessModule
 from pycram.reasoning.grasping import fingers
 from recorder import geometry

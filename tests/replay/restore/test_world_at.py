@@ -113,7 +113,7 @@ import sys
 from pycram.models import load
 def gone(*_):
     raise AssertionError("looked for a model outside of the recording")
-load.find = load.resources = gone
+files.find = files.resources = gone
 import replay
 with replay.open(sys.argv[1]) as log:
     world = log.world_at(-3)

@@ -1,18 +1,23 @@
-"""Triangles and colours of a model's shapes, read once from its canonical URDF (:mod:`recorder.urdf`)."""
+"""Shapes of a model: triangles, colours and bounds, and the convex pieces with which the engine collides.
+
+They are read once from the canonical URDF, whose name changes with its content. The engine takes the convex hull of
+each group of a collision mesh. A hull is bounded by planes: lines can be intersected with these half spaces.
+"""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar, overload
+from functools import cache, lru_cache, partial
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, TypeVar, overload
 
 import numpy as np
 
 from pycram.models import mesh, store
 from pycram.models.warming import notable
 from recorder import geometry
+from recorder.packages import LazyModule, needed
 from recorder.urdf import shapes_in
 
 if TYPE_CHECKING:
@@ -20,13 +25,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+    from scipy import spatial
 
     from recorder.urdf import Shape
 
-T = TypeVar("T")
-Ends: TypeAlias = "tuple[Sequence[float] | NDArray[np.float64], Sequence[float] | NDArray[np.float64]]"
-"""Lowest and highest corner of a box, m."""
+    Array = NDArray[np.float64]
+else:
+    with needed():
+        spatial = LazyModule("scipy.spatial")
 
+T = TypeVar("T")
+Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"
+"""Lowest and highest corner of a box, m."""
 _SMALL: Final = 300  # numbers
 _SECTIONS: Final = 32  # sides of cylinders and spheres
 _NO_AREA: Final = 1e-12  # m^2 of a triangle of a solid of 1 m, which has lost its third corner on the axis
@@ -34,6 +44,43 @@ _CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corne
 #: Numbers of the corners of each side of the cube, counter-clockwise as they are seen from outside.
 _SIDES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 _CUBE_TRIANGLES: Final = np.array([_CUBE[[a, *ends]] for a, b, c, d in _SIDES for ends in ((b, c), (c, d))])
+_PLANE_DECIMALS: Final = 9  # to which triangles of one face have the same plane
+_MAX_CHOSEN: Final = 40  # corners: of more, to try all choices of three takes longer than 3 ms
+_SHARED: Final = 6  # triangles at a corner, about: so often it stands there where triangles are given
+_FLAT: Final = 1e-9  # m that a corner may lie before a plane, and a solid's thickness at least
+_IN_LINE: Final = 1e-12  # m^2: twice the area of three corners in a line
+_NEXT: Final = [1, 2, 0]  # axes of each factor of a cross product
+_OTHER: Final = [2, 0, 1]
+
+
+@dataclass(frozen=True, slots=True)
+class Shapes:
+    """Shapes of a model's k links that have any.
+
+    Attributes:
+        links: Their names.
+        triangles: For each link (n, 3, 3) corners in its frame, m.
+        colors: For each link (n, 3) RGB 0..1 of its triangles.
+        low: (k, 3) lowest corners of their boxes in the links' frames, m.
+        high: (k, 3) highest corners of their boxes.
+    """
+
+    links: tuple[str, ...]
+    triangles: Sequence[Array]
+    colors: Sequence[Array]
+    low: Array
+    high: Array
+
+
+@lru_cache(maxsize=256)
+@notable
+def shapes_of(path: Path, role: str = "visual") -> Shapes:
+    """Return the "visual" or "collision" shapes of the model with a canonical URDF."""
+    links = _read(path, role)
+    triangles = Each([partial(_corners_of, tuple(parts), path.parent) for parts in links.values()])
+    colors = Each([partial(_colors_of, tuple(parts), path.parent) for parts in links.values()])
+    ends = np.array([_bounds_of(parts, path.parent) for parts in links.values()]).reshape(-1, 2, 3)
+    return Shapes(tuple(links), triangles, colors, ends[:, 0], ends[:, 1])
 
 
 class Each(Sequence[T]):
@@ -65,51 +112,21 @@ class Each(Sequence[T]):
         return len(self._make)
 
 
-@dataclass(frozen=True, slots=True)
-class Shapes:
-    """Shapes of a model's k links that have any.
-
-    Attributes:
-        links: Their names.
-        triangles: For each link (n, 3, 3) corners in its frame, m.
-        colors: For each link (n, 3) RGB 0..1 of its triangles.
-        low: (k, 3) lowest corners of their boxes in the links' frames, m.
-        high: (k, 3) highest corners of their boxes.
-    """
-
-    links: tuple[str, ...]
-    triangles: Sequence[NDArray[np.float64]]
-    colors: Sequence[NDArray[np.float64]]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-
-
-@lru_cache(maxsize=256)
-@notable
-def shapes_of(path: Path, role: str = "visual") -> Shapes:
-    """Return the "visual" or "collision" shapes of the model with a canonical URDF."""
-    links = _read(path, role)
-    triangles = Each([partial(_corners_of, tuple(parts), path.parent) for parts in links.values()])
-    colors = Each([partial(_colors_of, tuple(parts), path.parent) for parts in links.values()])
-    ends = np.array([_bounds_of(parts, path.parent) for parts in links.values()]).reshape(-1, 2, 3)
-    return Shapes(tuple(links), triangles, colors, ends[:, 0], ends[:, 1])
-
-
 @lru_cache(maxsize=256)
 @notable
 def _read(path: Path, role: str) -> dict[str, list[Shape]]:
     return shapes_in(store.document(path), role)
 
 
-def _corners_of(parts: Sequence[Shape], folder: Path) -> NDArray[np.float64]:
+def _corners_of(parts: Sequence[Shape], folder: Path) -> Array:
     return np.concatenate([_placed(part, _triangles(part, folder)) for part in parts])
 
 
-def _colors_of(parts: Sequence[Shape], folder: Path) -> NDArray[np.float64]:
+def _colors_of(parts: Sequence[Shape], folder: Path) -> Array:
     return np.concatenate([np.tile(part.color[:3], (len(_triangles(part, folder)), 1)) for part in parts])
 
 
-def bounds(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def bounds(corners: Array) -> tuple[Array, Array]:
     """Return the lowest and highest of corners (..., 3): coordinate by coordinate, which is many times as fast."""
     if corners.size <= _SMALL:
         few = corners.reshape(-1, 3)
@@ -118,7 +135,7 @@ def bounds(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     return np.array([x.min(), y.min(), z.min()]), np.array([x.max(), y.max(), z.max()])
 
 
-def _bounds_of(parts: Sequence[Shape], folder: Path) -> NDArray[np.float64]:
+def _bounds_of(parts: Sequence[Shape], folder: Path) -> Array:
     """Return lowest and highest corner (2, 3) of the shapes of a link in its frame."""
     ends = [_ends(part, folder) for part in parts]
     return np.array(ends[0] if len(ends) == 1 else bounds(np.array(ends)))
@@ -151,7 +168,7 @@ def piece_bounds(path: Path) -> Sequence[tuple[str, Ends]]:
     return every
 
 
-def pieces_of(path: Path) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def pieces_of(path: Path) -> Iterator[tuple[str, Array]]:
     """Yield the pieces of collision shapes of which the engine takes the convex hull: link, corners (n, 3) in m."""
     for link, parts in _read(path, "collision").items():
         for part in parts:
@@ -159,15 +176,15 @@ def pieces_of(path: Path) -> Iterator[tuple[str, NDArray[np.float64]]]:
                 yield link, _placed(part, group).reshape(-1, 3)
 
 
-def _placed(shape: Shape, corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _placed(shape: Shape, corners: Array) -> Array:
     """Transform corners from a shape's frame into its link's."""
     position, orientation = shape.pose
     turned = corners if orientation == geometry.IDENTITY[1] else corners @ geometry.to_matrix(orientation).T
-    placed: NDArray[np.float64] = turned + np.array(position)
+    placed: Array = turned + np.array(position)
     return placed
 
 
-def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
+def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
     """Yield corners (n, 3) or (n, 3, 3) of the groups of a shape in its own frame; only an OBJ has several."""
     if shape.kind == "box":
         yield _CUBE * shape.size
@@ -206,10 +223,10 @@ def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
         yield key, words
 
 
-def _triangles(shape: Shape, folder: Path) -> NDArray[np.float64]:
+def _triangles(shape: Shape, folder: Path) -> Array:
     """Return the triangles of a shape in its own frame."""
     if shape.kind == "mesh":
-        scaled: NDArray[np.float64] = _mesh(folder / shape.mesh) * np.array(shape.size)
+        scaled: Array = _mesh(folder / shape.mesh) * np.array(shape.size)
         return scaled
     if shape.kind == "box":
         return _CUBE_TRIANGLES * shape.size
@@ -222,7 +239,7 @@ def _triangles(shape: Shape, folder: Path) -> NDArray[np.float64]:
     return _revolved(np.concatenate([below, below[::-1] * (1, -1)]))
 
 
-def _revolved(profile: NDArray[np.float64]) -> NDArray[np.float64]:
+def _revolved(profile: Array) -> Array:
     """Return the triangles of what a line sweeps around the z axis, counter-clockwise as they are seen from outside.
 
     Args:
@@ -245,7 +262,7 @@ def _revolved(profile: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1024)
 @notable
-def _mesh_ends(file: Path) -> NDArray[np.float64]:
+def _mesh_ends(file: Path) -> Array:
     """Return lowest and highest corner (2, 3) of a mesh."""
     if file.suffix.lower() == ".stl":  # as its numbers are, which is exact too
         return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
@@ -254,7 +271,7 @@ def _mesh_ends(file: Path) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=256)
 @notable
-def _mesh(file: Path) -> NDArray[np.float64]:
+def _mesh(file: Path) -> Array:
     if file.suffix.lower() == ".stl":  # binary: ASCII ones were converted
         return np.array(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:], dtype=np.float64)
     corners: list[list[float]] = []
@@ -265,5 +282,99 @@ def _mesh(file: Path) -> NDArray[np.float64]:
         elif key == "f":
             first, *others = (int(word) - 1 for word in words)
             faces += [(first, second, third) for second, third in itertools.pairwise(others)]
-    triangles: NDArray[np.float64] = np.array(corners)[np.array(faces)]
+    triangles: Array = np.array(corners)[np.array(faces)]
     return triangles
+
+
+@dataclass(frozen=True, slots=True)
+class Solids:
+    """A model's k convex pieces with m planes in all, those of a piece side by side.
+
+    Attributes:
+        links: (k,) names of the links that they belong to.
+        low: (k, 3) lowest corners of their boxes in the links' frames, m.
+        high: (k, 3) highest corners of their boxes.
+        normals: (m, 3) outward unit vectors in the links' frames.
+        offsets: (m,) of the planes from the frames' origins along the normals, m.
+        pieces: (m,) number of the piece that each plane belongs to.
+    """
+
+    links: tuple[str, ...]
+    low: Array
+    high: Array
+    normals: Array
+    offsets: Array
+    pieces: NDArray[np.intp]
+
+
+@lru_cache(maxsize=256)
+@notable
+def solids_of(path: Path) -> Solids:
+    """Return the convex pieces of the model with a canonical URDF."""
+    found = list(pieces_of(path))
+    planes = [_planes(corners) for _, corners in found]
+    every = np.concatenate(planes) if planes else np.zeros((0, 4))
+    return Solids(
+        tuple(link for link, _ in found),
+        np.array([corners.min(axis=0) for _, corners in found]).reshape(-1, 3),
+        np.array([corners.max(axis=0) for _, corners in found]).reshape(-1, 3),
+        every[:, :3],
+        every[:, 3],
+        np.repeat(np.arange(len(planes)), [len(each) for each in planes]),
+    )
+
+
+def _planes(corners: Array) -> Array:
+    """Return planes (n, 4) around corners (m, 3): of their hull, and of their box, which blunts sharp edges."""
+    box = np.column_stack(
+        [np.vstack([np.eye(3), -np.eye(3)]), np.concatenate([corners.max(axis=0), -corners.min(axis=0)])]
+    )
+    hull = convex_hull(corners)
+    if hull is None:  # it is flat
+        return box
+    planes: Array = np.unique(np.vstack([box, hull.planes * [1.0, 1.0, 1.0, -1.0]]).round(_PLANE_DECIMALS), axis=0)
+    return planes
+
+
+class Hull(NamedTuple):
+    """A convex hull.
+
+    Attributes:
+        corners: (n, 3), m; with what lies within it, of few.
+        planes: (k, 4) unit normals, outwards, and offsets in m: points inside have ``normal @ point + offset <= 0``.
+            One may be there several times, up to rounding.
+    """
+
+    corners: Array
+    planes: Array
+
+
+def convex_hull(corners: Array) -> Hull | None:
+    """Return the convex hull of points (n, 3), m; None if all lie in one plane."""
+    if _MAX_CHOSEN < len(corners) <= _MAX_CHOSEN * _SHARED:
+        corners = np.unique(corners, axis=0)
+    if len(corners) > _MAX_CHOSEN:
+        try:
+            hull = spatial.ConvexHull(corners)
+        except spatial.QhullError:  # it is flat
+            return None
+        return Hull(corners[hull.vertices], hull.equations)
+    first, second, third = corners[_triples(len(corners))]
+    u, v = second - first, third - first
+    normals = u[:, _NEXT] * v[:, _OTHER] - u[:, _OTHER] * v[:, _NEXT]  # np.cross takes longer than all the rest
+    areas = np.sqrt((normals * normals).sum(axis=1))
+    spans = areas > _IN_LINE
+    normals = normals[spans] / areas[spans, None]
+    offsets = -(normals * first[spans]).sum(axis=1)
+    heights = normals @ corners.T + offsets[:, None]
+    outwards, inwards = heights.max(axis=1) < _FLAT, heights.min(axis=1) > -_FLAT
+    if not outwards.any() or (outwards & inwards).any():
+        return None
+    every = np.column_stack([normals, offsets])
+    return Hull(corners, np.concatenate([every[outwards], -every[inwards]]))
+
+
+@cache
+def _triples(count: int) -> NDArray[np.intp]:
+    """Return all choices (3, k) of three of a count."""
+    return np.array(list(itertools.combinations(range(count), 3)), dtype=np.intp).reshape(-1, 3).T

@@ -1,6 +1,6 @@
 """Surfaces and containers of a model, found in its shapes and joints.
 
-What a link's top offers (:mod:`pycram.models.furniture.faces`) is a surface if something gets there: from above, from
+What a link's top offers (:mod:`pycram.models.level_faces`) is a surface if something gets there: from above, from
 a side, or because a joint opens the way. A drawer is what a horizontal prismatic joint moves, with a surface in it or a
 handle on it. A door is what hides a surface while it is closed: the first thing that rays from there meet, all of which
 end near by. What nothing opens is a hollow in which nothing can be put.
@@ -9,15 +9,18 @@ end near by. What nothing opens is a hollow in which nothing can be put.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
+from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.furniture.faces import AREA, Face, faces
-from pycram.models.furniture.naming import distinct, readable
-from pycram.models.furniture.pieces import first_met, pieces
+from pycram.models.corrections import SUFFIX, correct, read
+from pycram.models.level_faces import AREA, Face, faces, first_met, pieces
+from pycram.models.shapes import piece_bounds
+from pycram.models.store import stored_tree
 from pycram.models.surfaces import (
     DOOR,
     DRAWER,
@@ -27,15 +30,15 @@ from pycram.models.surfaces import (
     closed_position,
     open_position,
 )
-from pycram.models.visual import piece_bounds
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from pycram.models.furniture.pieces import Piece
-    from pycram.models.visual import Ends
+    from pycram.models.level_faces import Piece
+    from pycram.models.load import Model
+    from pycram.models.shapes import Ends
     from recorder.geometry import Pose
     from recorder.urdf import Joint, Urdf
 
@@ -50,13 +53,32 @@ _HAND: Final = 0.2  # m of free height that a hand needs at most
 _LEVEL: Final = 0.5  # z of the axis of a joint that moves sideways
 _TRAVEL: Final = (0.05, 2.0)  # m of a drawer
 _HANDLE: Final = ("handle", "knob", "grip", "pull")  # in names of links
-
 _ANGLES: Final = np.arange(_RAYS) * 2 * math.pi / _RAYS
 _DIRECTIONS: Final = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)])
 _UP: Final = np.array([0.0, 0.0, 1.0])
+_CACHED_MODELS: Final = 128
+_WORDS: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_EMPTY: Final = frozenset({"link", "main", "surface", "area", "frame", "body", "base", "part"})  # that say nothing
 
 
-def find(path: Path, urdf: Urdf) -> Furniture:
+def furniture_of(model: Model) -> Furniture:
+    """Return the surfaces and containers of a model, with the corrections that lie beside it.
+
+    Raises:
+        AssetError: These correct what isn't there.
+    """
+    beside = next((file for file in model.files if file.name.endswith(SUFFIX)), None)
+    return _furniture(model.path, beside.content if beside else b"", beside.name if beside else "")
+
+
+@lru_cache(maxsize=_CACHED_MODELS)
+def _furniture(path: Path, corrections: bytes, source: str) -> Furniture:
+    urdf = stored_tree(path)
+    found = find_furniture(path, urdf)
+    return correct(found, read(corrections.decode(), source), urdf) if corrections else found
+
+
+def find_furniture(path: Path, urdf: Urdf) -> Furniture:
     """Return the furniture that a model is.
 
     Args:
@@ -214,3 +236,34 @@ class _Search:
         """Return the link of a handle that a joint moves, by its name; "" if there is none."""
         moved = [link for link, mover in self._movers.items() if mover is joint and link != joint.child]
         return next((link for word in _HANDLE for link in moved if word in link.casefold()), "")
+
+
+def readable(link: str, model: str, dropped: Iterable[str] = ()) -> str:
+    """Return the words of a link's name without such as say nothing, and without the name of the model.
+
+    Args:
+        link: the link's name.
+        model: the name of the model.
+        dropped: further words that say nothing.
+    """
+    every = [word.casefold() for word in _WORDS.findall(link)]
+    own = [word.casefold() for word in _WORDS.findall(model)]
+    if every[: len(own)] == own:
+        every = every[len(own) :]
+    empty = _EMPTY | set(dropped)
+    said = [
+        word
+        for number, word in enumerate(every)
+        if word not in empty and (word.isdecimal() or word not in every[:number])
+    ]
+    return " ".join(said) or " ".join(word for word in every if word not in dropped) or link
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """Return names of which the first of equal ones stays, and others have a number, from 2 on."""
+    taken: dict[str, int] = {}
+    given = []
+    for name in names:
+        taken[name] = taken.get(name, 0) + 1
+        given.append(name if taken[name] == 1 else f"{name} {taken[name]}")
+    return given

@@ -3,6 +3,9 @@
 The top of each link is looked at in a grid whose lines are where pieces begin and end: of what is built of boxes the
 result is exact. A cell is free if the link's top is there, and nothing within the least clearance above it. A face that
 is free (nearly) everywhere keeps its shape; any other is divided into rectangles.
+
+The engine takes the convex hull of each piece, so a hull is what things stand on, whatever a mesh looks like. A convex
+piece is what lies behind all its planes; where a line enters and leaves it is a maximum and a minimum over them.
 """
 
 from __future__ import annotations
@@ -10,20 +13,20 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from pycram.models.furniture.pieces import vertical_extents
-from pycram.models.furniture.rectangles import divide
+from pycram.models.shapes import convex_hull, pieces_of
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from pycram.models.furniture.pieces import Piece
+    from recorder.geometry import Pose
 
     Array = NDArray[np.float64]
 
@@ -31,7 +34,6 @@ SIDE: Final = 0.06  # m, the least width: that of a glass
 AREA: Final = 0.02  # m^2, the least area
 CLEARANCES: Final = (0.25, 0.05)
 """Free heights, m: what has the first is looked for first, so that a low lamp takes only what is below it."""
-
 _LEVEL: Final = math.cos(math.radians(2.5))  # z of the normal of what things don't slide or roll from
 _THICK: Final = 0.004  # m that tops of one link may differ in height and be one face
 _ROUGH: Final = 0.002  # m that something may stick out of a face and not be in the way
@@ -39,6 +41,8 @@ _GAP: Final = 0.001  # m between lines of the grid
 _FINE: Final = 0.02  # m between lines where edges are not along the grid
 _ALONG: Final = 1e-3  # of a unit normal: sides along the grid
 _WHOLE: Final = 0.97  # share of a face's hull that is free, of one that keeps its shape
+_PARALLEL: Final = 1e-9  # of a unit normal along a line
+_SAME_PLANE: Final = 6  # decimals: triangles of one side of a hull have the same plane
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,3 +207,131 @@ def _hull(corners: Array) -> Array:
 def _area(outline: Array) -> float:
     x, y = outline.T
     return float(abs(x[:-1] @ y[1:] - y[:-1] @ x[1:] + x[-1] * y[0] - y[-1] * x[0]) / 2)
+
+
+class Rectangle(NamedTuple):
+    """Cells of a grid: rows and columns from the first up to, but without, the last."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+
+
+def divide(free: NDArray[np.bool_], rows: Array, columns: Array, side: float, area: float) -> Iterator[Rectangle]:
+    """Yield rectangles of free cells that don't overlap: the largest, then the largest in what it leaves, and so on.
+
+    Args:
+        free: (n, m) cells.
+        rows: (n + 1,) lines between rows, m, ascending.
+        columns: (m + 1,) lines between columns, m, ascending.
+        side: the least length of a side, m.
+        area: the least area, m^2.
+    """
+    left = free.copy()
+    while (found := _largest(left, rows, columns, side)) is not None and found[0] >= area:
+        cells = found[1]
+        yield cells
+        left[cells.top : cells.bottom, cells.left : cells.right] = False
+
+
+def _largest(free: NDArray[np.bool_], rows: Array, columns: Array, side: float) -> tuple[float, Rectangle] | None:
+    """Return the largest rectangle of free cells and its area: that of a histogram, row by row."""
+    best: tuple[float, Rectangle] | None = None
+    starts = np.zeros(free.shape[1], dtype=np.intp)  # the row at which each column's free cells begin
+    for row, cells in enumerate(free):
+        starts = np.where(cells, starts, row + 1)
+        below = float(rows[row + 1])
+        pending: list[tuple[int, int]] = []  # columns from which free cells reach up to a row, ever lower ones
+        for column, start in enumerate([*starts.tolist(), row + 1]):
+            first = column
+            while pending and pending[-1][1] < start:
+                first, top = pending.pop()
+                height, width = below - float(rows[top]), float(columns[column] - columns[first])
+                if min(height, width) >= side and (best is None or height * width > best[0]):
+                    best = height * width, Rectangle(top, first, row + 1, column)
+            if not pending or pending[-1][1] > start:
+                pending.append((first, start))
+    return best
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A convex piece in the frame of the root link.
+
+    Attributes:
+        link: that it belongs to.
+        corners: (n, 3), m.
+        planes: (k, 4) unit normals, outwards, and offsets in m: points inside have ``normal @ point + offset <= 0``.
+        low: lowest corner of its bounds.
+        high: highest corner.
+    """
+
+    link: str
+    corners: Array
+    planes: Array
+    low: Array
+    high: Array
+
+
+def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Array]:
+    """Return at which heights the vertical lines through points (n, 2) enter and leave pieces; inf, -inf if never.
+
+    Returns:
+        Two (n, m), a column for each piece.
+    """
+    origins = np.column_stack([points, np.zeros(len(points))])
+    return _through(*_stacked(every), origins, np.array([[0.0, 0.0, 1.0]]))
+
+
+def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the numbers of the pieces that rays (n, 3) meet first, and after how many m; infinite if none."""
+    into, out = _through(*_stacked(every), origins, directions)
+    met = np.where((into <= out) & (out > 0), np.maximum(into, 0.0), np.inf)
+    return met.argmin(axis=1), met.min(axis=1)
+
+
+def _stacked(every: Sequence[Piece]) -> tuple[Array, NDArray[np.intp]]:
+    """Return the planes of pieces, and the number of the first of each."""
+    starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
+    return np.concatenate([piece.planes for piece in every]), starts
+
+
+def _through(planes: Array, starts: NDArray[np.intp], origins: Array, directions: Array) -> tuple[Array, Array]:
+    """Return where lines enter and leave pieces, m along them; infinity and -infinity where they miss one.
+
+    Args:
+        planes: (k, 4) of all pieces.
+        starts: (m,) numbers of the first plane of each.
+        origins: (n, 3) points on the lines, m.
+        directions: (n, 3) or (1, 3) unit vectors.
+    """
+    slopes = np.broadcast_to(directions @ planes[:, :3].T, (len(origins), len(planes)))
+    heights = origins @ planes[:, :3].T + planes[:, 3]
+    along = np.abs(slopes) < _PARALLEL
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = -heights / slopes
+    into = np.maximum.reduceat(np.where(along | (slopes > 0), -np.inf, at), starts, axis=1)
+    out = np.minimum.reduceat(np.where(along | (slopes < 0), np.inf, at), starts, axis=1)
+    missed = np.logical_or.reduceat(along & (heights > 0), starts, axis=1) | (into > out)
+    return np.where(missed, np.inf, into), np.where(missed, -np.inf, out)
+
+
+def pieces(path: Path, poses: Mapping[str, Pose]) -> Sequence[Piece]:
+    """Return the convex pieces of the model with a canonical URDF.
+
+    Args:
+        path: the URDF.
+        poses: of its links in the root link.
+    """
+    found = []
+    for link, corners in pieces_of(path):
+        position, orientation = poses[link]
+        placed = corners @ geometry.to_matrix(orientation).T + position
+        hull = convex_hull(placed)
+        if hull is None:  # it is flat: nothing stands on it safely
+            continue
+        planes = np.array(sorted(set(map(tuple, hull.planes.round(_SAME_PLANE).tolist()))))
+        low, high = placed.min(axis=0), placed.max(axis=0)
+        found.append(Piece(link, hull.corners, planes, low, high))
+    return found

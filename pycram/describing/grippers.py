@@ -1,0 +1,350 @@
+"""Grippers, guessed from the collision shapes of a hand: where its fingers are in the tool frame, open and closed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.describing.chains import ArmChain, Tree, fingers_of, limits
+from pycram.models.robots.gripper import Gripper
+from pycram.models.shapes import pieces_of
+from recorder import geometry
+from recorder.geometry import IDENTITY
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.models.load import Model
+    from recorder.geometry import Pose, Quaternion
+    from recorder.urdf import Joint
+
+    Array = NDArray[np.float64]
+
+_PADS: Final = 0.02  # m behind the finger tips in which they take hold
+TIPS: Final = 0.015
+"""m that the tool frame is behind the finger tips."""
+_NEAR_TIP: Final = 0.02  # m behind the tips up to which a link is one that takes hold
+_MAX_DEPTH: Final = 0.03  # m
+_PALM_CLEARANCE: Final = 0.003  # m that an object keeps from the palm
+_PADDING: Final = 1e-3  # m by which the engine makes shapes thicker
+_STRAIGHT: Final = math.cos(math.radians(10))  # of an axis that is taken to be one of the link's
+_SIDES: Final = 2
+_PHALANGES: Final = 2  # joints of a finger that closes as one; those with more curl
+_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # of the way to the limits, as which fingers may be open
+
+
+@dataclass(frozen=True, slots=True)
+class Jaws:
+    """Where two sides of fingers are in a frame whose x points out of the hand and along whose y they close.
+
+    Attributes:
+        left: y of the inner face of those on the +y side, m.
+        right: y of the inner face of those on the other side, m.
+        tip: x of the farthest finger tip, m.
+        low: lowest z of the fingers, m.
+        high: highest z of the fingers, m.
+    """
+
+    left: float
+    right: float
+    tip: float
+    low: float
+    high: float
+
+    @property
+    def gap(self) -> float:
+        """How far they are apart, m."""
+        return self.left - self.right
+
+
+class Corners:
+    """Corners of a model's collision shapes, by link."""
+
+    def __init__(self, model: Model) -> None:
+        self._urdf = model.urdf
+        parts: dict[str, list[Array]] = {}
+        for link, corners in pieces_of(model.path):
+            parts.setdefault(link, []).append(corners)
+        self._corners = {link: np.vstack(pieces) for link, pieces in parts.items()}
+
+    def __contains__(self, link: object) -> bool:
+        return link in self._corners
+
+    def of(self, links: Iterable[str], positions: Mapping[str, float], base: str, offset: Pose) -> Array:
+        """Return corners (n, 3) of links in a frame.
+
+        Args:
+            links: their names; those without a shape have no corners.
+            positions: joint values by name, rad or m; 0 for others.
+            base: the link that the frame is in.
+            offset: its pose there.
+        """
+        frame = geometry.invert(geometry.multiply(self._urdf.forward_kinematics(positions, base), offset))
+        found = [np.zeros((0, 3))]
+        for link in links:
+            if link in self._corners:
+                pose = geometry.multiply(frame, self._urdf.forward_kinematics(positions, link))
+                found.append(self._corners[link] @ geometry.to_matrix(pose[1]).T + np.array(pose[0]))
+        return np.vstack(found)
+
+    def jaws(self, fingers: Iterable[str], positions: Mapping[str, float], base: str, offset: Pose) -> Jaws | None:
+        """Return where fingers are in a frame; None if they aren't on two sides of it. Arguments as for :meth:`of`."""
+        found = [corners for finger in fingers if len(corners := self.of([finger], positions, base, offset))]
+        tips = [corners[corners[:, 0] >= corners[:, 0].max() - _PADS] for corners in found]
+        for seen in (found, tips):  # a jaw that stands still may be part of a palm: its tip is on one side
+            sides: tuple[list[Array], list[Array]] = ([], [])
+            for corners, part in zip(found, seen, strict=True):
+                sides[float(part[:, 1].mean()) < 0.0].append(corners)
+            if all(sides):
+                break
+        else:
+            return None
+        left, right = (np.vstack(side) for side in sides)
+        every = np.vstack([left, right])
+        tip = float(every[:, 0].max())
+        inner, other = (side[side[:, 0] >= tip - _PADS, 1] for side in (left, right))
+        if not len(inner) or not len(other):
+            return None
+        low, high = float(every[:, 2].min()), float(every[:, 2].max())
+        return Jaws(float(inner.min()), float(other.max()), tip, low, high)
+
+
+@dataclass(frozen=True, slots=True)
+class HandGuess:
+    """A gripper, as far as it can be guessed from its shapes.
+
+    Attributes:
+        palm: the link that the fingers hang on, in which the tool frame is given.
+        offset: the tool frame's pose in it.
+        fingers: links that take hold.
+        closed: values of its joints when closed.
+        open: their values when open, in the same order.
+        aperture: m between the fingers when open.
+        gap: m between them when closed.
+        depth: m from the tool frame back to the palm.
+        underside: m from the tool frame down to the lowest point.
+    """
+
+    palm: str
+    offset: Pose
+    fingers: tuple[str, ...]
+    closed: Mapping[str, float]
+    open: Mapping[str, float]
+    aperture: float
+    gap: float
+    depth: float
+    underside: float
+
+
+def guess_hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | str:
+    """Return the gripper of an arm, or why there is none that closes from two sides."""
+    if not arm.fingers:
+        return "nothing that moves hangs on it"
+    ends = [joint for joint in arm.fingers if not tree.below(joint)]
+    tips = list(fingers_of(tree, arm, {link for link in tree.urdf.links if link in corners}))
+    if any(len(moving) > _PHALANGES for _, moving in tips):
+        return f"{len(arm.fingers)} joints hang on it, in fingers that curl"
+    if len(tips) < min(len(ends), _SIDES):
+        solid = {link for link, _ in tips}
+        names = [joint.child for joint in ends if joint.child not in solid]
+        return f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} no collision shapes: nothing would be held"
+    if len(tips) < _SIDES:
+        ((jaw, (joint, *others)),) = tips
+        hand = None if others else _one_jaw(tree, corners, jaw, joint)
+        return hand or f"by its collision shapes, {jaw} doesn't close against anything that stays still"
+    return _fingers(tree, tips, corners) or (
+        f"by their collision shapes, {', '.join(link for link, _ in tips)} don't close on one another from two sides"
+    )
+
+
+def _fingers(tree: Tree, tips: Sequence[tuple[str, list[Joint]]], corners: Corners) -> HandGuess | None:
+    """Return a gripper of two fingers and more, all of which move; None if they don't close from two sides."""
+    joints = list({joint.name: joint for _, moving in tips for joint in moving}.values())
+    palm = joints[0].parent
+    links = [link for link, _ in tips]
+    closed, widest = _ends(tree, corners, palm, tips)
+    there = [corners.of([link], closed, palm, IDENTITY).mean(axis=0) for link in links]
+    for opened in _openings(closed, widest):
+        here = [corners.of([link], opened, palm, IDENTITY).mean(axis=0) for link in links]
+        axes = _axes(corners, palm, there, here)
+        if axes is None:
+            return None
+        hand = _fitted(tree, corners, palm, (np.mean(there, axis=0), axes), links, (closed, opened))
+        if hand is not None:
+            return hand
+    return None
+
+
+def _openings(closed: Mapping[str, float], widest: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
+    """Yield values of open joints, the widest first: fingers that turn far don't close along one way from there."""
+    for share in _SHARES:
+        yield {name: value + share * (widest[name] - value) for name, value in closed.items()}
+
+
+def _one_jaw(tree: Tree, corners: Corners, jaw: str, joint: Joint) -> HandGuess | None:
+    """Return a gripper of which one jaw turns or slides towards another that stands still; None if it doesn't."""
+    palm = joint.parent
+    still = [link for link in tree.urdf.links if link in corners and tree.moved_by(link) is tree.moved_by(palm)]
+    if not still:
+        return None
+    hinge, axis = np.array(joint.origin[0]), np.array(geometry.rotate(joint.origin[1], joint.axis))
+    others = {link: corners.of([link], {}, palm, IDENTITY) for link in still}
+    ends = []
+    for value in limits(joint):
+        points = corners.of([jaw], {joint.name: value}, palm, IDENTITY)
+        tip = points[np.linalg.norm(points - hinge, axis=1).argmax()]
+        gaps = {link: np.linalg.norm(other - tip, axis=1).min() for link, other in others.items()}
+        ends.append((min(gaps.values()), value, tip, min(gaps, key=gaps.__getitem__)))
+    (_, closed, tip, anvil), (_, opened, *_) = sorted(ends, key=lambda end: end[0])
+    if joint.type == "prismatic":
+        out, apart = tip - np.vstack(list(others.values())).mean(axis=0), axis
+    else:
+        out, apart = tip - hinge, np.cross(axis, tip - hinge)
+    axes = _frame(out, apart)
+    if axes is None:
+        return None
+    facing = others[anvil][np.linalg.norm(others[anvil] - tip, axis=1).argmin()]
+    frame = (tip + facing) / 2, axes
+    shut = {joint.name: closed}
+    hands = (
+        _fitted(tree, corners, palm, frame, [jaw, anvil], (shut, opening))
+        for opening in _openings(shut, {joint.name: opened})
+    )
+    return next((hand for hand in hands if hand is not None), None)
+
+
+def _fitted(
+    tree: Tree,
+    corners: Corners,
+    palm: str,
+    between: tuple[Array, Quaternion],
+    links: Sequence[str],
+    ends: tuple[Mapping[str, float], Mapping[str, float]],
+) -> HandGuess | None:
+    """Return the gripper that closes around a place between its fingers, in the palm; None if it doesn't."""
+    (x, y, z), axes = between
+    frame: Pose = ((float(x), float(y), float(z)), axes)
+    shut, wide = (corners.jaws(links, positions, palm, frame) for positions in ends)
+    if shut is None or wide is None or wide.gap <= max(shut.gap, 0.0):
+        return None
+    hand = _measured(corners, palm, frame, links, shut, ends, (shut.gap, wide.gap))
+    return hand if hand.fingers and not any(_gripper(hand).wrong_ways(tree.urdf, palm, hand.offset)) else None
+
+
+def _gripper(hand: HandGuess) -> Gripper:
+    """Return a gripper as its description would say it is."""
+    return Gripper(
+        palm=hand.palm,
+        joints=tuple(hand.closed),
+        closed=tuple(hand.closed.values()),
+        open=tuple(hand.open.values()),
+        fingers=hand.fingers,
+        aperture=hand.aperture,
+        depth=hand.depth,
+        tips=TIPS,
+        underside=hand.underside,
+        gap=hand.gap,
+    )
+
+
+def _ends(
+    tree: Tree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[Joint]]]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return values of joints when closed and when open: a finger is open where it is far from the others."""
+    joints = {joint.name: joint for _, moving in tips for joint in moving}
+    middles = {name: sum(limits(joint)) / 2 for name, joint in joints.items()}
+    closed: dict[str, float] = {}
+    opened: dict[str, float] = {}
+    for link, moving in tips:
+        others = np.vstack([corners.of([other], middles, palm, IDENTITY) for other, _ in tips if other != link])
+        ends = [{joint.name: limits(joint)[end] for joint in moving} for end in (0, 1)]
+        away = [
+            np.linalg.norm(corners.of([link], {**middles, **end}, palm, IDENTITY).mean(axis=0) - others.mean(axis=0))
+            for end in ends
+        ]
+        near, far = ends if away[0] < away[1] else ends[::-1]
+        for chosen, end in ((closed, near), (opened, far)):
+            for name, value in end.items():
+                chosen.setdefault(name, value)
+    for values in (closed, opened):
+        for name, joint in joints.items():
+            mimic = tree.urdf.mimics.get(name)
+            if mimic is not None and mimic.leader in values:
+                low, high = limits(joint)
+                values[name] = min(max(mimic.multiplier * values[mimic.leader] + mimic.offset, low), high)
+    return closed, opened
+
+
+def _measured(
+    corners: Corners,
+    palm: str,
+    frame: Pose,
+    links: Sequence[str],
+    shut: Jaws,
+    positions: tuple[Mapping[str, float], Mapping[str, float]],
+    gaps: tuple[float, float],
+) -> HandGuess:
+    closed, opened = positions
+    middle = (shut.tip - TIPS, (shut.left + shut.right) / 2, (shut.low + shut.high) / 2)
+    offset = geometry.transform(frame, middle), frame[1]
+    taking = [link for link in links if corners.of([link], closed, palm, offset)[:, 0].max() > TIPS - _NEAR_TIP]
+    body = corners.of([palm], closed, palm, offset)
+    front = float(body[:, 0].max(initial=-_MAX_DEPTH))
+    every = np.vstack([body, corners.of(links, closed, palm, offset), corners.of(links, opened, palm, offset)])
+    return HandGuess(
+        palm=palm,
+        offset=offset,
+        fingers=tuple(taking),
+        closed=closed,
+        open=opened,
+        aperture=max(gaps[1] - 2 * _PADDING, 1e-3),
+        gap=max(gaps[0] - _PADDING, 0.0),  # with the engine's padding, thicker things are pressed
+        depth=min(max(-front - _PALM_CLEARANCE, 0.0), _MAX_DEPTH),
+        underside=float(-every[:, 2].min()) + 2 * _PADDING,
+    )
+
+
+def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence[Array]) -> Quaternion | None:
+    """Return the orientation in the palm of a frame whose x points out of the hand, along whose y the fingers close.
+
+    Args:
+        corners: of the robot.
+        palm: the link.
+        closed: middles of the fingers in it when closed, m.
+        opened: the same when open.
+    """
+    ways = [b - a for a, b in zip(closed, opened, strict=True)]
+    apart = np.sum([way if way @ ways[0] >= 0 else -way for way in ways], axis=0)
+    out = np.mean([*closed, *opened], axis=0)
+    body = corners.of([palm], {}, palm, IDENTITY)
+    out -= body.mean(axis=0) if len(body) else 0.0
+    return _frame(out, apart)
+
+
+def _frame(out: Array, apart: Array) -> Quaternion | None:
+    """Return the orientation of a frame whose x points out of a hand, with y where its fingers part; None without."""
+    if np.linalg.norm(apart) < _PADDING:
+        return None
+    y = _straightened(apart / np.linalg.norm(apart))
+    out = out - (out @ y) * y
+    if np.linalg.norm(out) < _PADDING:
+        return None
+    x = _straightened(out / np.linalg.norm(out))
+    y -= (x @ y) * x
+    y /= np.linalg.norm(y)
+    return geometry.from_matrix(np.column_stack([x, y, np.cross(x, y)]))
+
+
+def _straightened(axis: Array) -> Array:
+    """Return an axis of the link if a unit vector nearly is one."""
+    largest = int(np.abs(axis).argmax())
+    if abs(axis[largest]) < _STRAIGHT:
+        return axis
+    straight = np.zeros(3)
+    straight[largest] = math.copysign(1.0, axis[largest])
+    return straight

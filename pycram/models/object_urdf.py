@@ -1,0 +1,159 @@
+"""The URDF of an object that is one mesh.
+
+PyBullet collides with the convex hull of any mesh, so that a bowl would be solid. So concave meshes get a convex
+decomposition: from ``NAME.collision.obj`` beside the mesh (one ``o`` group per convex piece), else by V-HACD. A table
+``[NAME]`` in the ``objects.toml`` beside it may give its mass (kg), friction and coloured visual parts.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from pycram.foundation.checks import number
+from pycram.foundation.failures import AssetError
+from pycram.models.canonical_urdf import DENSITY
+from pycram.models.files import parse_toml, read_text
+from pycram.models.mesh import convert, convert_visual, parse
+from pycram.models.warming import notable
+from recorder.records import escaped
+from recorder.records.values import AssetFile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    import trimesh
+
+_MIN_CONVEXITY: Final = 0.9  # share of its hull's volume that a convex mesh fills
+_GREY: Final = (0.8, 0.8, 0.8, 1.0)
+
+
+def beside(file: Path) -> Iterator[Path]:
+    """Yield the files beside a mesh that :func:`as_urdf` reads: pieces, its table, meshes that this names.
+
+    Raises:
+        AssetError: The table is broken.
+    """
+    yield _pieces(file)
+    yield _table(file)
+    for part in _colored(_properties(file)) or ():
+        yield file.parent / str(part["mesh"])
+
+
+def as_urdf(
+    file: Path, color: Sequence[float] | None, decompose: Callable[[bytes], bytes]
+) -> Iterator[tuple[str, bytes, None]]:
+    """Yield the files of a URDF of one link: a mesh with convex collision shape, mass, centre of mass and inertia.
+
+    Each has a name, a content and no colour, for :mod:`pycram.models.conversion_cache`. The URDF is the last, and names
+    the others by their keys.
+
+    Args:
+        file: The mesh.
+        color: RGBA 0..1 for all of it; None for its own colours, or grey.
+        decompose: Takes an OBJ, returns its convex decomposition as an OBJ with one group per piece.
+
+    Raises:
+        AssetError: The mesh or a file beside it is broken.
+    """
+    shape = parse(file)
+    spread = np.linalg.svd(shape.vertices - shape.vertices.mean(axis=0), compute_uv=False)
+    if len(spread) < 3 or spread[2] <= 1e-9 * spread[0]:
+        raise AssetError(file, "is flat: it encloses no volume")
+    robot = ET.Element("robot", name=file.stem)
+    link = ET.SubElement(robot, "link", name=file.stem)
+    entry = _properties(file)
+    if "friction" in entry:
+        ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=repr(entry["friction"]))
+    _add_inertia(link, shape, _mass(shape, entry))
+    for name, content, rgba in _visuals(file, color, entry):
+        visual = ET.SubElement(link, "visual")
+        ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=AssetFile(name, content).key)
+        yield name, content, None
+        material = ET.SubElement(visual, "material", name=name)
+        ET.SubElement(material, "color", rgba=" ".join(f"{part:g}" for part in rgba))
+    collision = ET.SubElement(ET.SubElement(link, "collision"), "geometry")
+    name, content = _collision(file, shape, decompose)
+    ET.SubElement(collision, "mesh", filename=AssetFile(name, content).key)
+    yield name, content, None
+    # pieces have the name of the file
+    yield f"{file.stem}.urdf", escaped(ET.tostring(robot, encoding="unicode")).encode(), None
+
+
+def _visuals(
+    file: Path, color: Sequence[float] | None, entry: Mapping[str, object]
+) -> list[tuple[str, bytes, Sequence[float]]]:
+    parts = _colored(entry)
+    if color is not None or (parts is None and file.suffix.lower() == ".stl"):
+        name, content = convert(file)
+        return [(name, content, color if color is not None else _GREY)]
+    if parts is not None:
+        return [(*convert(file.parent / str(part["mesh"])), part["rgba"]) for part in parts]
+    return [(name, content, rgba or _GREY) for name, content, rgba in convert_visual(file)]
+
+
+def _collision(file: Path, shape: trimesh.Trimesh, decompose: Callable[[bytes], bytes]) -> tuple[str, bytes]:
+    pieces = _pieces(file)
+    if pieces.is_file():
+        return convert(pieces)
+    hull = shape.convex_hull
+    if not shape.is_watertight or shape.volume > _MIN_CONVEXITY * hull.volume:
+        return f"{file.stem}.hull.obj", _obj(hull)
+    return f"{file.stem}.collision.obj", decompose(_obj(shape))
+
+
+def _obj(shape: trimesh.Trimesh) -> bytes:
+    return _exported(shape, "obj", include_color=False, include_texture=False)
+
+
+def _exported(shape: trimesh.Trimesh, kind: str, **options: Any) -> bytes:
+    content = shape.export(file_type=kind, **options)
+    return content.encode() if isinstance(content, str) else bytes(content)
+
+
+def _pieces(file: Path) -> Path:
+    return file.with_suffix(".collision.obj")
+
+
+def _table(file: Path) -> Path:
+    return file.parent / "objects.toml"
+
+
+def _colored(entry: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
+    """Return the coloured visual parts that a mesh's table gives; None if it gives none."""
+    parts = entry.get("visual")
+    return parts if isinstance(parts, list) else None
+
+
+def _properties(file: Path) -> Mapping[str, object]:
+    """Return a mesh's table in the ``objects.toml`` beside it; empty if there is none."""
+    table = _table(file)
+    entry = _parsed(read_text(table), table).get(file.stem) if table.is_file() else None
+    return entry if isinstance(entry, dict) else {}
+
+
+@lru_cache(maxsize=8)  # each object of a folder asks for the same
+@notable
+def _parsed(text: str, table: Path) -> Mapping[str, object]:
+    return parse_toml(text, table)
+
+
+def _mass(shape: trimesh.Trimesh, entry: Mapping[str, object]) -> float:
+    if "mass" in entry:
+        return number("mass", entry["mass"])
+    solid = shape if shape.is_watertight else shape.convex_hull
+    return float(max(abs(solid.volume) * DENSITY, 1e-3))
+
+
+def _add_inertia(link: ET.Element, shape: trimesh.Trimesh, mass: float) -> None:
+    solid = shape if shape.is_watertight and shape.volume > 0 else shape.convex_hull
+    tensor = solid.moment_inertia * (mass / solid.volume)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in solid.center_mass), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=repr(mass))
+    moments = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(tensor[i, j])) for i in range(3) for j in range(i, 3)}
+    ET.SubElement(inertial, "inertia", attrib=moments)
