@@ -33,17 +33,11 @@ _FREE: Final = re.compile(r"(.+)_(x|y|z|yaw|pitch|roll)")  # a planar or floatin
 
 @dataclass(frozen=True, slots=True)
 class ArmChain:
-    """An arm in a URDF.
+    """An arm in a URDF."""
 
-    Attributes:
-        name: what it is called.
-        joints: its joints from the shoulder on.
-        fingers: joints that hang on its last link.
-    """
-
-    name: str
-    joints: tuple[Joint, ...]
-    fingers: tuple[Joint, ...]
+    name: str  # what it is called
+    joints: tuple[Joint, ...]  # its joints from the shoulder on
+    fingers: tuple[Joint, ...]  # joints that hang on its last link
 
 
 class Tree:

@@ -41,17 +41,11 @@ _STRAIN: Final = 0.1  # m that a posture at joint limits may be larger than one 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check has found.
+    """What a check has found."""
 
-    Attributes:
-        passed: whether it is as it should be.
-        about: what was checked.
-        text: what was found.
-    """
-
-    passed: bool
-    about: str
-    text: str
+    passed: bool  # whether it is as it should be
+    about: str  # what was checked
+    text: str  # what was found
 
     def __str__(self) -> str:
         return f"{'ok    ' if self.passed else 'FAILED'}  {self.about}: {self.text}"

@@ -40,21 +40,13 @@ _SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # of the way to the limits, as whi
 
 @dataclass(frozen=True, slots=True)
 class Jaws:
-    """Where two sides of fingers are in a frame whose x points out of the hand and along whose y they close.
+    """Where two sides of fingers are in a frame whose x points out of the hand and along whose y they close."""
 
-    Attributes:
-        left: y of the inner face of those on the +y side, m.
-        right: y of the inner face of those on the other side, m.
-        tip: x of the farthest finger tip, m.
-        low: lowest z of the fingers, m.
-        high: highest z of the fingers, m.
-    """
-
-    left: float
-    right: float
-    tip: float
-    low: float
-    high: float
+    left: float  # y of the inner face of those on the +y side, m
+    right: float  # y of the inner face of those on the other side, m
+    tip: float  # x of the farthest finger tip, m
+    low: float  # lowest z of the fingers, m
+    high: float  # highest z of the fingers, m
 
     @property
     def gap(self) -> float:
@@ -116,29 +108,17 @@ class Corners:
 
 @dataclass(frozen=True, slots=True)
 class HandGuess:
-    """A gripper, as far as it can be guessed from its shapes.
+    """A gripper, as far as it can be guessed from its shapes."""
 
-    Attributes:
-        palm: the link that the fingers hang on, in which the tool frame is given.
-        offset: the tool frame's pose in it.
-        fingers: links that take hold.
-        closed: values of its joints when closed.
-        open: their values when open, in the same order.
-        aperture: m between the fingers when open.
-        gap: m between them when closed.
-        depth: m from the tool frame back to the palm.
-        underside: m from the tool frame down to the lowest point.
-    """
-
-    palm: str
-    offset: Pose
-    fingers: tuple[str, ...]
-    closed: Mapping[str, float]
-    open: Mapping[str, float]
-    aperture: float
-    gap: float
-    depth: float
-    underside: float
+    palm: str  # the link that the fingers hang on, in which the tool frame is given
+    offset: Pose  # the tool frame's pose in it
+    fingers: tuple[str, ...]  # links that take hold
+    closed: Mapping[str, float]  # values of its joints when closed
+    open: Mapping[str, float]  # their values when open, in the same order
+    aperture: float  # m between the fingers when open
+    gap: float  # m between them when closed
+    depth: float  # m from the tool frame back to the palm
+    underside: float  # m from the tool frame down to the lowest point
 
 
 def guess_hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | str:

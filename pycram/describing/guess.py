@@ -38,23 +38,15 @@ _OPTICAL_OFFSET: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """What was found in a URDF.
+    """What was found in a URDF."""
 
-    Attributes:
-        model: the robot's.
-        arms: its arms, with what is at their ends, or why no gripper was recognised there.
-        torso: the joint that lifts the arms.
-        camera: the link of a camera, "" for none.
-        head: its joints.
-        drives: whether its base does.
-    """
-
-    model: Model
+    model: Model  # the robot's
     arms: Sequence[tuple[ArmChain, HandGuess | str]]
-    torso: Joint | None
-    camera: str
-    head: Mapping[str, str]
-    drives: bool
+    """Its arms, with what is at their ends, or why no gripper was recognised there."""
+    torso: Joint | None  # the joint that lifts the arms
+    camera: str  # the link of a camera, "" for none
+    head: Mapping[str, str]  # its joints
+    drives: bool  # whether its base does
 
 
 def guess(model: Model) -> Guess:

@@ -57,17 +57,11 @@ _NEW: Final = {_SURFACES: ("link", "position", "size or outline"), _CONTAINERS: 
 
 @dataclass(frozen=True)
 class Corrections:
-    """What a TOML says of furniture, its entries checked.
+    """What a TOML says of furniture, its entries checked."""
 
-    Attributes:
-        source: the TOML's file, for errors.
-        surfaces: by name, what is said of each.
-        containers: likewise.
-    """
-
-    source: str
-    surfaces: Mapping[str, Mapping[str, Any]]
-    containers: Mapping[str, Mapping[str, Any]]
+    source: str  # the TOML's file, for errors
+    surfaces: Mapping[str, Mapping[str, Any]]  # by name, what is said of each
+    containers: Mapping[str, Mapping[str, Any]]  # likewise
 
 
 def asset(name: str, content: bytes) -> AssetFile:

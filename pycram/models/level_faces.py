@@ -47,21 +47,13 @@ _SAME_PLANE: Final = 6  # decimals: triangles of one side of a hull have the sam
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """A face in the frame of the root link.
+    """A face in the frame of the root link."""
 
-    Attributes:
-        link: that it is on.
-        middle: its middle, m.
-        yaw: of its frame, rad.
-        outline: (n, 2) corners in that frame, counter-clockwise, m.
-        clearance: m; infinite if it is open above.
-    """
-
-    link: str
-    middle: Array
-    yaw: float
-    outline: Array
-    clearance: float
+    link: str  # that it is on
+    middle: Array  # its middle, m
+    yaw: float  # of its frame, rad
+    outline: Array  # (n, 2) corners in that frame, counter-clockwise, m
+    clearance: float  # m; infinite if it is open above
 
     @property
     def area(self) -> float:
@@ -257,21 +249,14 @@ def _largest(free: NDArray[np.bool_], rows: Array, columns: Array, side: float) 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A convex piece in the frame of the root link.
+    """A convex piece in the frame of the root link."""
 
-    Attributes:
-        link: that it belongs to.
-        corners: (n, 3), m.
-        planes: (k, 4) unit normals, outwards, and offsets in m: points inside have ``normal @ point + offset <= 0``.
-        low: lowest corner of its bounds.
-        high: highest corner.
-    """
-
-    link: str
-    corners: Array
+    link: str  # that it belongs to
+    corners: Array  # (n, 3), m
     planes: Array
-    low: Array
-    high: Array
+    """(k, 4) unit normals, outwards, and offsets in m: points inside have ``normal @ point + offset <= 0``."""
+    low: Array  # lowest corner of its bounds
+    high: Array  # highest corner
 
 
 def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Array]:

@@ -46,20 +46,14 @@ _RESERVED: Final = ("", ".", "..")
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A model, ready to load.
+    """A model, ready to load."""
 
-    Attributes:
-        path: The canonical URDF in the store.
-        urdf: Its tree of links and joints.
-        files: All its files, the URDF first, which refers to the others by their keys; but for corrections of what is
-            found in it (:mod:`pycram.models.corrections`).
-        loading: How the engine makes a body of it.
-    """
-
-    path: Path
-    urdf: Urdf
+    path: Path  # The canonical URDF in the store
+    urdf: Urdf  # Its tree of links and joints
     files: tuple[AssetFile, ...]
-    loading: Loading = NOW
+    """All its files, the URDF first, which refers to the others by their keys; but for corrections of what is found in
+    it (:mod:`pycram.models.corrections`)."""
+    loading: Loading = NOW  # How the engine makes a body of it
 
 
 def load(path: str | Path, color: Sequence[float] | None = None, packages: Sequence[str | Path] = ()) -> Model:

@@ -229,15 +229,10 @@ def _with_normals(content: bytes) -> bytes:
 
 
 class Part(NamedTuple):
-    """Triangles of one colour.
+    """Triangles of one colour."""
 
-    Attributes:
-        triangles: (n, 3, 3) corners in the mesh's frame, m.
-        rgba: Their colour, 0..1; None where the file gives none.
-    """
-
-    triangles: Array
-    rgba: Rgba | None
+    triangles: Array  # (n, 3, 3) corners in the mesh's frame, m
+    rgba: Rgba | None  # Their colour, 0..1; None where the file gives none
 
 
 @contextmanager

@@ -30,17 +30,11 @@ _CACHED_LINKS: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Links that fixed joints hold together, as one link.
+    """Links that fixed joints hold together, as one link."""
 
-    Attributes:
-        frame: name of the link whose frame is the part's.
-        links: names of those that have collision shapes.
-        path: canonical URDF of the part.
-    """
-
-    frame: str
-    links: tuple[str, ...]
-    path: Path
+    frame: str  # name of the link whose frame is the part's
+    links: tuple[str, ...]  # names of those that have collision shapes
+    path: Path  # canonical URDF of the part
 
 
 @lru_cache(maxsize=_CACHED_MODELS)

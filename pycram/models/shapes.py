@@ -55,21 +55,13 @@ _OTHER: Final = [2, 0, 1]
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """Shapes of a model's k links that have any.
+    """Shapes of a model's k links that have any."""
 
-    Attributes:
-        links: Their names.
-        triangles: For each link (n, 3, 3) corners in its frame, m.
-        colors: For each link (n, 3) RGB 0..1 of its triangles.
-        low: (k, 3) lowest corners of their boxes in the links' frames, m.
-        high: (k, 3) highest corners of their boxes.
-    """
-
-    links: tuple[str, ...]
-    triangles: Sequence[Array]
-    colors: Sequence[Array]
-    low: Array
-    high: Array
+    links: tuple[str, ...]  # Their names
+    triangles: Sequence[Array]  # For each link (n, 3, 3) corners in its frame, m
+    colors: Sequence[Array]  # For each link (n, 3) RGB 0..1 of its triangles
+    low: Array  # (k, 3) lowest corners of their boxes in the links' frames, m
+    high: Array  # (k, 3) highest corners of their boxes
 
 
 @lru_cache(maxsize=256)
@@ -288,23 +280,14 @@ def _mesh(file: Path) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Solids:
-    """A model's k convex pieces with m planes in all, those of a piece side by side.
+    """A model's k convex pieces with m planes in all, those of a piece side by side."""
 
-    Attributes:
-        links: (k,) names of the links that they belong to.
-        low: (k, 3) lowest corners of their boxes in the links' frames, m.
-        high: (k, 3) highest corners of their boxes.
-        normals: (m, 3) outward unit vectors in the links' frames.
-        offsets: (m,) of the planes from the frames' origins along the normals, m.
-        pieces: (m,) number of the piece that each plane belongs to.
-    """
-
-    links: tuple[str, ...]
-    low: Array
-    high: Array
-    normals: Array
-    offsets: Array
-    pieces: NDArray[np.intp]
+    links: tuple[str, ...]  # (k,) names of the links that they belong to
+    low: Array  # (k, 3) lowest corners of their boxes in the links' frames, m
+    high: Array  # (k, 3) highest corners of their boxes
+    normals: Array  # (m, 3) outward unit vectors in the links' frames
+    offsets: Array  # (m,) of the planes from the frames' origins along the normals, m
+    pieces: NDArray[np.intp]  # (m,) number of the piece that each plane belongs to
 
 
 @lru_cache(maxsize=256)
@@ -337,16 +320,12 @@ def _planes(corners: Array) -> Array:
 
 
 class Hull(NamedTuple):
-    """A convex hull.
+    """A convex hull."""
 
-    Attributes:
-        corners: (n, 3), m; with what lies within it, of few.
-        planes: (k, 4) unit normals, outwards, and offsets in m: points inside have ``normal @ point + offset <= 0``.
-            One may be there several times, up to rounding.
-    """
-
-    corners: Array
+    corners: Array  # (n, 3), m; with what lies within it, of few
     planes: Array
+    """(k, 4) unit normals, outwards, and offsets in m: points inside have ``normal @ point + offset <= 0``. One may be
+    there several times, up to rounding."""
 
 
 def convex_hull(corners: Array) -> Hull | None:

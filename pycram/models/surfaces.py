@@ -18,25 +18,15 @@ DOOR: Final = "door"
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Where things can stand: on a counter, in a drawer, on a shelf.
+    """Where things can stand: on a counter, in a drawer, on a shelf."""
 
-    Attributes:
-        name: unique in its furniture.
-        link: that it is on.
-        position: of its middle, in the link's frame, m.
-        orientation: in the link's frame, xyzw; z points up when the furniture stands as loaded.
-        outline: corners of a convex polygon, counter-clockwise, x and y in that frame, m.
-        clearance: free height above it while everything is closed, m; infinite if it is open above.
-        container: name of the container that it is in; "" if in none.
-    """
-
-    name: str
-    link: str
-    position: Vector
-    orientation: Quaternion
-    outline: tuple[tuple[float, float], ...]
-    clearance: float
-    container: str = ""
+    name: str  # unique in its furniture
+    link: str  # that it is on
+    position: Vector  # of its middle, in the link's frame, m
+    orientation: Quaternion  # in the link's frame, xyzw; z points up when the furniture stands as loaded
+    outline: tuple[tuple[float, float], ...]  # corners of a convex polygon, counter-clockwise, x and y in that frame, m
+    clearance: float  # free height above it while everything is closed, m; infinite if it is open above
+    container: str = ""  # name of the container that it is in; "" if in none
 
     @property
     def pose(self) -> Pose:
@@ -52,27 +42,16 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """A drawer, a fridge, a cupboard: what is opened to get at what is inside.
+    """A drawer, a fridge, a cupboard: what is opened to get at what is inside."""
 
-    Attributes:
-        name: unique in its furniture.
-        kind: "drawer", whose inside moves along, or "door", behind which it stays.
-        link: the part that moves.
-        joint: its joint.
-        handle: link of its handle; "" if it has none.
-        closed: position of the joint when it is closed, rad or m.
-        open: position of the joint when it is open as far as it goes, rad or m.
-        surfaces: names of the surfaces in it.
-    """
-
-    name: str
-    kind: str
-    link: str
-    joint: str
-    handle: str
-    closed: float
-    open: float
-    surfaces: tuple[str, ...]
+    name: str  # unique in its furniture
+    kind: str  # "drawer", whose inside moves along, or "door", behind which it stays
+    link: str  # the part that moves
+    joint: str  # its joint
+    handle: str  # link of its handle; "" if it has none
+    closed: float  # position of the joint when it is closed, rad or m
+    open: float  # position of the joint when it is open as far as it goes, rad or m
+    surfaces: tuple[str, ...]  # names of the surfaces in it
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,15 +29,11 @@ _noted: list[tuple[str, str, Any]] | None = None
 
 @dataclass(slots=True)
 class Notes:
-    """What was computed and imported.
-
-    Attributes:
-        calls: Module, name and arguments of functions, in the order in which they were called.
-        before: The modules that had been imported.
-    """
+    """What was computed and imported."""
 
     calls: list[tuple[str, str, Any]] = field(default_factory=list)
-    before: frozenset[str] = frozenset()
+    """Module, name and arguments of functions, in the order in which they were called."""
+    before: frozenset[str] = frozenset()  # The modules that had been imported
 
     def text(self) -> str:
         """Return it as text for :func:`warm`."""

@@ -44,46 +44,28 @@ _MAX_PIXELS: Final = 1e5
 
 @dataclass(frozen=True, slots=True)
 class Torso:
-    """A torso that lifts.
+    """A torso that lifts."""
 
-    Attributes:
-        joint: its joint.
-        default: value for work at tables, m.
-    """
-
-    joint: str
-    default: float
+    joint: str  # its joint
+    default: float  # value for work at tables, m
 
 
 @dataclass(frozen=True, slots=True)
 class RobotDescription:
-    """A robot.
+    """A robot."""
 
-    Attributes:
-        robot: name in its URDF.
-        base_link: the link that poses of the robot are poses of.
-        arms: by name.
-        head: its head, if it has one that turns.
-        camera: its camera, if it has one.
-        torso: its torso, if it lifts.
-        drives: whether its base does; else it stays where it was loaded.
-        limits: how fast it may move.
-        may_touch: pairs of its own links that may overlap, as their shapes do where the robot itself doesn't.
-        text: the TOML that it was read from.
-        source: the TOML's file, for errors.
-    """
-
-    robot: str
-    base_link: str
-    arms: Mapping[str, Arm]
-    head: Head | None
-    camera: CameraDescription | None
-    torso: Torso | None
-    drives: bool
-    limits: MotionLimits
+    robot: str  # name in its URDF
+    base_link: str  # the link that poses of the robot are poses of
+    arms: Mapping[str, Arm]  # by name
+    head: Head | None  # its head, if it has one that turns
+    camera: CameraDescription | None  # its camera, if it has one
+    torso: Torso | None  # its torso, if it lifts
+    drives: bool  # whether its base does; else it stays where it was loaded
+    limits: MotionLimits  # how fast it may move
     may_touch: frozenset[frozenset[str]]
-    text: str
-    source: str
+    """Pairs of its own links that may overlap, as their shapes do where the robot itself doesn't."""
+    text: str  # the TOML that it was read from
+    source: str  # the TOML's file, for errors
 
     @classmethod
     def load(cls, path: str | Path) -> RobotDescription:
@@ -214,25 +196,15 @@ def _pairs(value: object) -> frozenset[frozenset[str]]:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """An arm.
+    """An arm."""
 
-    Attributes:
-        name: any name: "left", "right", "panda", ...
-        joints: its joints from the shoulder on.
-        base_link: the link that its first joint hangs on.
-        tool_frame: the link with the tool frame: x points out of the gripper, the fingers close along y.
-        tool_offset: pose of the tool frame in that link, where that isn't the tool frame itself.
-        hand: its gripper, if it has one.
-        poses: named postures, values in the order of the joints.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    base_link: str
-    tool_frame: str
-    tool_offset: Pose
-    hand: Gripper | None
-    poses: Mapping[str, tuple[float, ...]]
+    name: str  # any name: "left", "right", "panda", ...
+    joints: tuple[str, ...]  # its joints from the shoulder on
+    base_link: str  # the link that its first joint hangs on
+    tool_frame: str  # the link with the tool frame: x points out of the gripper, the fingers close along y
+    tool_offset: Pose  # pose of the tool frame in that link, where that isn't the tool frame itself
+    hand: Gripper | None  # its gripper, if it has one
+    poses: Mapping[str, tuple[float, ...]]  # named postures, values in the order of the joints
 
     @property
     def gripper(self) -> Gripper:
@@ -313,27 +285,16 @@ def read_arm(name: str, table: tables.Table) -> Arm:
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """Largest velocities and accelerations.
+    """Largest velocities and accelerations."""
 
-    Attributes:
-        turning_velocity: of joints that turn and have no velocity limit in the URDF, rad/s.
-        turning_acceleration: of joints that turn, rad/s^2.
-        sliding_velocity: of joints that slide and have no velocity limit in the URDF, m/s.
-        sliding_acceleration: of joints that slide, m/s^2.
-        base_velocity: of the base, m/s.
-        base_acceleration: of the base, m/s^2.
-        base_turning_velocity: of the base about its upright axis, rad/s.
-        base_turning_acceleration: of the base about its upright axis, rad/s^2.
-    """
-
-    turning_velocity: float = 1.0
-    turning_acceleration: float = 4.0
-    sliding_velocity: float = 0.2
-    sliding_acceleration: float = 0.5
-    base_velocity: float = 0.5
-    base_acceleration: float = 0.5
-    base_turning_velocity: float = 1.0
-    base_turning_acceleration: float = 1.0
+    turning_velocity: float = 1.0  # of joints that turn and have no velocity limit in the URDF, rad/s
+    turning_acceleration: float = 4.0  # of joints that turn, rad/s^2
+    sliding_velocity: float = 0.2  # of joints that slide and have no velocity limit in the URDF, m/s
+    sliding_acceleration: float = 0.5  # of joints that slide, m/s^2
+    base_velocity: float = 0.5  # of the base, m/s
+    base_acceleration: float = 0.5  # of the base, m/s^2
+    base_turning_velocity: float = 1.0  # of the base about its upright axis, rad/s
+    base_turning_acceleration: float = 1.0  # of the base about its upright axis, rad/s^2
 
 
 def read_limits(table: tables.Table) -> MotionLimits:
@@ -348,15 +309,10 @@ def read_limits(table: tables.Table) -> MotionLimits:
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """A head that turns: names of its joints, "" for one that it doesn't have.
+    """A head that turns: names of its joints, "" for one that it doesn't have."""
 
-    Attributes:
-        pan: turns the camera to the left and right.
-        tilt: turns the camera up and down.
-    """
-
-    pan: str = ""
-    tilt: str = ""
+    pan: str = ""  # turns the camera to the left and right
+    tilt: str = ""  # turns the camera up and down
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -366,27 +322,16 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class CameraDescription:
-    """A camera.
+    """A camera."""
 
-    Attributes:
-        frame: the link with its optical frame: z forward, x right, y down.
-        offset: pose of the optical frame in that link, where that isn't the optical frame itself.
-        horizontal_fov: field of view in rad.
-        vertical_fov: field of view in rad.
-        width: pixels.
-        height: pixels.
-        near: m from which on it sees.
-        far: m up to which it sees.
-    """
-
-    frame: str
-    offset: Pose
-    horizontal_fov: float
-    vertical_fov: float
-    width: int
-    height: int
-    near: float
-    far: float
+    frame: str  # the link with its optical frame: z forward, x right, y down
+    offset: Pose  # pose of the optical frame in that link, where that isn't the optical frame itself
+    horizontal_fov: float  # field of view in rad
+    vertical_fov: float  # field of view in rad
+    width: int  # pixels
+    height: int  # pixels
+    near: float  # m from which on it sees
+    far: float  # m up to which it sees
 
     def pose(self, link_pose: PoseLike) -> Pose:
         """Return the optical frame's pose for the pose of its link, both in the same frame."""

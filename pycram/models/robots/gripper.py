@@ -27,33 +27,19 @@ _AIR: Final = 2e-3  # m to a jaw that stands still: the engine pads shapes by le
 
 @dataclass(frozen=True, slots=True)
 class Gripper:
-    """A gripper with fingers, or a suction cup, which has no joints and no fingers.
+    """A gripper with fingers, or a suction cup, which has no joints and no fingers."""
 
-    Attributes:
-        palm: link of the palm; of a suction cup, the link of the cup.
-        joints: all joints that move with its fingers, those that mimic others too.
-        closed: the value of each when closed, rad or m.
-        open: the value of each when open.
-        fingers: links of the fingers.
-        aperture: m between the finger tips when open.
-        gap: m between them when closed: thinner things slip through.
-        depth: m that it may take in of an object, from the tool frame back towards the palm.
-        tips: m from the tool frame on to the finger tips when closed; open ones reach less far.
-        underside: m from the tool frame down to the gripper's lowest point when it lies level.
-        suction: radius of the cup in m, whose rim is at the tool frame; 0 for fingers.
-    """
-
-    palm: str
-    joints: tuple[str, ...]
-    closed: tuple[float, ...]
-    open: tuple[float, ...]
-    fingers: tuple[str, ...]
-    aperture: float
-    depth: float
-    tips: float
-    underside: float
-    gap: float = 0.0
-    suction: float = 0.0
+    palm: str  # link of the palm; of a suction cup, the link of the cup
+    joints: tuple[str, ...]  # all joints that move with its fingers, those that mimic others too
+    closed: tuple[float, ...]  # the value of each when closed, rad or m
+    open: tuple[float, ...]  # the value of each when open
+    fingers: tuple[str, ...]  # links of the fingers
+    aperture: float  # m between the finger tips when open
+    depth: float  # m that it may take in of an object, from the tool frame back towards the palm
+    tips: float  # m from the tool frame on to the finger tips when closed; open ones reach less far
+    underside: float  # m from the tool frame down to the gripper's lowest point when it lies level
+    gap: float = 0.0  # m between them when closed: thinner things slip through
+    suction: float = 0.0  # radius of the cup in m, whose rim is at the tool frame; 0 for fingers
 
     def positions(self, motion: str) -> dict[str, float]:
         """Return joint values for the motion "open" or "close"."""
