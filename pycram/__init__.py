@@ -16,8 +16,8 @@
 # exploration/ plans run in many orders of their branches.     sweeping/  with many seeds and parameters.
 #
 # bullet_world, bullet_world_reasoning, designator, motion_designators, process_module, fluent, event, failures, tasks:
-# the names of the thesis, from which plans import. knowledge: what a robot believes. plan_parameters: what runs
-# are given. running, options, cli: the command "pycram".
+# the names of the thesis, from which plans import. knowledge: a robot's beliefs. plan_parameters: named values that
+# runs set. running, cli: the command "pycram".
 
 from typing import TYPE_CHECKING, Any
 

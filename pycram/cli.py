@@ -1,34 +1,39 @@
-"""The command line: ``pycram demo`` and ``pycram run`` record any plan, ``pycram describe`` describes robots.
+"""The command line ``pycram``: ``demo`` and ``run`` record a plan, ``sweep`` many runs; ``describe`` describes robots.
 
-The command starts itself again (:mod:`pycram.seeding`), so whatever takes long to load is imported where it is used.
+The command restarts itself (:mod:`pycram.running`). So modules that take long to load are imported where they are used.
 """
 
 from __future__ import annotations
 
+import argparse
 import signal
 import sys
+import threading
 import time
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from pycram.options import WITH_ROBOTS, demos, options_parser
-from pycram.running import INTERRUPTED, SUCCEEDED, WRONG_USAGE, RunSpec, run, tell
-from pycram.seeding import chosen_seed, restart
+from pycram.running import INTERRUPTED, MAX_SEED, SUCCEEDED, WRONG_USAGE, RunSpec, chosen_seed, restart, run, tell
 from recorder.closed_output import discard, until_closed
+from recorder.errors import RecordingError
 from recorder.packages import NotInstalled, needed, versions
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Sequence
+
+_WITH_ROBOTS: Final = ("breakfast", "set_the_table")  # the demos that run with any bundled robot
+_SWEEP: Final = (
+    "Runs a plan many times with different seeds and parameters, and records each run into a folder. A restarted sweep "
+    "makes only the missing runs. Arguments after -- go to the plan."
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command, by default with the process' arguments, and return its exit code.
+    """Run a command, by default with the arguments of the process, and return its exit code.
 
     Returns:
-        0 if the plan succeeded, 1 if it failed, 2 for wrong usage, 130 if Ctrl-C interrupted it, 143 if SIGTERM did,
-        129 if SIGHUP did; else the plan's own.
+        0 if the plan succeeded, 1 if it failed, 2 for wrong usage, 130 after Ctrl-C, 143 after SIGTERM, 129 after
+        SIGHUP; else the plan's own.
     """
     if argv is not None:
         return _run_command(argv)
@@ -36,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with until_closed():
             code = _run_command(argv)
-        if code == INTERRUPTED:  # another one ends the process at once, and leaves no traceback of tidying up
+        if code == INTERRUPTED:  # another Ctrl-C ends the process immediately, without a traceback of its cleanup
             signal.signal(signal.SIGINT, signal.SIG_DFL)
     except OSError as error:
         discard(sys.stdout)
@@ -59,10 +64,8 @@ def _run_command(argv: Sequence[str] | None) -> int:
     options, unknown = parser.parse_known_args(given)
     if unknown:
         parser.error(f"unrecognized arguments: {' '.join(unknown)}; the plan's own arguments come after --")
-    if options.command == "describe":
-        return _describe(options)
-    if options.command == "sweep":
-        return _sweep(options, arguments, again=argv is None)
+    if options.command in ("describe", "sweep"):
+        return _other_command(options, arguments, again=argv is None)
     plan = demos() / f"{options.name}.py" if options.command == "demo" else Path(options.plan)
     if not plan.is_file():
         parser.error(f"{plan}: no such plan")
@@ -81,8 +84,10 @@ def _run_command(argv: Sequence[str] | None) -> int:
     spec = RunSpec(
         plan, tuple(arguments), seed, options.order, options.motion, values, local_variables=not options.no_locals
     )
-    if options.explore is not None and seed is not None:
-        return _explore(options, spec, log, seed)
+    if options.explore is not None:
+        from pycram.exploration import command  # noqa: PLC0415  needs the engine
+
+        return command.run(spec, options, log)
     return run(
         spec,
         log,
@@ -93,21 +98,38 @@ def _run_command(argv: Sequence[str] | None) -> int:
     )
 
 
+def _other_command(options: argparse.Namespace, arguments: Sequence[str], *, again: bool) -> int:
+    """Sweep or describe; with ``again``, a sweep first restarts this process."""
+    if options.command == "sweep" and again:
+        restart(options.seed)
+    try:
+        if options.command == "describe":
+            from pycram.describing import command as describing  # noqa: PLC0415  needs the engine
+
+            return describing.run(options)
+        with needed():
+            from pycram.sweeping import command as sweeping  # noqa: PLC0415  needs the engine
+        return sweeping.run(options, arguments)
+    except NotInstalled as error:
+        tell(f"pycram: {error}")
+        return WRONG_USAGE
+
+
 def _check_together(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Refuse options that don't go together."""
-    if options.command == "demo" and options.robot and options.name not in WITH_ROBOTS:
-        parser.error(f"--robot goes with the demos {' and '.join(WITH_ROBOTS)}")
+    """Reject options that exclude each other."""
+    if options.command == "demo" and options.robot and options.name not in _WITH_ROBOTS:
+        parser.error(f"--robot goes with the demos {' and '.join(_WITH_ROBOTS)}")
     for name in ("depth", "limit", "json") if options.explore is None else ():
         if getattr(options, name):
             parser.error(f"--{name} goes with --explore")
     if options.explore is not None and (options.rerun or options.order):
-        parser.error("--rerun and --order are for one run; --explore makes many")
+        parser.error("--rerun and --order are for one run; --explore makes many runs")
     if options.explore is not None and options.debug_on_failure:
-        parser.error("--debug-on-failure is for one run; --explore tells the --order of those that fail")
+        parser.error("--debug-on-failure is for one run; --explore prints the --order of each failing run")
 
 
 def _values(parser: argparse.ArgumentParser, plan: Path, given: Sequence[str]) -> dict[str, Any]:
-    """Return the values of a plan's parameters, if it has them."""
+    """Return the given values of a plan's parameters."""
     if not given:
         return {}
     from pycram.foundation.failures import UsageError  # noqa: PLC0415  heavy
@@ -121,65 +143,210 @@ def _values(parser: argparse.ArgumentParser, plan: Path, given: Sequence[str]) -
     return values
 
 
-def _explore(options: argparse.Namespace, spec: RunSpec, log: Path, seed: int) -> int:
-    from pycram import exploration  # noqa: PLC0415  needs the engine
-    from pycram.exploration import command  # noqa: PLC0415  as above
-
-    def run_once(order: str, file: Path) -> None:
-        run(replace(spec, order=order), file, overwrite=True)
-
-    return command.run(
-        run_once,
-        str(spec.plan),
-        spec.arguments,
-        options.explore,
-        seed=seed,
-        motion=options.motion,
-        values=options.set,
-        depth=options.depth or exploration.DEPTH,
-        limit=options.limit or exploration.LIMIT,
-        file=log,
-        overwrite=options.overwrite,
-        as_json=options.json,
-    )
-
-
 def recording_path(template: str, plan: str, seed: int | None) -> Path:
     """Return the path of a recording: the template with its placeholders filled in.
 
     Raises:
-        ValueError: It has an unknown placeholder, or a brace too many.
+        ValueError: It has an unknown placeholder, or unbalanced braces.
     """
     started = time.strftime("%Y-%m-%d_%H-%M-%S")
     try:
         return Path(template.format(plan=plan, time=started, seed="" if seed is None else seed))
     except (KeyError, IndexError, ValueError, AttributeError) as error:
         raise ValueError(
-            f"--log {template}: placeholders are {{plan}}, {{time}} and {{seed}}; a brace itself is {{{{ or }}}}"
+            f"--log {template}: placeholders are {{plan}}, {{time}} and {{seed}}; write a brace as {{{{ or }}}}"
         ) from error
 
 
-def _sweep(options: argparse.Namespace, arguments: Sequence[str], *, again: bool) -> int:
-    if again:
-        restart(options.seed)
+# --- options ----------------------------------------------------------------------------------------------------------
+
+
+def demos() -> Path:
+    """Return the folder with the demos."""
+    here = Path(__file__).parent
+    installed = here / "demos"
+    return installed if installed.is_dir() else here.parent / "demos"
+
+
+def options_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(prog="pycram", description="Runs robot plans and records everything that happens.")
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    commands = parser.add_subparsers(dest="command", required=True)
+    names = sorted(file.stem for file in demos().glob("*.py"))
+    demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
+    demo.add_argument(
+        "name", nargs="?", default="set_the_table", choices=names, help="the demo (default: set_the_table)"
+    )
+    robots = sorted(file.stem for file in (Path(__file__).parent / "models" / "robots").glob("*.toml"))
+    where = " and ".join(_WITH_ROBOTS)
+    demo.add_argument("--robot", choices=robots, help=f"the robot, in {where} (default: pr2)")
+    plan = commands.add_parser(
+        "run", help="run a plan", description="Runs a plan: any Python file. Arguments after -- go to the plan."
+    )
+    plan.add_argument("plan", metavar="PLAN.py", help="the plan")
+    for recorded in (demo, plan):
+        _add_recording(recorded)
+    _add_sweep(commands.add_parser("sweep", help="run a plan many times", description=_SWEEP))
+    describe = commands.add_parser(
+        "describe",
+        help="describe a robot or furniture",
+        description="For a robot, guesses a first description from its URDF and prints it, or checks a description. "
+        "For furniture, lists the surfaces, containers, joints and handles in its URDF.",
+    )
+    describe.add_argument("file", nargs="?", metavar="FILE.urdf", help="a URDF, or the name of a bundled one")
+    describe.add_argument("--check", metavar="ROBOT.toml", help="test this description: reach, fingers, stillness, ...")
+    describe.add_argument(
+        "--picture",
+        metavar="FILE",
+        type=Path,
+        help="also write a picture of the parked robot, or of the furniture with its surfaces",
+    )
+    return parser
+
+
+def _add_recording(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--log",
+        metavar="FILE",
+        help="the recording (default: {plan}.mcap in this folder); {plan}, {time} and {seed} stand for the plan's "
+        "name, its start time and its seed. If the file exists, the recording is PLAN.2.mcap",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")
+    parser.add_argument(
+        "--durable", action="store_true", help="lose no record on power loss: wait for the disk after each chunk"
+    )
+    parser.add_argument(
+        "--seed",
+        metavar="N",
+        type=_seed,
+        help="seed of random, NumPy and the order of sets, 0 to 4294967295 (default: random; info prints it)",
+    )
+    parser.add_argument(
+        "--set", metavar="NAME=VALUE", action="append", default=[], help="set a parameter of the plan to a value"
+    )
+    parser.add_argument(
+        "--order",
+        metavar="ORDER",
+        type=_order,
+        default="",
+        help="use an order of branches that --explore printed, instead of the seed's order",
+    )
+    parser.add_argument(
+        "--motion",
+        choices=("simulated", "continuous"),
+        default="",
+        help="how motions are executed where the plan names no environment: instantaneously (simulated, the default), "
+        "or in simulated time on collision-free paths (continuous)",
+    )
+    parser.add_argument(
+        "--explore",
+        metavar="N",
+        type=_count,
+        help="run the plan in N orders of its branches, and report orders that end differently, with the deciding "
+        "precedences. Exit code 0: all runs succeed and end alike; else 1",
+    )
+    parser.add_argument(
+        "--depth", metavar="D", type=_count, help="maximum depth of the races that --explore finds (default: 3)"
+    )
+    parser.add_argument(
+        "--limit", metavar="SECONDS", type=_seconds, help="time limit of each run of --explore (default: 60)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the results of --explore as JSON")
+    parser.add_argument(
+        "--no-locals", action="store_true", help="leave the plan's local variables out of recorded failures"
+    )
+    parser.add_argument(
+        "--rerun",
+        metavar="VIEWER",
+        type=_viewer,
+        help="show the run live: --rerun opens a viewer, --rerun=connect or =connect:URL uses a running viewer, "
+        "--rerun=serve serves a page for the browser",
+    )
+    parser.add_argument(
+        "--debug-on-failure",
+        action="store_true",
+        help="when the plan fails, open the debugger at the failure; it can step backwards",
+    )
+
+
+def _add_sweep(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("plan", metavar="PLAN.py", help="the plan")
+    parser.add_argument("--runs", metavar="N", type=_count, required=True, help="number of runs, numbered from 0")
+    parser.add_argument("-o", "--output", metavar="FOLDER", required=True, help="the folder for the recordings")
+    parser.add_argument("--seed", metavar="N", type=_seed, default=0, help="run I has the seed N + I (default: 0)")
+    parser.add_argument(
+        "-j", "--jobs", metavar="N", type=_count, default=0, help="number of parallel runs (default: one per core)"
+    )
+    parser.add_argument(
+        "--set", metavar="NAME=VALUES", action="append", default=[], help="values of a parameter, as arm=left,right"
+    )
+    parser.add_argument(
+        "--sample",
+        metavar="NAME=DISTRIBUTION",
+        action="append",
+        default=[],
+        help="draw a parameter: uniform(a,b), normal(mean,deviation), integers(a,b), choice(a,b,...)",
+    )
+    parser.add_argument(
+        "--limit", metavar="SECONDS", type=_seconds, default=300.0, help="time limit of each run (default: 300)"
+    )
+    parser.add_argument(
+        "--memory", metavar="MB", type=_count, default=0, help="memory limit of each run (default: none)"
+    )
+    parser.add_argument("--motion", choices=("simulated", "continuous"), default="", help="as for run")
+    parser.add_argument("--no-locals", action="store_true", help="as for run")
+    parser.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        nargs="?",
+        const="",
+        help="run on the Ray cluster at an address, or on a local one. FOLDER is shared by all nodes, or a URL that "
+        "fsspec supports",
+    )
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal() or int(text) > MAX_SEED:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 0 to {MAX_SEED}")
+    return int(text)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
     try:
-        with needed():
-            from pycram.sweeping import command  # noqa: PLC0415  needs the engine
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < threading.TIMEOUT_MAX:
+        raise argparse.ArgumentTypeError(f"{text!r} is no time in seconds, more than 0")
+    return value
 
-        return command.run(options, arguments)
-    except NotInstalled as error:
-        tell(f"pycram: {error}")
-        return WRONG_USAGE
 
+def _order(text: str) -> str:
+    from pycram.foundation.failures import BadArgument  # noqa: PLC0415  heavy
+    from pycram.scheduling.order import order_of  # noqa: PLC0415  heavy
 
-def _describe(options: argparse.Namespace) -> int:
     try:
-        from pycram.describing import command  # noqa: PLC0415  needs the engine
+        order_of(text, None)
+    except BadArgument as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no order: expected {error.expected}") from error
+    return text
 
-        return command.run(options)
-    except NotInstalled as error:
-        print(f"pycram: {error}", file=sys.stderr)
-        return WRONG_USAGE
+
+def _viewer(text: str) -> str:
+    from recorder.viewer.connection import Target  # noqa: PLC0415  heavy
+
+    try:
+        Target.parse(text)
+    except RecordingError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} {error.cause}") from error
+    return text
 
 
 if __name__ == "__main__":

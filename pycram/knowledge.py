@@ -1,9 +1,9 @@
-"""What a robot believes of objects: where they are, as it last saw, took or put them down.
+"""A robot's beliefs: where it last saw objects, took them or put them down.
 
-``believed("milk")`` is what a plan may act on without looking: what the robot's latest look told, a step of the
-recording. What somebody else has moved since it doesn't know; it looks again. Of what it has never seen it believes
-nothing. The motions ``detecting`` and ``world-state-detecting`` teach it, and what it takes and puts down itself;
-process modules for other cameras call :func:`learn`.
+A plan may act on ``believed("milk")`` without a new look: this is the result of the robot's latest look, a step of the
+recording. The robot doesn't notice what others move afterwards, until it looks again. It has no belief about objects
+that it never saw. The motions ``detecting`` and ``world-state-detecting`` update beliefs, and so do its own grasps and
+placements; process modules for other cameras call :func:`learn`.
 """
 
 from __future__ import annotations
@@ -29,44 +29,36 @@ __all__ = ["Belief", "beliefs", "believed", "learn"]
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Where a robot believes an object to be.
-
-    Attributes:
-        object: The object.
-        position: Of its base in the world, m; of what the robot holds, where the hand has it now.
-        orientation: Of the same, xyzw.
-        sim_step: Of the world when that was learned: simulated steps of 1/240 s.
-        step: Of the recording, by which it was learned: a look, or a change with which it was taken or put down; -1 if
-            that is in no recording that runs.
-        source: "seen"; "told" by the world's state, without being seen; "held"; "placed", where the robot let go of it.
-    """
+    """A robot's belief about the pose of an object."""
 
     object: Object
-    position: Vector
-    orientation: Quaternion
-    sim_step: int
+    position: Vector  # of its base in the world, m; of a held object, where the hand has it now
+    orientation: Quaternion  # of its base, xyzw
+    sim_step: int  # when the robot learned it: simulated step of the world, 1/240 s
+    #: The step that taught it: a look, or a change that took or put down the object; -1 if no running recording has it.
     step: int
+    #: "seen"; "told" by the world's state, without being seen; "held"; "placed", where the robot released it.
     source: str
 
 
 def believed(what: str | Object, *, robot: Object | None = None) -> Belief | None:
-    """Return what a robot believes of an object, or of those of a type what it learned last; None if nothing.
+    """Return a robot's latest belief about an object, or about objects of a type; None if it has none.
 
     Args:
         what: An object, or a type or a name of objects.
-        robot: Who believes it; the current world's robot by default.
+        robot: By default the current world's robot.
 
     Raises:
-        BadArgument: It is none of these.
+        BadArgument: ``what`` is something else.
         NoWorld: There is no robot.
     """
     return next(iter(beliefs(what, robot=robot)), None)
 
 
 def beliefs(what: str | Object | None = None, *, robot: Object | None = None) -> list[Belief]:
-    """Return all that a robot believes of objects, what it learned last first.
+    """Return a robot's beliefs about objects, the latest first; without ``what``, about all objects.
 
-    The arguments and errors are those of :func:`believed`; without ``what``, of any object.
+    The arguments and errors are those of :func:`believed`.
     """
     wanted, who = unwrap(what), _robot(robot)
     if wanted is not None and not isinstance(wanted, str | Object):
@@ -85,16 +77,16 @@ def beliefs(what: str | Object | None = None, *, robot: Object | None = None) ->
 
 
 def learn(poses: Mapping[Object, PoseLike], *, robot: Object | None = None) -> None:
-    """Have a robot believe objects to be where it has seen them: for process modules with a camera of their own.
+    """Update a robot's beliefs with seen poses; for process modules with a camera of their own.
 
-    It is one query on record, ``seen``.
+    The recording has it as one query, ``seen``.
 
     Args:
         poses: Of the objects in the world: xyz in m, xyzw.
-        robot: Who saw them; the current world's robot by default.
+        robot: By default the current world's robot.
 
     Raises:
-        BadArgument: An object is in another world, or a pose is none.
+        BadArgument: An object is in another world, or a pose is invalid.
         NoWorld: There is no robot.
     """
     who = _robot(robot)

@@ -1,13 +1,18 @@
-"""Parameters of a plan: named values that it declares with defaults, and that a run may be given others for.
+"""Parameters of a plan: named values that a run may set; and variations, by which the runs of a sweep set them.
 
-A plan declares them by :func:`parameters`, or as arguments of its main function. Run alone, it has the defaults.
+A plan declares parameters with defaults by :func:`parameters`, or as arguments of its main function.
 """
 
 from __future__ import annotations
 
 import ast
 import json
+import math
+import random
+import re
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,47 +21,52 @@ from pycram.foundation.names import export
 from recorder.errors import suggestion
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
 MAIN: Final = "main"  # the function whose arguments are parameters
-ANY: Final = object()  # a default that isn't known before the plan runs
+ANY: Final = object()  # a default that is unknown before the plan runs
+#: Distributions by name: number of arguments, and function that draws.
+_DISTRIBUTIONS: Final[Mapping[str, tuple[int, Callable[..., Any]]]] = {
+    "uniform": (2, lambda dice, a, b: dice.uniform(a, b)),
+    "normal": (2, lambda dice, mean, deviation: dice.gauss(mean, deviation)),
+    "integers": (2, lambda dice, a, b: dice.randint(a, b)),
+    "choice": (0, lambda dice, *values: dice.choice(values)),
+}
+_CALL: Final = re.compile(r"(\w+)\s*\((.*)\)", re.DOTALL)
+_WORD: Final = re.compile(r"[^()\[\]{}'\"=]+")
+_EXPECTED: Final = "uniform(a,b), normal(mean,deviation), integers(first,last) or choice(a,b,...)"
 
 _given: Mapping[str, Any] = {}
 
 
 class UnknownParameter(UsageError):
-    """A plan was given a parameter that it doesn't declare.
-
-    Attributes:
-        name: The parameter.
-        declared: Those that it declares.
-    """
+    """A run sets a parameter that the plan doesn't declare."""
 
     def __init__(self, plan: str, name: str, declared: list[str]) -> None:
         hint = suggestion(name, declared) if declared else "it declares none: pycram.parameters(name=default)"
         super().__init__(f"{plan} has no parameter {name!r}; {hint}")
-        self.name = name
-        self.declared = declared
+        self.name = name  # of the parameter
+        self.declared = declared  # names of the declared parameters
 
 
 export("pycram", UnknownParameter)
 
 
 def parameters(**defaults: Any) -> SimpleNamespace:
-    """Return a plan's parameters: what this run was given, else the defaults.
+    """Return a plan's parameters: the values that this run sets, else the defaults.
 
-    ``speed = pycram.parameters(speed=0.5).speed``. A value has to be of its default's type; None takes any.
+    ``speed = pycram.parameters(speed=0.5).speed``. A value must have its default's type; the default None allows any.
 
     Raises:
-        BadArgument: A value is of another type than its default.
+        BadArgument: A value has another type than its default.
     """
     return SimpleNamespace(**{name: fitting(name, _given.get(name, value), value) for name, value in defaults.items()})
 
 
 @contextmanager
 def giving(values: Mapping[str, Any]) -> Iterator[None]:
-    """Give the plan that runs in the block values of its parameters."""
+    """Set parameters of the plan that runs in the ``with`` block."""
     global _given  # noqa: PLW0603  a plan runs in the whole process
     before, _given = _given, dict(values)
     try:
@@ -69,7 +79,7 @@ def fitting(name: str, value: Any, default: Any) -> Any:
     """Return a parameter's value as its default's type.
 
     Raises:
-        BadArgument: It is of another type.
+        BadArgument: It has another type.
     """
     if default is None or default is ANY or type(value) is type(default):
         return value
@@ -84,12 +94,12 @@ def fitting(name: str, value: Any, default: Any) -> Any:
 
 
 def declared_in(plan: Path) -> dict[str, Any] | None:
-    """Return the defaults of the parameters that a plan's file declares, by their names; the plan doesn't run.
+    """Return the defaults of the parameters that a plan's file declares, by name; the plan doesn't run.
 
-    Defaults that aren't literals are :data:`ANY`. Returns None where a call like ``parameters(**others)`` hides them.
+    Defaults that aren't literals are :data:`ANY`. Returns None if a call like ``parameters(**others)`` hides them.
 
     Raises:
-        SyntaxError: It is no Python.
+        SyntaxError: The file is no Python.
     """
     tree = ast.parse(plan.read_bytes(), str(plan))
     found = dict(_of_main(tree))
@@ -106,8 +116,8 @@ def check(plan: Path, values: Mapping[str, Any]) -> None:
     """Check values for a plan before it runs.
 
     Raises:
-        UnknownParameter: The plan's file doesn't declare one.
-        BadArgument: One has another type than its default.
+        UnknownParameter: The plan's file doesn't declare a parameter.
+        BadArgument: A value has another type than its default.
     """
     if not values:
         return
@@ -121,7 +131,7 @@ def check(plan: Path, values: Mapping[str, Any]) -> None:
 
 
 def arguments_of_main(plan: Path, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those of the values that are arguments of the plan's main function.
+    """Return the values that are arguments of the plan's main function.
 
     Raises:
         SyntaxError: The plan is no Python.
@@ -136,22 +146,17 @@ def value_of(text: str) -> tuple[str, Any]:
     """Parse ``name=value``; a value is JSON, or else a text.
 
     Raises:
-        BadArgument: It isn't that.
+        BadArgument: The text has another form.
     """
     name, value = split("set", text, "name=value")
     return name, parsed(value)
 
 
 def split(option: str, text: str, expected: str) -> tuple[str, str]:
-    """Return the name before ``=``, and what is after it.
-
-    Args:
-        option: What the text was given as.
-        text: The text.
-        expected: What it has to be, for messages.
+    """Return the name before ``=`` and the text after it; ``option`` and ``expected`` are for the message of an error.
 
     Raises:
-        BadArgument: It isn't that.
+        BadArgument: The text has another form.
     """
     name, equals, rest = text.partition("=")
     if not (equals and name.isidentifier()):
@@ -160,7 +165,7 @@ def split(option: str, text: str, expected: str) -> tuple[str, str]:
 
 
 def parsed(text: str) -> Any:
-    """Return a value that is JSON, or else a text."""
+    """Parse a value: JSON, or else a text."""
     try:
         return json.loads(text)
     except ValueError:
@@ -188,3 +193,100 @@ def _literal(node: ast.expr | None) -> Any:
         return ANY if node is None else ast.literal_eval(node)
     except ValueError:
         return ANY
+
+
+# --- variations -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Variations:
+    """The parameters that vary between the runs of a sweep.
+
+    Raises:
+        BadArgument: A parameter has no values, is given twice, or a distribution is invalid.
+    """
+
+    #: Values by name; runs take all combinations in turn, and the last name's values change fastest.
+    listed: Mapping[str, Sequence[Any]]
+    #: Distributions by name, as text; a value depends only on the seed, the run's number and the name.
+    sampled: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        for name in self.listed.keys() & self.sampled.keys():
+            raise BadArgument("sample", name, "a parameter that has no listed values")
+        for name, values in self.listed.items():
+            if isinstance(values, str) or not values:
+                raise BadArgument(name, values, "a list of one or more values")
+        for name, text in self.sampled.items():
+            _distribution(name, str(text))
+
+    def of(self, seed: int, number: int) -> dict[str, Any]:
+        """Return the values of a run."""
+        values: dict[str, Any] = dict.fromkeys(self.listed)
+        rest = number
+        for name in [*self.listed][::-1]:
+            rest, index = divmod(rest, len(self.listed[name]))
+            values[name] = self.listed[name][index]
+        for name, text in self.sampled.items():
+            kind, arguments = _distribution(name, str(text))
+            dice = random.Random(f"{seed}/{number}/{name}")  # a text's own hash, whatever PYTHONHASHSEED
+            values[name] = _DISTRIBUTIONS[kind][1](dice, *arguments)
+        return values
+
+    def every(self) -> Iterator[dict[str, Any]]:
+        """Yield combinations in which each listed value occurs, and a value of each distribution."""
+        drawn = self.of(0, 0)
+        yield drawn
+        for name, values in self.listed.items():
+            yield from ({**drawn, name: value} for value in values)
+
+
+def listed(text: str) -> tuple[str, list[Any]]:
+    """Parse ``name=1,2,3``: values are JSON, or else texts; brackets or quotes enclose values with commas.
+
+    Raises:
+        BadArgument: The text has another form.
+    """
+    expected = "name=value or name=value,value,..."
+    name, values = split("set", text, expected)
+    if not values:
+        raise BadArgument("set", text, expected)
+    try:
+        whole: list[Any] = json.loads(f"[{values}]")
+    except ValueError:
+        return name, [parsed(part) for part in values.split(",")]
+    return name, whole
+
+
+def sampled(text: str) -> tuple[str, str]:
+    """Parse ``name=uniform(a,b)``.
+
+    Raises:
+        BadArgument: The text has another form.
+    """
+    name, distribution = split("sample", text, f"name={_EXPECTED}")
+    _distribution(name, distribution)
+    return name, distribution
+
+
+@lru_cache  # each run's name has its values
+def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
+    call = _CALL.fullmatch(text.strip())
+    if call is None:
+        raise BadArgument(name, text, _EXPECTED)
+    kind, values = call.groups()
+    if kind not in _DISTRIBUTIONS:
+        raise BadArgument(name, text, f"a distribution; {suggestion(kind, _DISTRIBUTIONS)}")
+    try:
+        arguments = list(ast.literal_eval(f"({values},)"))
+    except (SyntaxError, ValueError):  # choice(cup.stl,bowl.stl): texts without quotes
+        words = [each.strip() for each in values.split(",")]
+        if not all(map(_WORD.fullmatch, words)):
+            raise BadArgument(name, text, _EXPECTED) from None
+        arguments = list(map(parsed, words))
+    count = _DISTRIBUTIONS[kind][0]
+    numbers = all(isinstance(each, int | float) and math.isfinite(each) for each in arguments)
+    whole = kind != "integers" or (all(isinstance(each, int) for each in arguments) and arguments == sorted(arguments))
+    if (count and (len(arguments) != count or not numbers)) or not arguments or not whole:
+        raise BadArgument(name, text, _EXPECTED)
+    return kind, arguments

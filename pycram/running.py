@@ -1,9 +1,14 @@
-"""Running a plan as a main program, recorded; a process does it once, or is forked for each time."""
+"""A plan as a main program: its specification, its seed, and one recorded run.
+
+A process runs one plan; explorations and sweeps fork a process for each run. Python takes the order of sets from
+``PYTHONHASHSEED`` when it starts. So a command that runs a plan sets it to the seed, and restarts itself once.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import random
 import runpy
 import shlex
 import subprocess
@@ -11,36 +16,40 @@ import sys
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import recorder
-from pycram.seeding import seed_random_numbers
 from recorder.closed_output import until_closed
 from recorder.errors import RecordingError
 from recorder.packages import NotInstalled, needed
 from recorder.tracing.interrupts import Terminated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from recorder import Recording
 
-_PAGE = "serve"  # of --rerun
-_MAX_PRINTED = 1000  # frames of an error, and errors in a chain, that are printed
+
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
+MAX_SEED: Final = 2**32 - 1  # of PYTHONHASHSEED and of NumPy
+_HASH: Final = "PYTHONHASHSEED"
+#: Set by :func:`restart`: the id of the restarted process, and its seed. A plan's own child processes have other ids.
+_RESTARTED: Final = "PYCRAM_SEEDED"
+_PAGE: Final = "serve"  # value of --rerun
+_MAX_PRINTED: Final = 1000  # printed frames of an error, and printed errors of a chain
 
 
 @dataclass(frozen=True, slots=True)
 class RunSpec:
-    """A plan, and everything that its run depends on."""
+    """A plan, and all settings that its run depends on."""
 
     plan: Path
     arguments: tuple[str, ...] = ()
     seed: int | None = None  # of random numbers; None leaves them as they are
     order: str = ""  # of branches; "" for the one that the seed draws
-    motion: str = ""  # the execution environment where the plan names none; "" for "simulated"
+    motion: str = ""  # execution environment where the plan names none; "" for "simulated"
     parameters: Mapping[str, Any] = field(default_factory=dict)  # values; the plan's other parameters have defaults
-    local_variables: bool = True  # whether failures hold the plan's local variables
+    local_variables: bool = True  # whether recorded failures hold the plan's local variables
 
 
 def run(
@@ -55,12 +64,12 @@ def run(
     """Run a plan as a main program, record it, and return the exit code, as :func:`pycram.cli.main` does.
 
     Args:
-        spec: The plan, and what its run depends on.
-        log: The recording. Without ``overwrite``, the next free name is taken if it exists.
+        spec: The plan and its settings.
+        log: The recording. If the file exists, the next free name is used, unless ``overwrite`` is set.
         live: The live viewer; see :func:`recorder.record`.
-        overwrite: Whether an existing recording is replaced.
+        overwrite: Whether to replace an existing recording.
         durable: Whether records survive a power cut.
-        debug: Whether the debugger opens at a failure.
+        debug: Whether to open the debugger at a failure.
     """
     before = sys.argv, list(sys.path)
     sys.argv = [str(spec.plan), *spec.arguments]
@@ -73,7 +82,7 @@ def run(
     seed_random_numbers(spec.seed)
     try:
         with needed():
-            from pycram.motions.process_module import set_default  # noqa: PLC0415  --version needs no executor
+            from pycram.motions.process_module import set_default  # noqa: PLC0415  --version and --help need no executor
             from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  as above
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
         seed_order(spec.seed, spec.order)
@@ -102,24 +111,30 @@ def run(
                 if arguments_for_main:
                     names["main"](**arguments_for_main)
             finally:
-                _wait_for_threads()
+                for thread in threading.enumerate():  # that the plan has left running are part of it, as in Python
+                    if thread is not threading.current_thread() and not thread.daemon:
+                        thread.join()
     except BaseException as raised:  # noqa: BLE001  whatever the plan's own code raises
         error = raised
         code = _report(raised)
     finally:
         sys.argv, sys.path[:] = before
-    if recording is not None and recording.path.is_file() and not (_was_lost(error) or isinstance(error, NotInstalled)):
+    unrecorded = isinstance(error, RecordingError | NotInstalled)  # or when the recording was closed after the plan:
+    unrecorded |= isinstance(getattr(error, "__context__", None), RecordingError)
+    if recording is not None and recording.path.is_file() and not unrecorded:
         shown = recording.path if log.is_absolute() else Path(os.path.relpath(recording.path, folder))
         _print_next_steps(shown, recording.path.stat().st_size / 1e6, code)
         if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
         if debug and code == FAILED:
-            _debug(recording.path, spec.arguments)
+            given = ["--arguments", *spec.arguments] if spec.arguments else []  # the recording lacks secret arguments
+            command = [sys.executable, "-P", "-m", "replay", "debug", str(recording.path), *given]
+            subprocess.run(command, check=False)  # noqa: S603  a process of its own: its package is above this one
     return code
 
 
 def _report(error: BaseException) -> int:
-    """Print how a plan ended, and return the exit code."""
+    """Print how a plan ended; return the exit code."""
     from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
     from recorder.records import format_error  # noqa: PLC0415  heavy
     from recorder.records.tracebacks import format_traceback  # noqa: PLC0415  heavy
@@ -147,14 +162,9 @@ def _report(error: BaseException) -> int:
 
 
 def tell(text: str) -> None:
-    """Print a message; a closed output doesn't change how the plan ended."""
+    """Print a message to stderr; a closed stderr doesn't change how the plan ended."""
     with until_closed():
         print(text, file=sys.stderr)
-
-
-def _was_lost(error: BaseException | None) -> bool:
-    """Return whether the recording failed, before the plan did or when it was closed afterwards."""
-    return isinstance(error, RecordingError) or (error is not None and isinstance(error.__context__, RecordingError))
 
 
 def _keep_page(recording: Recording) -> None:
@@ -166,20 +176,40 @@ def _keep_page(recording: Recording) -> None:
         recording.viewer.wait()
 
 
-def _debug(log: Path, arguments: Sequence[str]) -> None:
-    """Open the debugger at the failure; in a process of its own, as its package is above this one."""
-    given = ["--arguments", *arguments] if arguments else []  # the recording lacks secret ones
-    subprocess.run([sys.executable, "-P", "-m", "replay", "debug", str(log), *given], check=False)  # noqa: S603  ours
-
-
-def _wait_for_threads() -> None:
-    """Wait for threads that the plan has left running, as Python does: they are part of the plan."""
-    for thread in threading.enumerate():
-        if thread is not threading.current_thread() and not thread.daemon:
-            thread.join()
-
-
 def _print_next_steps(log: Path, size: float, code: int) -> None:
     tell(f"pycram: recorded to {log} ({size:.1f} MB). Next:")
     for verb in ("info", "tree", "view") if code == SUCCEEDED else ("why", "tree", "view"):
         tell(f"  pycram-replay {verb} {shlex.quote(str(log))}")
+
+
+def chosen_seed(given: int | None) -> int:
+    """Return a run's seed: the given seed, else the user's ``PYTHONHASHSEED``, else a random seed."""
+    if given is not None:
+        return given
+    process, _, inherited = os.environ.get(_RESTARTED, "").partition(":")
+    text = os.environ.get(_HASH, "")
+    chosen_by_run = text == inherited and process != str(os.getpid())  # by a plan that started this process
+    if text.isdecimal() and int(text) <= MAX_SEED and not chosen_by_run:
+        return int(text)
+    return random.SystemRandom().randrange(MAX_SEED + 1)
+
+
+def restart(seed: int) -> None:
+    """Restart this command, in this process, with the order of sets of a seed, unless it has that order."""
+    mark = f"{os.getpid()}:{seed}"
+    if os.environ.get(_RESTARTED) == mark or sys.flags.ignore_environment:
+        return
+    if os.environ.get(_HASH) == str(seed) and (sys.flags.hash_randomization or not seed):
+        return
+    environment = os.environ | {_HASH: str(seed), _RESTARTED: mark}
+    os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)  # noqa: S606  this very command
+
+
+def seed_random_numbers(seed: int | None) -> None:
+    """Seed the global random generators of Python and NumPy; None leaves them unchanged."""
+    if seed is None:
+        return
+    import numpy as np  # noqa: PLC0415  heavy: not before the restart
+
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002  plans may use the old interface

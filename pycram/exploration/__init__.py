@@ -1,50 +1,50 @@
-"""Exploration: a plan runs in many orders of its branches, to find orders with another ending (races).
+"""Exploration: a plan runs in many orders of its branches, to find orders that end differently (races).
 
 Random numbers and the order of sets are the same in all runs, so differences are due to the order. The first run takes
-the branches as they were added; :class:`~pycram.scheduling.order.Pct` draws the other orders. For each other ending,
-the deciding precedences are reduced to a minimum, run once more, and recorded.
+branches in the order in which they were added; :class:`~pycram.scheduling.order.Pct` draws the other orders. For each
+other ending, the deciding precedences are reduced to a minimum, run once more, and recorded.
 
 The reduction is delta debugging (Zeller, Hildebrandt: Simplifying and isolating failure-inducing input, IEEE TSE 2002),
-with several tries in parallel. The result is 1-minimal: without any one of its precedences the ending is another one.
+with several tries in parallel. The result is 1-minimal: removing any one of its precedences changes the ending.
 """
 
 from __future__ import annotations
 
+import json
+import math
 import os
+import re
+from collections import deque
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from pycram.exploration.runs import (
-    DEADLOCK,
-    DIED,
-    FAILED,
-    SUCCEEDED,
-    TIME_LIMIT,
-    Ending,
-    OrderedRun,
-    PlanRunner,
-    Runner,
-)
+import numpy.random  # noqa: F401  each run seeds it, and would else import it again
+
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.foundation.names import export
+from pycram.projection.child import GRACE, ChildPool, obstacle, run_from_start, usable_cores
+from pycram.running import seed_random_numbers
 from pycram.scheduling.locks import refuse_held
-from pycram.scheduling.order import ADDED, Made, text_of
-from pycram.scheduling.schedule import seed_order
-from pycram.seeding import seed_random_numbers
-from pycram.world.world import open_worlds
+from pycram.scheduling.order import ADDED, Made, Precedence, Standing, text_of
+from pycram.scheduling.schedule import scheduler, seed_order
 from recorder.errors import RecordingError
-from recorder.mcap_sink import free_path
-from recorder.recording import look_up_revisions, record
-from recorder.tracing import forking
+from recorder.mcap_sink import McapSink, free_path
+from recorder.provenance import metadata
+from recorder.recording import look_up_revisions, record, redirected
+from recorder.records import Fluent, Keyframe, Mutation, Run, format_failure, without_addresses
+from recorder.tracing.journal import NullSink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 
-    from pycram.scheduling.order import Precedence
+    from pycram.projection.child import Child, ChildResult
+    from recorder.records import Attachment, BodyState, Effect, Record
+    from recorder.tracing.journal import Sink
 
 
 __all__ = [
@@ -59,24 +59,32 @@ __all__ = [
     "explore",
 ]
 
-DEPTH: Final = 3  # of races: most that are known need no more (Burckhardt et al.)
+#: Runs the plan in an order, given as text, and records it; doesn't raise.
+Runner: TypeAlias = "Callable[[str, Path], object]"
+_Body: TypeAlias = "dict[str, list[float]]"  # "position", "orientation" and joints of a body
+
+#: Kinds of endings.
+SUCCEEDED, FAILED, DEADLOCK, TIME_LIMIT, DIED = "succeeded", "failed", "deadlock", "time limit", "died"
+_WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK)  # kinds of endings whose runs return their order
+DEPTH: Final = 3  # of races: most known races need no more (Burckhardt et al.)
 LIMIT: Final = 60.0  # s
 _ROUND: Final = 16  # runs that draw over the same number of turns
 _EXPLAINED: Final = 8  # endings; there may be as many as runs
 _MAX_TRIES: Final = 200  # runs to reduce an order
-_TELLING: Final = (SUCCEEDED, FAILED, DEADLOCK)  # kinds of endings whose runs tell what their orders were
+# Smaller differences of states are ignored: physics computes each order a little differently.
+_DISTANCE: Final = 0.01  # m
+_ANGLE: Final = 0.1  # rad
+_JOINT: Final = 0.02  # rad or m
+_NUMBER: Final = 1e-3  # of fluents
+_DECIMAL: Final = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
 
 
 class NotExplorable(UsageError):
-    """An action was to be explored where its process can't be copied.
-
-    Attributes:
-        cause: Why not, and what to do.
-    """
+    """An action was to be explored where its process can't be copied."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(f"orders can't be explored here: {cause}")
-        self.cause = cause
+        self.cause = cause  # why not, and what to do
 
 
 export("pycram.exploration", NotExplorable)
@@ -89,7 +97,8 @@ class EndingGroup:
     ending: Ending  # of the first run
     count: int
     order: str  # the smallest known order with this ending, as text of :mod:`pycram.scheduling.order`
-    #: The deciding precedences; without them the first ending is reached. Empty for the first ending, and if unknown.
+    #: The deciding precedences; without them, the plan ends as in the first run. Empty for the first ending, and if
+    #: unknown.
     made: tuple[Made, ...] = ()
     recording: Path | None = None  # of a run in that order
 
@@ -100,7 +109,7 @@ class Exploration:
 
     runs: int  # number of ended runs
     orders: int  # number of different orders among them
-    found: list[EndingGroup]  # in the order of the runs; the first run takes branches as they were added
+    found: list[EndingGroup]  # in the order of the runs
     deterministic: bool = True  # whether runs in the same order ended alike
     interrupted: bool = False  # by Ctrl-C
 
@@ -130,7 +139,8 @@ def explore(
         folder: For a recording of each ending, if there are several; None to keep none.
 
     Raises:
-        NotExplorable: A world has a window or runs in real time, threads of the plan's own run, or nothing can fork.
+        NotExplorable: A world has a window or runs in real time, the plan has threads of its own, or the system can't
+            fork.
         BadArgument: An argument is wrong.
         LockHeld: The caller holds a lock.
         RecordingError: There is no such folder.
@@ -173,7 +183,7 @@ def explore_runs(
         limit: Seconds of wall-clock time for each run.
         plan: Its file; None for the program's.
         file: Recordings are named after it, RUN.explored-1.mcap for the first ending; None to keep none.
-        overwrite: Whether existing recordings are replaced.
+        overwrite: Whether to replace existing recordings.
         progress: Called after each run with the number of runs.
     """
     for argument, number in (("runs", count), ("depth", depth)):
@@ -181,38 +191,29 @@ def explore_runs(
             raise BadArgument(argument, number, "a whole number from 1")
     if checks.number("limit", limit) <= 0:
         raise BadArgument("limit", limit, "seconds, more than 0")
-    _refuse_impossible()
-    if file is not None and not file.parent.is_dir():  # else it would come out when all has run
+    if cause := obstacle():
+        raise NotExplorable(cause)
+    if file is not None and not file.parent.is_dir():  # else the error would come after all runs
         raise RecordingError(file, "No such file or directory", "make the folder first")
     look_up_revisions(plan)
-    several = PlanRunner(run, limit)
+    runner = PlanRunner(run, limit)
     result = Exploration(0, 0, [])
     attempts: dict[int, OrderedRun] = {}
     try:
         for orders in _orders(count, depth, attempts):
             begun = len(attempts)
-            with closing(several.all(orders)) as ended:
+            with closing(runner.all(orders)) as ended:
                 for index, attempt in ended:
                     attempts[begun + index] = attempt
                     progress(len(attempts))
         _sort(attempts, result)
         if len(result.found) > 1:
-            _decide(several, result, attempts)
-            _run_again(several, result, file, overwrite=overwrite)
+            _decide(runner, result, attempts)
+            _run_again(runner, result, file, overwrite=overwrite)
     except KeyboardInterrupt:
         _sort(attempts, result)
         result.interrupted = True
     return result
-
-
-def _refuse_impossible() -> None:
-    if not hasattr(os, "fork"):
-        raise NotExplorable("this system can't copy a process (os.fork)")
-    for world in open_worlds():
-        if world.mode == "GUI" or world.realtime:
-            raise NotExplorable(f"{world.name} has a window or runs in real time; open it within the action")
-    if threads := [thread.name for thread in forking.others()]:
-        raise NotExplorable(f"the copies would lack the threads {', '.join(threads)}; start them within the action")
 
 
 def _orders(count: int, depth: int, attempts: dict[int, OrderedRun]) -> Iterator[Sequence[str]]:
@@ -240,11 +241,11 @@ def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
 
 def _decide(runs: PlanRunner, result: Exploration, attempts: Mapping[int, OrderedRun]) -> None:
     """Find the few precedences that decide each ending."""
-    again = [each for each in result.found[:_EXPLAINED] if each.ending.kind in _TELLING] * 2
+    again = [each for each in result.found[:_EXPLAINED] if each.ending.kind in _WITH_ORDER] * 2
     for index, attempt in runs.all([each.order for each in again]):
         result.deterministic &= attempt.ending.is_like(again[index].ending)
     for found in result.found[1:_EXPLAINED] if result.deterministic else ():
-        if found.ending.kind in _TELLING:
+        if found.ending.kind in _WITH_ORDER:
             of_it = [each for each in attempts.values() if each.ending.is_like(found.ending)]
             shortest = min(of_it, key=lambda attempt: len(attempt.made))
             least = _reduced(runs, shortest.precedences, found.ending)
@@ -267,8 +268,11 @@ def _run_again(runs: PlanRunner, result: Exploration, file: Path | None, *, over
         found.made = attempt.made if found.order.startswith(ADDED) else ()
 
 
+# --- reduction of an order --------------------------------------------------------------------------------------------
+
+
 class _Tries:
-    """Tries whether precedences lead to an ending, each once."""
+    """Runs precedences, each once, to find those that lead to an ending."""
 
     def __init__(self, runs: PlanRunner, ending: Ending) -> None:
         self._runs = runs
@@ -276,7 +280,7 @@ class _Tries:
         self._known: dict[tuple[Precedence, ...], OrderedRun] = {}
 
     def first_of(self, tries: Sequence[Sequence[Precedence]]) -> OrderedRun | None:
-        """Return the first run with that ending, running as many in parallel as there are cores."""
+        """Return the first run with that ending; as many run in parallel as there are cores."""
         for start in range(0, len(tries), self._runs.cores):
             wave = [tuple(each) for each in tries[start : start + self._runs.cores]]
             new = [each for each in wave if each not in self._known][: _MAX_TRIES - len(self._known)]
@@ -289,7 +293,7 @@ class _Tries:
 
 
 def _reduced(runs: PlanRunner, precedences: Sequence[Precedence], ending: Ending) -> OrderedRun | None:
-    """Return a run with a minimum of given precedences that still has a given ending.
+    """Return a run with a minimum of the given precedences that still has the given ending.
 
     Returns None if the run with all precedences has another ending: the plan isn't deterministic.
     """
@@ -317,3 +321,207 @@ def _nearer(tries: _Tries, best: OrderedRun) -> OrderedRun:
         if found is not None and len(found.made) == len(made):
             best = found
     return best
+
+
+# --- runs -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class OrderedRun:
+    """A run in a given order."""
+
+    order: str  # the requested order
+    ending: Ending
+    turns: int  # number of turns with two or more branches to choose from
+    made: tuple[Made, ...]  # its order, as exceptions from the ranks of branches
+    seconds: float
+
+    @property
+    def precedences(self) -> tuple[Precedence, ...]:
+        """Its order."""
+        return tuple([each.precedence for each in self.made])
+
+
+class PlanRunner:
+    """Runs a plan in many orders; interrupts a run after a limit in s of wall-clock time."""
+
+    def __init__(self, run: Runner, limit: float) -> None:
+        self._run = run
+        self.cores = usable_cores()
+        self._limit = limit
+
+    def all(self, orders: Iterable[str], file: Path | None = None) -> Generator[tuple[int, OrderedRun], None, None]:
+        """Run orders in parallel; yield each run with its index when it ends; closing kills the other runs."""
+        pool: ChildPool[tuple[int, str]] = ChildPool(self.cores, self._limit, GRACE)
+
+        def start(job: tuple[int, str]) -> Child:
+            return run_from_start(partial(_run_in_order, self._run, job[1], file))
+
+        with closing(pool.run(deque(enumerate(orders)), start)) as results:
+            for (index, order), result in results:
+                yield index, self._ended(order, result)
+
+    def _ended(self, order: str, result: ChildResult) -> OrderedRun:
+        ending, turns = Ending(DIED, f"its process {result.how}"), 0
+        made: tuple[Made, ...] = ()
+        if result.answer:
+            answer: Mapping[str, Any] = json.loads(result.answer)
+            ending, turns = Ending(**answer["ending"]), answer["turns"]
+            made = tuple(
+                Made(Precedence(*own), Standing(*first), Standing(*second), [Precedence(*each) for each in passed])
+                for own, first, second, passed in answer["made"]
+            )
+        if result.late:
+            ending = Ending(TIME_LIMIT, f"it still ran after {self._limit:g} s")
+        return OrderedRun(order, ending, turns, made, result.seconds)
+
+
+def _run_in_order(run: Runner, order: str, file: Path | None) -> bytes:
+    """Run the plan in a child; only its first recording goes to the file."""
+    path = file or Path(os.devnull)
+    sinks: list[EndingSink] = []
+
+    def sink_of(began: Run) -> Sink:
+        sinks.append(EndingSink(McapSink(path, metadata(began)) if file is not None and not sinks else None))
+        return sinks[-1]
+
+    with redirected(sink_of):
+        run(order, path)
+    ending = sinks[0].ending if sinks else Ending(DIED, "it couldn't be recorded")
+    asked = scheduler().order
+    turns, made = (0, []) if asked is None else (asked.turns, asked.made)
+    return json.dumps({"ending": asdict(ending), "turns": turns, "made": made}).encode()
+
+
+@dataclass(slots=True)
+class Ending:
+    """The ending of a run, with the final state of its worlds and fluents."""
+
+    kind: str  # "succeeded", "failed", "deadlock", "time limit" or "died"
+    failure: str = ""  # type and message of the plan's failure; where branches wait in a deadlock; or the cause
+    line: str = ""  # the plan's line that raised the failure, FILE:LINE; "" if unknown
+    bodies: dict[str, _Body] = field(default_factory=dict)  # by "WORLD/BODY"
+    held: list[str] = field(default_factory=list)  # attached bodies, "WORLD: CARRIER holds BODY"
+    fluents: dict[str, str] = field(default_factory=dict)  # set by the plan, as JSON
+
+    def is_like(self, other: Ending) -> bool:
+        """Return whether two runs end alike; failed plans end alike if they fail alike, whatever their states."""
+        if self.kind != other.kind:
+            return False
+        if self.kind == SUCCEEDED:
+            return next(iter(self.differences(other)), None) is None
+        mine, others = ((_DECIMAL.sub("#", without_addresses(each.failure)), each.line) for each in (self, other))
+        return mine == others
+
+    def differences(self, other: Ending) -> Iterator[str]:
+        """Yield the differences of its state from another ending's, in words."""
+        bodies = {**self.bodies, **other.bodies}
+        several = len({key.partition("/")[0] for key in bodies}) > 1
+        for key in sorted(bodies):
+            mine, others = self.bodies.get(key), other.bodies.get(key)
+            name = key if several else key.partition("/")[2]
+            if mine is None or others is None:
+                yield f"{name} {'is gone' if mine is None else 'is there'}"
+            else:
+                yield from (f"{name} {what}" for what in _moved(mine, others))
+        for fact in sorted({*self.held} ^ {*other.held}):
+            yield fact if fact in self.held else fact.replace(" holds ", " doesn't hold ")
+        for name in sorted({**self.fluents, **other.fluents}):
+            mine_json, others_json = self.fluents.get(name), other.fluents.get(name)
+            if mine_json is None or others_json is None:
+                yield f"fluent {name} {'was never set' if mine_json is None else f'is {mine_json}'}"
+            elif not _same(json.loads(mine_json), json.loads(others_json)):
+                yield f"fluent {name} is {mine_json} instead of {others_json}"
+
+
+def _moved(mine: _Body, others: _Body) -> Iterator[str]:
+    distance = math.dist(mine["position"], others["position"])
+    along = abs(sum(a * b for a, b in zip(mine["orientation"], others["orientation"], strict=True)))
+    angle = 2 * math.acos(min(1.0, along))
+    if distance > _DISTANCE:
+        yield f"ends {distance:.2f} m away"
+    elif angle > _ANGLE:
+        yield f"ends turned by {math.degrees(angle):.0f} degrees"
+    joints = [name for name in mine if name in others and "/" in name]
+    moved = [name for name in joints if abs(mine[name][0] - others[name][0]) > _JOINT]
+    if moved:
+        first = moved[0]
+        also = f", and {len(moved) - 1} more joints" if moved[1:] else ""
+        yield f"has {first[1:]} at {mine[first][0]:.2f} instead of {others[first][0]:.2f}{also}"
+
+
+def _same(a: object, b: object) -> bool:
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, int | float) and isinstance(b, int | float) and not isinstance(a, bool) | isinstance(b, bool):
+        return a == b or abs(a - b) <= _NUMBER
+    if isinstance(a, str) and isinstance(b, str):
+        return without_addresses(a) == without_addresses(b)
+    return a == b
+
+
+class EndingSink:
+    """Computes the ending of a run from its records, and forwards them to a file, if there is one."""
+
+    def __init__(self, file: McapSink | None = None) -> None:
+        self._file: Sink = file or NullSink()
+        self.attach, self.flush, self.close = self._file.attach, self._file.flush, self._file.close
+        self._lines: dict[str, str] = {}  # of failures
+        self.ending = Ending(DIED, "its process ended")  # until the record of its end
+        if file is not None:
+            self.path = file.path  # projections are recorded next to it
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        """Evaluate and forward a record."""
+        self._file.write(topic, record, payload)
+        if isinstance(record, Mutation):
+            self._change(record.world, record.WhichOneof("command") or "", record.effect)
+        elif isinstance(record, Keyframe):
+            self._take(record.world, record.bodies)
+            self._attach(record.world, record.attachments)
+        elif isinstance(record, Fluent):
+            if not record.source:
+                self.ending.fluents[record.name] = record.after_json
+        elif (failure := getattr(record, "failure", None)) is not None and failure.type and failure.frames:
+            innermost = failure.frames[-1]
+            self._lines.setdefault(format_failure(failure), f"{innermost.file}:{innermost.line}")
+        if isinstance(record, Run) and record.phase == Run.FINISHED:
+            ending = self.ending
+            ending.kind, ending.failure = SUCCEEDED, ""
+            if not record.succeeded:
+                ending.failure = format_failure(record.failure)
+                ending.line = self._lines.get(ending.failure, "")
+                ending.kind = DEADLOCK if record.failure.type == "DeadlockedBranches" else FAILED
+
+    def _change(self, world: str, command: str, effect: Effect) -> None:
+        ending = self.ending
+        if command == "open_world":  # replaces an earlier world of that name
+            ending.bodies = {name: body for name, body in ending.bodies.items() if name.partition("/")[0] != world}
+            ending.held = [each for each in ending.held if not each.startswith(f"{world}: ")]
+        self._take(world, effect.bodies)
+        for body in effect.removed:
+            ending.bodies.pop(f"{world}/{body}", None)
+        for each in effect.detached:
+            held = _held(world, each)
+            if held in ending.held:
+                ending.held.remove(held)
+        self._attach(world, effect.attached)
+
+    def _take(self, world: str, bodies: Iterable[BodyState]) -> None:
+        for state in bodies:
+            body = self.ending.bodies.setdefault(f"{world}/{state.body}", {"position": [0] * 3, "orientation": [0] * 4})
+            if state.position:
+                body["position"], body["orientation"] = list(state.position), list(state.orientation)
+            for joint, position in zip(state.joints, state.joint_positions, strict=True):
+                body[f"/{joint}"] = [position]
+
+    def _attach(self, world: str, attachments: Iterable[Attachment]) -> None:
+        for each in attachments:
+            if (held := _held(world, each)) not in self.ending.held:
+                self.ending.held.append(held)
+
+
+def _held(world: str, each: Attachment) -> str:
+    return f"{world}: {each.carrier} holds {each.body}"

@@ -6,90 +6,66 @@ import json
 import os
 import shlex
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from pycram.exploration import NotExplorable, explore_runs
-from pycram.exploration.runs import SUCCEEDED
+from pycram import running
+from pycram.exploration import DEPTH, LIMIT, SUCCEEDED, NotExplorable, explore_runs
 from recorder.errors import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    import argparse
+    from collections.abc import Iterator
 
-    from pycram.exploration import EndingGroup, Exploration
-    from pycram.exploration.runs import Ending, Runner
+    from pycram.exploration import Ending, EndingGroup, Exploration
+    from pycram.running import RunSpec
     from pycram.scheduling.order import Standing
 
-_SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
-_MAX_TOLD: Final = 6  # differences of states, and precedences
+_MAX_TOLD: Final = 6  # printed differences of states, and printed precedences
 _WIDTH: Final = 200  # characters of a failure
 
 
-def run(
-    runner: Runner,
-    plan: str,
-    arguments: Sequence[str],
-    count: int,
-    *,
-    seed: int,
-    motion: str = "",
-    values: Sequence[str] = (),
-    depth: int,
-    limit: float,
-    file: Path,
-    overwrite: bool,
-    as_json: bool,
-) -> int:
-    """Explore a plan, print what was found, and return the exit code.
-
-    Args:
-        runner: Runs the plan once.
-        plan: Its file, as the user gave it.
-        arguments: Of the plan.
-        count: Number of orders.
-        seed: Of the runs.
-        motion: Execution environment; "" for the plan's.
-        values: Of the plan's parameters, as NAME=VALUE.
-        depth: Of the races.
-        limit: Seconds of wall-clock time for each run.
-        file: Recordings are named after it.
-        overwrite: Whether existing recordings are replaced.
-        as_json: Whether to print JSON.
-    """
-    # what plans import, once for all runs
+def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
+    """Explore a plan, print the results, and return the exit code; recordings are named after ``log``."""
+    # the modules that plans import, once for all runs
     from pycram import bullet_world_reasoning, event, fluent, language, process_module  # noqa: F401, PLC0415
+
+    def run_once(order: str, file: Path) -> None:
+        running.run(replace(spec, order=order), file, overwrite=True)
 
     def show(done: int) -> None:
         if sys.stderr.isatty():
-            sys.stderr.write(f"\r{done} of {count} orders " if done < count else "\r\033[K")
+            sys.stderr.write(f"\r{done} of {options.explore} orders " if done < options.explore else "\r\033[K")
             sys.stderr.flush()
 
+    depth = options.depth or DEPTH
     try:
         result = explore_runs(
-            runner,
-            count,
+            run_once,
+            options.explore,
             depth=depth,
-            limit=limit,
-            plan=Path(plan),
-            file=file,
-            overwrite=overwrite,
+            limit=options.limit or LIMIT,
+            plan=spec.plan,
+            file=log,
+            overwrite=options.overwrite,
             progress=show,
         )
     except (NotExplorable, RecordingError) as error:
-        print(f"pycram: {error}", file=sys.stderr)
-        return _WRONG_USAGE
-    given = [word for value in values for word in ("--set", value)]
-    command = ["pycram", "run", *(["--motion", motion] if motion else []), *given, "--seed", str(seed)]
-    rest = [plan, *(["--", *arguments] if arguments else [])]
-    if as_json:
+        running.tell(f"pycram: {error}")
+        return running.WRONG_USAGE
+    motion = ["--motion", spec.motion] if spec.motion else []
+    given = [word for value in options.set for word in ("--set", value)]
+    command = ["pycram", "run", *motion, *given, "--seed", str(spec.seed)]
+    rest = [str(spec.plan), *(["--", *spec.arguments] if spec.arguments else [])]
+    if options.json:
         print(json.dumps(_data(result, command, rest), indent=2))
     else:
-        print(*_lines(result, plan, command, rest, depth), sep="\n")
+        print(*_lines(result, command, rest, depth), sep="\n")
     if result.interrupted:
-        return _INTERRUPTED
+        return running.INTERRUPTED
     succeeded = all(found.ending.kind == SUCCEEDED for found in result.found)
-    return _SUCCEEDED if succeeded and result.alike else _FAILED
+    return running.SUCCEEDED if succeeded and result.alike else running.FAILED
 
 
 def _data(result: Exploration, command: list[str], rest: list[str]) -> dict[str, object]:
@@ -114,15 +90,17 @@ def _data(result: Exploration, command: list[str], rest: list[str]) -> dict[str,
     }
 
 
-def _lines(result: Exploration, plan: str, command: list[str], rest: list[str], depth: int) -> Iterator[str]:
+def _lines(result: Exploration, command: list[str], rest: list[str], depth: int) -> Iterator[str]:
     if result.interrupted:
         yield f"interrupted after {result.runs} runs; so far:"
     if not result.runs:
         return
     different = f"{result.orders} different order{'s' if result.orders != 1 else ''}"
-    yield f"{plan}: {result.runs} runs with seed {command[-1]} in {different}, for races of depth {depth}"
+    yield f"{rest[0]}: {result.runs} runs with seed {command[-1]} in {different}, for races of depth {depth}"
     if result.alike:
-        never = " There is no other order: two branches were never ready at once." if result.orders == 1 else ""
+        never = (
+            " There is no other order: never were two branches ready at the same time." if result.orders == 1 else ""
+        )
         yield f"all end alike: {_words(result.found[0].ending)}.{never}"
         return
     yield ""
@@ -131,12 +109,12 @@ def _lines(result: Exploration, plan: str, command: list[str], rest: list[str], 
         yield f"{number:3}  {found.count:4}  {_words(found.ending, result.found[0].ending)}"
     if not result.deterministic:
         yield ""
-        yield "The plan is not deterministic: in the same order it ends differently. Does it read the clock, or the"
-        yield "network, or draw its own random numbers? pycram-replay retrace FILE names the first record that differs."
+        yield "The plan isn't deterministic: runs in the same order end differently. It may read the clock or network,"
+        yield "or have its own random generators. pycram-replay retrace FILE names the first record that differs."
     for number, found in enumerate(result.found, 1):
         yield ""
         if number > 1 and found.made:
-            yield f"{number}: it ends so instead of as 1 when"
+            yield f"{number}: the plan ends this way, and not as in 1, if"
             yield from _decisive(found)
         else:
             yield f"{number}: {'in the order in which branches were added' if number == 1 else 'for example'}"
@@ -147,7 +125,7 @@ def _lines(result: Exploration, plan: str, command: list[str], rest: list[str], 
 
 
 def _words(ending: Ending, first: Ending | None = None) -> str:
-    """Return an ending in words; if it and the first succeeded, with their differences."""
+    """Return an ending in words, with its differences from the first ending if both succeeded."""
     words = ending.kind
     if ending.failure:
         failure = " ".join(ending.failure.split())
@@ -165,7 +143,7 @@ def _decisive(found: EndingGroup) -> Iterator[str]:
     for number, each in enumerate(found.made[:_MAX_TOLD]):
         yield f"  {'and ' if number else ''}{_standing(each.first)} runs before {_standing(each.second)}"
     if found.made[_MAX_TOLD:]:
-        yield f"  and {len(found.made) - _MAX_TOLD} more such"
+        yield f"  and {len(found.made) - _MAX_TOLD} more"
 
 
 def _standing(branch: Standing) -> str:
@@ -178,6 +156,6 @@ def _shown_line(line: str) -> str:
 
 
 def _shown(file: Path) -> str:
-    """Return a path relative to the working directory, if it is below that."""
+    """Return a path, relative to the working directory if it is below that."""
     here = os.path.relpath(file)
     return str(file) if here.startswith("..") else here

@@ -1,14 +1,14 @@
 """The plan language (thesis 3.5.3, table 3.4): which actions run concurrently, and what their failures do.
 
-================ ========== =========================================== ===========================================
-block            branches   decided by                                  fails with
-================ ========== =========================================== ===========================================
-``par``          at once    nothing: all run to their end               the failures of all that failed
-``pursue``       at once    the first that ends, well or badly          the failure of that one
-``try_all``      at once    the first that succeeds                     the failures of all, when all have failed
-``seq``          in order   the first that fails                        the failure of that one
-``try_in_order`` in order   the first that succeeds                     the failures of all, when all have failed
-================ ========== =========================================== ===========================================
+================ ============ ============================= =================================
+block            branches run decided by                    fails with
+================ ============ ============================= =================================
+``par``          concurrently nothing: all run to their end all failures
+``pursue``       concurrently the first that ends           its failure
+``try_all``      concurrently the first that succeeds       all failures, if all have failed
+``seq``          in order     the first that fails          its failure
+``try_in_order`` in order     the first that succeeds       all failures, if all have failed
+================ ============ ============================= =================================
 
 Each can be written in four ways::
 
@@ -25,12 +25,12 @@ Each can be written in four ways::
     par(function, other)                 # the results, as a list
 
 Each action, each block in the body and each ``s(...)`` is a branch. In a concurrent block and in ``try_in_order`` it
-returns a future, which serves as its result (:mod:`pycram.scheduling.future`). In ``seq`` a failure rises through the
-body as in plain Python, which may handle it. An empty block succeeds. A failure of the body itself ends the body; it
-decides ``pursue``, and counts as one more failure elsewhere.
+returns a future, which serves as its result (:mod:`pycram.scheduling.future`). In ``seq`` a failure propagates through
+the body as in plain Python, and the body may handle it. An empty block succeeds. A failure of the body itself ends the
+body; it decides ``pursue``, and counts as one more failure in other blocks.
 
 A decided block cancels its other branches and ends when all have ended. A failed block raises
-:class:`~pycram.failures.BranchesFailed` with all failures; usage errors are raised as they are. One branch runs at a
+:class:`~pycram.failures.BranchesFailed` with all failures; usage errors are raised unchanged. One branch runs at a
 time, until its next motion, wait or change of a world (:mod:`pycram.scheduling`); ``in_thread(time.sleep, 3)`` keeps a
 blocking call from blocking all branches. Motions queue for the robot's resources (:mod:`pycram.motions.resources`).
 Retries, timeouts and cleanups: :func:`failure_handling`, :func:`timeout`, :func:`finally_`.
@@ -50,7 +50,7 @@ from pycram.language.block import (
     try_all,
     try_in_order,
 )
-from pycram.language.cleanup import finally_
+from pycram.language.nesting import finally_
 from pycram.language.retries import failure_handling, retry
 from pycram.language.timeouts import timeout
 from pycram.scheduling.worker import in_thread

@@ -1,16 +1,16 @@
-"""Blocks of the plan language: the five words that open them, their branches, their bodies and their ends.
+"""Blocks of the plan language: the five words that open blocks, and the branches, bodies and ends of blocks.
 
 The kinds of blocks differ in their :class:`Policy` only: whether branches run concurrently, and which outcome of a
 branch decides the block. A decided block cancels its other branches, ends when all have ended, and has the outcome of
 the deciding branch. A block that nothing decided failed if any branch failed.
 
 A plan failure of the body ends the body and counts as one of the block's failures. It decides the block where a
-branch's failure would, and never overturns a decision. A branch that is added to a decided block is cancelled.
+branch's failure would, and never changes a decision. A branch that is added to a decided block is cancelled.
 
-Two things fail any block, decided or not:
+Two errors fail any block, decided or not:
 
-- A usage error, in a branch or in the body. It is raised unchanged, and never collected, retried or outvoted.
-- The failed cleanup of a cancelled branch, because the state of the world is unknown then.
+- A usage error, in a branch or in the body. It is raised unchanged, and never collected or retried.
+- The failed cleanup of a cancelled branch, because then the state of the world is unknown.
 
 A block in the body of another block, its *host*, is one of the host's branches. In ``try_in_order`` it runs in place;
 the host keeps its failure and continues with the next statement. In a concurrent host a branch runs it
@@ -98,9 +98,9 @@ class Block:
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         self.policy = policy
         self.name = policy.name
-        self.immediate = policy.concurrent  # whether an action starts regardless of earlier ones
-        self.reads_blocks = policy.concurrent  # whether branches of it run the blocks in its body
-        self.adds_actions = not policy.propagates  # actions in its body become branches; else they run in order
+        self.immediate = policy.concurrent  # whether an action starts regardless of earlier actions
+        self.reads_blocks = policy.concurrent  # whether its branches run the blocks in its body
+        self.adds_actions = not policy.propagates  # whether actions in its body become branches; else they run in order
         self.branches: list[Branch] = []  # in the order in which they were added
         self.scope = CancelScope(current_scope())  # of its body and branches; cancelled when the block is decided
         self.decider: Branch | None = None  # the branch that decided it
@@ -109,8 +109,8 @@ class Block:
         self._opened_in = current_branch()
         self._collected = failures
         self._host = current_block()
-        self._changed = Condition()  # notified when a branch ends, and of the progress of a body that is read
-        self._closing = threading.Lock()  # a plan's own threads may add branches while it ends
+        self._changed = Condition()  # notified when a branch ends, and when a body that is read progresses
+        self._closing = threading.Lock()  # the plan's own threads may add branches while the block ends
         self._scheduler = scheduler()
         self._own: Branch | None = None  # the host's branch that runs this block, if one does
         self._taken = 0  # number of branches so far, for their names
@@ -132,7 +132,7 @@ class Block:
         """Wait until the body itself may act; a body that runs in place always may."""
 
     def before_change(self, change: str) -> None:
-        """Reject a change of a world by the body that would come too early; never too early in a body in place."""
+        """Reject a premature change of a world by the body; a body that runs in place makes none."""
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
         """Reject the body's action in an outer block while earlier actions of the body are pending."""
@@ -146,8 +146,8 @@ class Block:
             BadArgument: The action isn't callable.
             BlockClosed: The block has ended.
             OutlivesTimeout: The body adds it in a timeout that it would outlive.
-            RunsEarly: Earlier actions, in a sequence that is read, have not ended.
-            PlanFailure: The function failed, in a ``seq`` block.
+            RunsEarly: In a sequence that is read, earlier actions have not ended.
+            PlanFailure: In a ``seq`` block, the function failed.
         """
         if not callable(action):
             raise BadArgument("action", action, "a function to run as a branch")
@@ -178,7 +178,7 @@ class Block:
         return Future(branch)
 
     def _refuse_in_timeout(self, name: str) -> None:
-        """Reject a branch that the body adds in a timeout within it; branches may add others freely."""
+        """Reject a branch that the body adds in a timeout within the body; branches may add others."""
         scope = current_scope()
         if scope is None or scope is self.scope or current_branch() is not self._opened_in:
             return
@@ -261,7 +261,7 @@ class Block:
     # --- beginning and end --------------------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
-        if self.policy.concurrent:  # its end yields, and must not fail
+        if self.policy.concurrent:  # its end waits, and must not fail
             refuse_held()
         with ExitStack() as entering:
             self._begin(entering)
@@ -278,7 +278,7 @@ class Block:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
-        with self._entered:  # fails where it can't wait for its branches, or in another context than it began in
+        with self._entered:  # fails if it can't wait for its branches, or in another context than it began in
             raised = self._close(error)
             self._span.error = raised or self._span.error
         if self._host is not None:
@@ -303,7 +303,7 @@ class Block:
         bugs = [e for e in errors if e is not None and not isinstance(e, (PlanFailure, Cancelled))]
         if bugs:  # the program is wrong, or the user interrupts it
             self.state = State.FAILED
-            bugs.sort(key=lambda bug: isinstance(bug, Retry))  # a retry would hide the others
+            bugs.sort(key=lambda bug: isinstance(bug, Retry))  # a retry would hide the other errors
             return chained(bugs[0], [*bugs[1:], *failures])
         self.state = self._outcome(error, failures)
         if self._collected is not None:
@@ -320,7 +320,7 @@ class Block:
         return None
 
     def _outcome(self, error: BaseException | None, failures: tuple[PlanFailure, ...]) -> State:
-        """Return the block's final state, given the error of its body; usage errors are handled before."""
+        """Return the block's final state, given the error of its body; the caller has handled usage errors."""
         if any(leaves_uncleaned(failure) for failure in failures):
             return State.FAILED
         if self.decider is not None:
@@ -339,17 +339,17 @@ class Block:
                 body.finish(failure)
 
     def _join(self, interrupt: BaseException | None) -> BaseException | None:
-        """Wait for all branches; those of a sequential block have ended already.
+        """Wait for all branches; the branches of a sequential block have already ended.
 
-        Returns the last interrupt: the one that ended the body, or an error that a signal handler raised meanwhile and
-        that has cancelled the branches.
+        Returns the last interrupt: the given one that ended the body, or an error that a signal handler raised
+        meanwhile, which cancelled the branches.
         """
         own = self._scheduler
         while True:
             joining, own.joining = own.joining, own.joining or interrupt is not None
             try:
                 join(self._changed, self._all_ended)
-            except LockHeld:  # it would be refused again
+            except LockHeld:  # waiting again would be rejected again
                 raise
             except BaseException as error:  # noqa: BLE001  raised when the branches have ended
                 interrupt = error
@@ -360,7 +360,7 @@ class Block:
             if interrupt is not None:
                 interrupts.drop_pending()
             with self._closing:
-                if self._all_ended():  # else a thread of the plan's own has added another one
+                if self._all_ended():  # else a thread of the plan's own has added a branch
                     self.state = State.CANCELLED  # closed; the final state is set next
                     return interrupt
 
@@ -388,7 +388,7 @@ class ReadBlock(Block):
     def __init__(self, policy: Policy, host: Block, failures: list[BaseException] | None = None) -> None:
         super().__init__(policy, failures)
         self.immediate, self.reads_blocks, self.adds_actions = False, True, True
-        self._host = None  # not to be added as a branch at its end: it is one from its beginning
+        self._host = None  # not to be added as a branch at its end: it is a branch from its beginning
         self._run_by = host
         self._pending: deque[Branch] = deque()
         self._dropping = False
@@ -396,7 +396,7 @@ class ReadBlock(Block):
         self._body_error: Exception | None = None
 
     def await_turn(self) -> None:
-        """Wait until the body itself may act: in a sequence, after the earlier actions."""
+        """Wait until the body itself may act: in a sequence, until the earlier actions have ended."""
         wait(self._changed, lambda: self.state is not State.CREATED)
         if not self.policy.concurrent:
             for branch in self.branches:
@@ -429,7 +429,7 @@ class ReadBlock(Block):
         self.branches.append(branch)
         self._pending.append(branch)
         self._changed.notify_all()
-        if self._dropping:  # nothing runs it now
+        if self._dropping:  # it can't run any more
             self._drop()
 
     def __exit__(
@@ -439,7 +439,7 @@ class ReadBlock(Block):
             self.scope.cancel()  # the program is wrong, or the user interrupts it
         self._body_error = error if isinstance(error, Exception) else None
         self._entered.close()
-        if isinstance(error, Cancelled):  # by its own block, which is decided: the body around it goes on
+        if isinstance(error, Cancelled):  # by its own block, which is decided: the body around it continues
             return self._around is None or not self._around.is_cancelled
         return error is None or isinstance(error, PlanFailure)
 
@@ -461,7 +461,7 @@ class ReadBlock(Block):
                     self._take(self._pending.popleft())
                 wait(self._changed, lambda: bool(self._pending) or self._body_ended)
         except BaseException as stop:  # noqa: BLE001  raised below
-            self.scope.cancel()  # reading on is pointless
+            self.scope.cancel()  # no need to read the rest
             stopped = stop
         self._drop()
         join(self._changed, lambda: self._body_ended)  # actions of the body itself are part of this block too
@@ -474,7 +474,7 @@ class ReadBlock(Block):
             raise_unchanged(raised)
 
     def _drop(self) -> None:
-        """Cancel the branches that haven't started; no more will run."""
+        """Cancel the branches that haven't started."""
         self._dropping = True
         if self.state is State.CREATED:
             self.state = State.CANCELLED
@@ -483,11 +483,11 @@ class ReadBlock(Block):
 
 
 class NeverOpened(RuntimeWarning):
-    """A block got a list for failures, and no body."""
+    """A block got a list for failures, but no body."""
 
 
 class Opening(Scope[Block]):
-    """Opens a block at the start of a ``with`` statement; reusable, in other threads and within itself.
+    """Opens a block at the start of a ``with`` statement; reusable, also in other threads and within itself.
 
     Warns with NeverOpened if it has a list for failures and no ``with`` statement ever used it.
     """
@@ -536,7 +536,7 @@ class Kind(Opening):
 
         Returns:
             Without functions, a context manager. With functions, the list of their results; for ``pursue``, ``try_all``
-            and ``try_in_order`` the result of the deciding one; in the body of a block, a future for that.
+            and ``try_in_order`` the result of the deciding branch. In the body of a block, a future of this value.
 
         Raises:
             BadArgument: A branch isn't one of these.

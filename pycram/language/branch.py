@@ -29,24 +29,20 @@ Result: TypeAlias = Any
 Function = TypeVar("Function", bound="Callable[..., Result]")
 
 _LAZY: Final = "__pycram_lazy__"
-_NOT_BEGUN: Final = "a plain function; one with `yield` does nothing before its values are taken: `lambda: [*f()]` does"
+_NOT_BEGUN: Final = "a plain function; a generator does nothing until its values are taken: use `lambda: [*f()]`"
 _EMPTY_CONTEXT: Final = Context()
 
 
 class NoResult(UsageError):
-    """The result of a cancelled branch was used; its block was decided without it.
-
-    Attributes:
-        branch: The branch's name.
-    """
+    """The result of a cancelled branch was used; its block was decided without it."""
 
     def __init__(self, branch: str) -> None:
         super().__init__(f"{branch} has no result: it was cancelled when its block was decided; see s.branches")
-        self.branch = branch
+        self.branch = branch  # the branch's name
 
 
 def _nothing() -> None:
-    """Replace the functions that an ended branch releases."""
+    """Replaces the functions that an ended branch releases."""
 
 
 class Branch:
@@ -60,7 +56,7 @@ class Branch:
         action: Returns the result.
         changed: The block's condition, notified when the branch ends.
         ordered: Whether it waits only for earlier branches.
-        dropped: Called once if it never starts; must not raise.
+        dropped: Called once if the branch never starts; must not raise.
         span: Its node of the task tree; by default of the kind "branch".
     """
 
@@ -80,7 +76,7 @@ class Branch:
         self.context = copy_context()
         self.span = span if span is not None else Span("branch", name)
         self.state = State.CREATED
-        self.error: BaseException | None = None  # that it raised; None also after success and cancellation
+        self.error: BaseException | None = None  # the raised error; None also after success and cancellation
         self._dropped = dropped
         self._begun = False
         self._changed = changed
@@ -107,7 +103,7 @@ class Branch:
         self._changed.notify_all()
 
     def abandon(self, error: BaseException) -> None:
-        """Fail it, unless it has ended: an error prevented its end, such as that of a signal handler."""
+        """Fail it, unless it has ended: an error prevented its end, such as an error of a signal handler."""
         if not self.done:
             self.settle(State.FAILED, error=error)
 
@@ -141,7 +137,7 @@ class Branch:
 
 
 def name_of(action: Callable[..., Result]) -> str:
-    """Return a function's name, without its module and without the function that it is defined in."""
+    """Return a function's name, without its module and without the function that defines it."""
     name = getattr(action, "__qualname__", None) or type(action).__qualname__
     return str(name).rpartition("<locals>.")[2]
 
@@ -156,7 +152,7 @@ def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Resul
     kind = type(result)  # isinstance() would wait for a future
     if kind is CoroutineType or kind is AsyncGeneratorType:
         if kind is CoroutineType:
-            result.close()  # else Python warns that nobody awaits it
+            result.close()  # else Python warns that it was never awaited
         expected = "a plain function; `lambda: asyncio.run(...)` runs an async one to its end"
         raise BadArgument("action", name_of(action), expected)
     if kind is GeneratorType and getgeneratorstate(result) == GEN_CREATED:

@@ -1,4 +1,4 @@
-"""Failures made of others, that of a block and that of a cleanup; and usage errors of blocks."""
+"""Failures that blocks and cleanups raise, and usage errors of blocks."""
 
 from __future__ import annotations
 
@@ -14,83 +14,64 @@ from recorder.tracing.call_stack import call_site
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-#: A message, its data and a traceback show at most this many failed blocks within each other, and then what failed in
-#: the innermost: each of them has a record of its own, and those of blocks nested deeper would take minutes to write.
+#: Nested failed blocks in a message, its data and a traceback. Deeper nesting would take minutes to write, and each
+#: failure has a record of its own.
 MAX_LEVELS: Final = 8
-#: Of what failed in blocks within more others they show so many, and count the rest.
+#: Failures that are shown for deeper nesting; the rest are counted.
 MAX_LEAVES: Final = 8
-
 _MAX_FRAMES: Final = 1000  # of each of several failures in a traceback
 
 
 class BlockClosed(UsageError):
-    """A branch was added to a block that has ended.
-
-    Attributes:
-        block: Kind of the block.
-        branch: Name of the branch.
-    """
+    """A branch was added to a block that has ended."""
 
     def __init__(self, block: str, branch: str) -> None:
         super().__init__(f"{branch} can't be a branch of this {block} block: the block has ended")
-        self.block = block
-        self.branch = branch
+        self.block = block  # kind of the block
+        self.branch = branch  # name of the branch
 
 
 class RunsEarly(UsageError):
-    """Plain Python in the body of a sequence that is read would act before actions that stand above it.
-
-    Attributes:
-        what: What it would do.
-        block: Kind of the sequence.
-        pending: Names of the actions above it that have not ended.
-        file: The plan's file.
-        line: Its line, from 1.
-    """
+    """Plain Python in the body of a sequence that is read would act before earlier actions of the sequence."""
 
     def __init__(self, what: str, block: str, pending: Sequence[str]) -> None:
-        self.what = what
-        self.block = block
-        self.pending = tuple(pending)
-        self.file, self.line = call_site()
+        self.what = what  # the premature action
+        self.block = block  # kind of the sequence
+        self.pending = tuple(pending)  # names of the earlier actions that have not ended
+        self.file, self.line = call_site()  # the plan's file and its line, from 1
         have = "have" if len(self.pending) > 1 else "has"
         super().__init__(
-            f"{self.file}:{self.line} would {what} before what stands above it in this {block} block: "
+            f"{self.file}:{self.line} would {what} before earlier actions of this {block} block: "
             f"{', '.join(self.pending)} {have} not ended. In the body of a concurrent block a {block} is only read, so "
-            f"plain Python between its actions runs at once; make it an action: `with {block} as s: ...; s(function)`"
+            "plain Python between its actions runs immediately; make it an action: "
+            f"`with {block} as s: ...; s(function)`"
         )
 
 
 class OutlivesTimeout(UsageError):
-    """A branch was added, in the body of a timeout, to a block around that: the deadline wouldn't hold for it.
-
-    Attributes:
-        block: Kind of the block.
-        branch: Name of the branch.
-        file: The plan's file.
-        line: Its line, from 1.
-    """
+    """A branch was added, in the body of a timeout, to a block around that: the deadline wouldn't apply to it."""
 
     def __init__(self, block: str, branch: str) -> None:
-        self.block = block
-        self.branch = branch
-        self.file, self.line = call_site()
+        self.block = block  # kind of the block
+        self.branch = branch  # name of the branch
+        self.file, self.line = call_site()  # the plan's file and its line, from 1
         super().__init__(
             f"{self.file}:{self.line} adds {branch}, in a timeout, to the {block} block around it, which ends later: "
-            f"the deadline wouldn't hold for {branch}; open the block within the timeout, as in "
-            f"`with timeout(...), {block} as s:`, or have {branch} open the timeout"
+            f"the deadline wouldn't apply to {branch}; open the block within the timeout, as in "
+            f"`with timeout(...), {block} as s:`, or open the timeout in {branch}"
         )
 
 
 class BranchesFailed(PlanFailure):
-    """A block of the plan language failed: one failure that carries those of all its branches.
+    """A block of the plan language failed; this failure carries the failures of all its branches.
 
-    It is of the types that all of them have in common: if all are ``Unreachable``, ``except Unreachable`` catches it,
-    and it has the fields of the first one. So code that catches a type misses no failure of another type.
+    It is an instance of all types that these failures have in common: if all are ``Unreachable``, ``except
+    Unreachable`` catches it, and it has the fields of the first one. So code that catches one type never hides a
+    failure of another type.
     """
 
     def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass
-        """Make an instance that is also of the types that all failures have in common."""
+        """Make an instance of all types that the failures have in common."""
         failures = tuple(failures)
         if cls is BranchesFailed:
             kind = _combined_type(tuple(type(leaf) for leaf in _leaves(failures)))
@@ -99,7 +80,7 @@ class BranchesFailed(PlanFailure):
 
     def __init__(self, block: str, failures: Iterable[PlanFailure]) -> None:
         members = tuple(failures)
-        fields = vars(self)  # not by assignments: it may be of a type that refuses them
+        fields = vars(self)  # its type may reject assignments
         if len(type(self).__bases__) > 1:
             first = next(_leaves(members))
             fields.update(vars(first))
@@ -114,16 +95,13 @@ class BranchesFailed(PlanFailure):
         self.__cause__ = causes[0] if len(causes) == 1 else Tracebacks(causes)
 
     _leaves: tuple[PlanFailure, ...]
-    _causes: tuple[PlanFailure, ...]
-    """What its message shows: its failures, or its leaves where these are blocks within too many others."""
-    _levels: int
-    """Number of blocks within each other that its message shows."""
-    _left_out: int
-    """Number of leaves that its message doesn't show."""
+    _causes: tuple[PlanFailure, ...]  # in its message: its failures; or its leaves, if blocks are nested too deeply
+    _levels: int  # number of nested blocks in its message
+    _left_out: int  # number of leaves that its message doesn't show
 
     @property
     def block(self) -> str:
-        """The kind of block: "par", ... A property, as the type of its failures may have an attribute of that name."""
+        """The kind of block: "par", ... A property because the type of its failures may have a field of that name."""
         return str(vars(self)["block"])
 
     @property
@@ -134,17 +112,17 @@ class BranchesFailed(PlanFailure):
 
     @property
     def leaves(self) -> tuple[PlanFailure, ...]:
-        """Its failures, with failed blocks among them replaced by theirs."""
+        """Its failures, with each failed block replaced by that block's leaves."""
         return self._leaves
 
     @property
     def data(self) -> Mapping[str, object]:
-        """Its fields by name; its failures, as far as its message shows them, as type, message and fields."""
+        """Its fields by name; those failures that its message shows, as type, message and fields."""
         failures = [{"type": type(f).__name__, "message": str(f), "data": f.data} for f in self._causes]
         return {**super().data, "failures": failures}
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle what it is made of, as its class has been made for its failures."""
+        """Pickle block and failures: its class is made for these failures."""
         return BranchesFailed, (self.block, self.failures)
 
     def __str__(self) -> str:
@@ -155,38 +133,33 @@ class BranchesFailed(PlanFailure):
 
 
 class NotCleanedUp(PlanFailure):
-    """A branch was cancelled, by its block or a timeout, and its cleanup (``finally_``) failed.
-
-    Attributes:
-        action: Name of the cleanup.
-        failure: Its failure; the cause of this one.
-    """
+    """A branch was cancelled, by its block or a timeout, and its cleanup (``finally_``) failed."""
 
     def __init__(self, action: str, failure: PlanFailure) -> None:
         super().__init__(f"{action}, the cleanup of a cancelled branch, failed: {format_error(failure)}")
-        self.action = action
-        self.failure = failure
+        self.action = action  # name of the cleanup
+        self.failure = failure  # of the cleanup
         self.__cause__ = failure
 
 
 class Retry(BaseException):
-    """Raised by ``retry``, to end its attempt; nothing else catches it."""
+    """Raised by ``retry`` to end its attempt; only the attempt catches it."""
 
     def __init__(self, attempt: object, number: int, changed: Mapping[str, Any], error: BaseException | None) -> None:
-        super().__init__(f"attempt {number} is to be followed by another one")
+        super().__init__(f"attempt {number} is to be retried")
         self.attempt = attempt
         self.changed = changed  # parameters of the next attempt
-        self.error = error  # that was being handled
+        self.error = error  # the error that was being handled
 
 
 def leaves_uncleaned(failure: BaseException) -> bool:
-    """Whether a failure is, or contains, that of a cleanup after a cancellation."""
+    """Return whether a failure is, or contains, the failed cleanup of a cancelled branch."""
     leaves = failure.leaves if isinstance(failure, BranchesFailed) else (failure,)
     return any(isinstance(leaf, NotCleanedUp) for leaf in leaves)
 
 
 class Tracebacks(PycramError):
-    """Never raised: the cause of a :class:`BranchesFailed` with several failures, so that tracebacks print them all."""
+    """The cause of a :class:`BranchesFailed` with several failures: tracebacks print them all. Never raised."""
 
     def __init__(self, failures: Sequence[BaseException]) -> None:
         super().__init__(failures)
@@ -210,7 +183,7 @@ def _leaves(failures: Iterable[PlanFailure]) -> Iterator[PlanFailure]:
 
 @functools.lru_cache(maxsize=256)
 def _combined_type(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]:
-    """Return BranchesFailed, combined with the types that all have in common beyond PlanFailure."""
+    """Return BranchesFailed combined with the types that all kinds have in common, besides PlanFailure."""
     common: list[type] = []
     for kind in kinds[0].__mro__ if kinds else ():
         shared = issubclass(kind, PlanFailure) and kind is not PlanFailure and all(issubclass(k, kind) for k in kinds)
@@ -221,7 +194,7 @@ def _combined_type(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]
     try:
         combined = type("BranchesFailed", (BranchesFailed, *common), {"__module__": BranchesFailed.__module__})
         BaseException.__new__(combined)
-    except TypeError:  # types that can't be combined
+    except TypeError:  # these types can't be combined
         return BranchesFailed
     return combined
 

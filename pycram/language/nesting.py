@@ -1,11 +1,9 @@
-"""Nesting: scopes of the plan (blocks, attempts, timeouts, cleanups) end in the reverse order of their beginnings.
+"""Scopes of the plan (blocks, attempts, timeouts, cleanups), which end in the reverse order of their beginnings.
 
-``with`` statements ensure this, except where a generator leaves a scope open while other code continues. A scope that
-ends out of order raises Misnested, after all scopes that were opened after it have ended: else the plan would continue
-in a scope that is over. While a scope is open, Ctrl-C is deferred in the language's own code
+``with`` statements ensure this order, except where a generator leaves a scope open while other code continues. If a
+scope ends out of order, all scopes that were opened after it end, and it raises Misnested: else the plan would continue
+in a scope that has ended. While a scope is open, Ctrl-C is deferred in the language's own code
 (:mod:`recorder.tracing.interrupts`).
-
-The context of a block's body carries the block; :func:`sequential` runs code of the body in order, outside of branches.
 """
 
 from __future__ import annotations
@@ -15,13 +13,17 @@ from abc import ABC, abstractmethod
 from contextlib import ContextDecorator, contextmanager
 from contextvars import ContextVar
 from functools import wraps
-from typing import TYPE_CHECKING, Final, Generic, NamedTuple, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, ParamSpec, TypeVar
 
-from pycram.foundation.failures import UsageError
-from pycram.scheduling.cancellation import Binding, body as body_context, raise_if_cancelled
+from pycram.foundation.errors import chained, raise_unchanged
+from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
+from pycram.language.branch import name_of, run
+from pycram.language.failures import NotCleanedUp, Retry
+from pycram.scheduling.cancellation import Binding, body as body_context, raise_if_cancelled, shielded
 from pycram.scheduling.schedule import scheduler
 from recorder.tracing import interrupts
 from recorder.tracing.call_stack import is_resumable
+from recorder.tracing.span import Cancelled, span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -30,23 +32,20 @@ if TYPE_CHECKING:
 
     from pycram.scheduling.cancellation import Body
 
+
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
 
 
 class Misnested(UsageError):
-    """A block was ended while a block that was opened after it was still open.
-
-    Attributes:
-        block: Its kind; here timeouts, attempts and cleanups are blocks too.
-    """
+    """A block was ended while a block that was opened after it was still open."""
 
     def __init__(self, block: str) -> None:
         super().__init__(
-            f"a {block} block ends while one that was opened after it is open, or in another branch than it began; "
-            "a generator that yields in the body of a block has to get to the block's end before others go on"
+            f"a {block} block ends while a block that was opened after it is open, or in another branch than it began; "
+            "a generator that yields in the body of a block has to reach the block's end before others continue"
         )
-        self.block = block
+        self.block = block  # its kind; here timeouts, attempts and cleanups are blocks too
 
 
 class _Open(NamedTuple):
@@ -54,7 +53,7 @@ class _Open(NamedTuple):
 
     scope: object  # of the ``with`` statement
     generator: int  # id of the generator whose code opened it; 0 for code that isn't resumable
-    body: AbstractContextManager[object]  # does the work
+    body: AbstractContextManager[object]  # that does the work
     defers: bool  # whether it defers Ctrl-C
 
     def end(self, error: BaseException | None, trace: TracebackType | None = None) -> bool | None:
@@ -69,7 +68,7 @@ _open: Final[ContextVar[tuple[_Open, ...]]] = ContextVar("pycram_open", default=
 
 
 class Scope(ABC, Generic[Value]):
-    """A context manager that refuses to end out of order; reusable, also within itself."""
+    """A context manager that rejects ending out of order; reusable, also within itself."""
 
     def __init__(self, name: str) -> None:
         self._name = name  # its kind, in messages
@@ -103,7 +102,7 @@ class Scope(ABC, Generic[Value]):
             *outer, last = _open.get()
             _open.set(tuple(outer))
             last.end(raised)
-        if raised is error or (error is not None and not indices):  # it was ended so before
+        if raised is error or (error is not None and not indices):  # it was already ended
             return False
         raise raised
 
@@ -111,7 +110,7 @@ class Scope(ABC, Generic[Value]):
 def _generator() -> int:
     """Return the id of the generator whose code opens or ends a scope; 0 for code that isn't resumable.
 
-    It is needed because ``par`` is the same object in all ``with`` statements.
+    It tells apart the ``with`` statements that use the same object, such as ``par``.
     """
     frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() gives no other
     while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # ExitStack
@@ -151,7 +150,7 @@ def in_block(host: Body | None) -> Binding[Body | None]:
 
 
 def leave_body() -> None:
-    """Make this context that of a branch, for good: actions run in order, and it ends only scopes that it opens."""
+    """Make this context that of a branch, permanently: actions run in order, and it ends only scopes that it opens."""
     body_context.set(None)
     nothing_open()
 
@@ -162,7 +161,7 @@ def nothing_open() -> None:
 
 
 def await_turn() -> None:
-    """Wait until code of the body may run itself: in a body that is read, until its turn comes.
+    """Wait until the body's own code may run: in a body that is read, until its turn comes.
 
     Raises:
         Cancelled: The block around it is cancelled.
@@ -187,3 +186,45 @@ def sequential() -> Iterator[Callable[[], None]]:
     host = body_context.get()
     with in_block(None):
         yield host.await_turn if host is not None else lambda: None
+
+
+# --- cleanup ----------------------------------------------------------------------------------------------------------
+
+
+@scope
+def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Iterator[None]:
+    """Run an action when the ``with`` block has ended, however it ended; in the block actions run in order.
+
+    Python's own ``finally`` also runs when a branch is cancelled, but its motions are cancelled like all others. This
+    action is shielded from cancellation. If block and cleanup fail, the block's failure is raised with the cleanup's in
+    its context; but a usage error takes precedence over a failure. If the cleanup of a cancelled block fails,
+    NotCleanedUp fails the block that cancelled it.
+
+    Raises:
+        BadArgument: The action isn't callable.
+        NotCleanedUp: The action failed after a cancellation.
+    """
+    if not callable(action):
+        raise BadArgument("action", action, "a function")
+    first: BaseException | None = None
+    with sequential() as settle:
+        try:
+            yield
+            settle()
+        except BaseException as error:  # noqa: BLE001  raised below
+            first = error
+        try:
+            with shielded(), span("cleanup", name_of(action)) as task:
+                task.result = run(action, *args, **kwargs)
+        except BaseException as second:
+            if first is None:
+                raise
+            bug = isinstance(first, PlanFailure) and not isinstance(second, PlanFailure)
+            if isinstance(first, Cancelled) and isinstance(second, PlanFailure):
+                first = chained(NotCleanedUp(name_of(action), second), [first])
+            elif bug or isinstance(first, (Cancelled, Retry)):
+                first = chained(second, [first])
+            else:
+                first = chained(first, [second])
+    if first is not None:
+        raise_unchanged(first)

@@ -1,18 +1,18 @@
 """Failure handling: retries after plan failures, with the same or other parameters (thesis 3.5.3).
 
-In CRAM, ``with-failure-handling`` runs its body again when the body says ``retry``. Python runs the body of a ``with``
-statement once, so a loop goes around it::
+In CRAM, ``with-failure-handling`` runs its body again when the body calls ``retry``. Python runs the body of a ``with``
+statement once, so it needs a loop::
 
     for attempt in failure_handling(5, arm="left"):
         with attempt:
             pick_up(milk, attempt["arm"])
 
-runs the body until it succeeds, at most six times: once, and five retries. Then the last failure is raised, with the
-earlier ones in its context. Recoveries between two attempts depend on the type of failure::
+This runs the body until it succeeds, at most six times: once, and five retries. Then the last failure is raised, with
+the earlier failures in its context. Recoveries between two attempts depend on the type of failure::
 
     handling = failure_handling(5).on(Unreachable, lambda failure: {"arm": "right"}).on(InCollision, step_back)
 
-or stand in the body itself, where ``retry`` ends the attempt as in CRAM::
+or are part of the body, where ``retry`` ends the attempt as in CRAM::
 
         with attempt:
             try:
@@ -24,8 +24,8 @@ For a function: ``failure_handling(5).run(pick_up, milk)``, or ``@failure_handli
 failures are retried. In the body of an attempt actions run in order.
 
 Code after ``with attempt`` in the loop also runs after failed attempts. Leaving the loop there, by ``break`` or
-``return``, drops an unhandled failure: Python lets nothing be raised then, so :class:`FailureLeft` warns of it. To give
-up, raise something or handle the failure inside of ``with attempt``.
+``return``, drops an unhandled failure: Python can't raise it then, so :class:`FailureLeft` warns. To give up, raise an
+error or handle the failure inside of ``with attempt``.
 """
 
 from __future__ import annotations
@@ -61,31 +61,27 @@ _attempt: ContextVar[Attempt | None] = ContextVar("pycram_attempt", default=None
 
 
 class RetriesUsedUp(PlanFailure):
-    """``retry`` was called while no failure was being handled, and no retry was left.
-
-    Attributes:
-        retries: Number of retries there had been.
-    """
+    """``retry`` was called while no failure was being handled, and no retry was left."""
 
     def __init__(self, retries: int) -> None:
         super().__init__(f"all {retries} retries are used up")
-        self.retries = retries
+        self.retries = retries  # number of retries that were made
 
 
 class FailureLeft(RuntimeWarning):
-    """A plan left the loop of a failure handling after a failed attempt; the failure was neither handled nor raised."""
+    """A plan left the loop of a failure handling after a failed attempt, without handling or raising the failure."""
 
 
 class FailureHandling:
-    """Runs code again after certain failures, a number of times; reusable, also concurrently.
+    """Runs code again after certain failures, up to a number of times; reusable, also concurrently.
 
     Args:
-        retries: From 0 up; with 5, there are up to 6 attempts.
-        kinds: The types of failures to retry after; all plan failures by default.
+        retries: 0 or more; 5 retries make up to 6 attempts.
+        kinds: Types of failures to retry after; all plan failures by default.
         parameters: Parameters of the attempts, until a recovery or ``retry`` changes them.
 
     Raises:
-        BadArgument: Retries below 0, or a type that isn't one of plan failures.
+        BadArgument: Retries below 0, or a type that is no plan failure.
     """
 
     def __init__(self, retries: int, *kinds: type[PlanFailure], **parameters: object) -> None:
@@ -181,7 +177,7 @@ failure_handling = FailureHandling
 
 def _failure_type(kind: type[PlanFailure]) -> type[PlanFailure]:
     if not (isinstance(kind, type) and issubclass(kind, PlanFailure)):
-        raise BadArgument("kind", kind, "a type of plan failures; nothing else is tried again")
+        raise BadArgument("kind", kind, "a type of plan failures; only these are retried")
     return kind
 
 
@@ -189,19 +185,19 @@ def retry(**changed: object) -> NoReturn:
     """End this attempt and start the next one, with changed parameters.
 
     Raises:
-        UsageError: There is no attempt here; or a usage error is being handled, which is raised again.
+        UsageError: It was called outside of an attempt; or while a usage error was handled, which is raised again.
     """
     attempt = _attempt.get()
     error = sys.exc_info()[1]
     if isinstance(error, UsageError):
         raise error
     if attempt is None:
-        raise UsageError("retry() belongs into the body of `with attempt:` in `for attempt in failure_handling(5):`")
+        raise UsageError("call retry() in the body of `with attempt:` in `for attempt in failure_handling(5):`")
     raise Retry(attempt, attempt.number, changed, error)
 
 
 class Attempt(Scope["Attempt"]):
-    """One run of code that may be tried again."""
+    """One run of code that may be retried."""
 
     def __init__(self, attempts: Attempts, number: int, parameters: Parameters, failures: list[BaseException]) -> None:
         super().__init__("failure_handling")
@@ -217,7 +213,7 @@ class Attempt(Scope["Attempt"]):
 
     def _opened(self) -> AbstractContextManager[Attempt]:
         if self.used:
-            raise UsageError(f"attempt {self.number} has been made already; the loop gives the next one")
+            raise UsageError(f"attempt {self.number} was already made; the loop yields the next attempt")
         self.used = True
         return self._run()
 
@@ -271,11 +267,11 @@ class Attempts:
                 yield
 
     def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters | None) -> bool:
-        """Return whether another attempt follows; if not, its error is to be raised.
+        """Return whether another attempt follows; if not, the caller raises the error.
 
         Args:
             error: The error that left its body.
-            handled: Its failure; after ``retry``, another error than ``error``.
+            handled: Its failure; after ``retry``, not the same as ``error``.
             changed: Changed parameters for the next attempt; None without ``retry``.
 
         Raises:
@@ -307,11 +303,11 @@ class Attempts:
             last = self._failures[-1] if self._failures else None
             self.finish(last)
             if last is not None and not _is_cancelled():
-                text = f"the loop was left after attempt {self._number} had failed: {format_error(last)}"
+                text = f"the loop was left after attempt {self._number} failed: {format_error(last)}"
                 warnings.warn_explicit(text, FailureLeft, *call_site())
 
     def finish(self, error: BaseException | None) -> None:
-        """End the handling; without an error an attempt succeeded."""
+        """End the handling; without an error, an attempt succeeded."""
         self.over = True
         if self._span is not None:
             self._span.finish(error)

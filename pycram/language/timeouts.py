@@ -1,10 +1,10 @@
 """Timeouts: parts of the plan with a deadline.
 
-At the deadline, the part is cancelled, and stops at its next checkpoint (:mod:`pycram.scheduling`), or at its end if it
-has none before. Then it fails with :class:`TimedOut`, which a plan may handle or retry after. What has ended by the
-deadline has succeeded.
+At the deadline, the part is cancelled. It stops at its next checkpoint (:mod:`pycram.scheduling`), or at its end if no
+checkpoint comes before. Then it fails with :class:`TimedOut`, which a plan may handle or retry after. A part that ended
+by the deadline has succeeded.
 
-A branch of a block around the timeout would outlive it, and is refused in its body (OutlivesTimeout).
+In its body, no branch can be added to a block around the timeout: it would outlive the timeout (OutlivesTimeout).
 """
 
 from __future__ import annotations
@@ -27,18 +27,13 @@ if TYPE_CHECKING:
 
 
 class TimedOut(PlanFailure):
-    """A part of the plan missed its deadline.
-
-    Attributes:
-        seconds: Its time limit.
-        clock: "wall" or "simulated".
-    """
+    """A part of the plan missed its deadline."""
 
     def __init__(self, seconds: float, clock: str) -> None:
         simulated = " of simulated time" if clock == "simulated" else ""
         super().__init__(f"not done within {seconds:g} s{simulated}")
-        self.seconds = seconds
-        self.clock = clock
+        self.seconds = seconds  # the time limit
+        self.clock = clock  # "wall" or "simulated"
 
 
 @scope
@@ -51,7 +46,7 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
 
     Raises:
         TimedOut: The block missed its deadline.
-        BadArgument: The limit is wrong.
+        BadArgument: The limit is negative or no number.
         NoWorld: There is no world to simulate.
     """
     limit = number("seconds", seconds)
@@ -66,7 +61,7 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
                     raise_if_cancelled()
                     yield
                     settle()
-                    cancel_scope.refuse_late()  # a motion is done as a whole, so it may be long after the deadline
+                    cancel_scope.refuse_late()  # a motion isn't interrupted, so it may end long after the deadline
             except Cancelled as cancelled:
                 if cancel_scope.is_overdue and not (outer is not None and outer.is_cancelled):
                     task.checkpoint = 0 if simulated else cancel_scope.struck or scheduler().checkpoints
@@ -84,18 +79,18 @@ class _SimulatedDeadline(Limit):
 
     @property
     def has_come(self) -> bool:
-        """Whether it is now, or was."""
+        """Whether the deadline is reached."""
         return self._world.sim_step >= self._end
 
     @property
     def was_missed(self) -> bool:
-        """Whether it was before this moment."""
+        """Whether the deadline has passed."""
         return self._world.sim_step > self._end
 
 
 @contextmanager
 def _timer(seconds: float) -> Iterator[CancelScope]:
-    """Yield a scope whose deadline is on the clock."""
+    """Yield a scope whose deadline is in wall-clock time."""
     with Deadline(seconds) as deadline:
         yield CancelScope(current_scope(), deadline)
 

@@ -1,8 +1,8 @@
-"""Projection: an action runs for real in a forked copy of the process, which returns its outcome (thesis 6.3; CRAM).
+"""Projection: an action is executed in a forked copy of the process, which returns its outcome (thesis 6.3; CRAM).
 
 The copy continues from this moment, with the plan, its worlds and its random numbers, and computes the same bits as
-this process would; other branches of the plan are suspended in it. Only the outcome comes back. In this process nothing
-runs meanwhile, so a plan that projects actions runs in the same order each time.
+this process would. Other branches of the plan are suspended in it. The copy returns only the outcome. Nothing runs in
+this process meanwhile, so a plan that projects actions runs in the same order each time.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.foundation.names import export
 from pycram.language.branch import name_of, run
-from pycram.projection.child import Child, limit_memory, obstacle, usable_cores
-from pycram.projection.pool import ChildPool, ChildResult
+from pycram.projection.child import Child, ChildPool, ChildResult, limit_memory, obstacle, usable_cores
 from pycram.scheduling.locks import refuse_held
 from pycram.world import saved_state
 from pycram.world.object import Object
@@ -44,46 +43,33 @@ __all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectedError", "Projecti
 
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
-#: An action without arguments, or one with them, as in ``(pick_up, milk, "left")``.
+#: An action, or a tuple of an action and its arguments, as in ``(pick_up, milk, "left")``.
 Candidate: TypeAlias = "Action | tuple[Any, ...]"
 
 
 class NotProjectable(UsageError):
-    """A projection was asked for where the process can't be copied.
-
-    Attributes:
-        cause: Why not, and what to do.
-    """
+    """A projection was asked for where the process can't be copied."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(f"an action can't be projected here: {cause}")
-        self.cause = cause
+        self.cause = cause  # why it can't be copied, and what to do
 
 
 class ProjectionDied(PlanFailure):
-    """The process that did a projected action ended without an answer.
-
-    Attributes:
-        action: Name of the action.
-        cause: What ended it.
-    """
+    """The process of a projected action ended without an answer."""
 
     def __init__(self, action: str, cause: str) -> None:
         super().__init__(f"the projection of {action} {cause}")
-        self.action = action
-        self.cause = cause
+        self.action = action  # name of the action
+        self.cause = cause  # what ended it
 
 
 class ProjectedError(PlanFailure):
-    """A projected action failed with an error that can't leave its process.
-
-    Attributes:
-        error: The error, as text.
-    """
+    """A projected action failed with an error that can't leave its process."""
 
     def __init__(self, error: str) -> None:
         super().__init__(error)
-        self.error = error
+        self.error = error  # the error, as text
 
 
 export("pycram.projection", NotProjectable, ProjectionDied, ProjectedError)
@@ -99,10 +85,9 @@ class Outcome:
     result: Result = None
     #: Its error; ProjectionDied after a crash or at a limit, ProjectedError if the error can't be pickled.
     failure: BaseException | None = None
-    #: Simulated time in the current world, in s.
-    duration: float = 0.0
-    #: The current world's state at its end, for ``world.restore(outcome.state)``; None while a body followed a
-    #: trajectory, or without a world.
+    duration: float = 0.0  # s of simulated time in the current world
+    #: The current world's state at its end, for ``world.restore(outcome.state)``; None without a world, or while a body
+    #: followed a trajectory.
     state: SavedState | None = None
     recording: Path | None = None  # None if nothing is recorded
     unsent: str = ""  # text of a result that can't be pickled
@@ -134,7 +119,8 @@ def project(
         kwargs: The action's keyword arguments.
 
     Raises:
-        NotProjectable: A world has a window or runs in real time, threads of the plan's own run, or nothing can fork.
+        NotProjectable: A world has a window or runs in real time, the plan has threads of its own, or the system can't
+            fork.
         BadArgument: The action isn't callable, or a limit is wrong.
         LockHeld: The caller holds a lock.
     """
@@ -154,8 +140,8 @@ def project_all(
 
     Args:
         candidates: Actions, in the order of preference.
-        until: With "first", the first candidate in order that succeeds has the last outcome; later candidates are
-            killed. With "all", all run to their ends.
+        until: With "first", the outcomes end with the first candidate in order that succeeds; later candidates are
+            killed. With "all", all candidates run to their ends.
         timeout: Seconds of wall-clock time for each; None for no limit.
         memory: Megabytes of additional memory for each; None for no limit.
 
@@ -178,7 +164,7 @@ def _name(action: object) -> str:
 
 
 def _limits(timeout: float | None, memory: float | None) -> tuple[float | None, int | None]:
-    """Check the limits; return seconds, and bytes."""
+    """Check the limits; return them in seconds and in bytes."""
     seconds = None if timeout is None else checks.number("timeout", timeout)
     if seconds is not None and seconds <= 0:
         raise BadArgument("timeout", timeout, "seconds, more than 0")
@@ -219,7 +205,7 @@ def _project_all(
                         if pool.is_running(later):
                             pool.kill(later)
                             projections[later].tasks.close()
-                # Candidates are recorded in order, whichever ends first and however many cores there are.
+                # Candidates are recorded in order, so the recording doesn't depend on the number of cores.
                 while len(recorded) in outcomes and len(recorded) < needed:
                     following = len(recorded)
                     with projections[following].tasks:
@@ -269,7 +255,7 @@ class _Projection:
         try:
             succeeded, result, failure, steps, state, unsent = _Unpickler(BytesIO(ended.answer)).load()
         except Exception as error:  # noqa: BLE001  unpickling calls code of the plan's classes
-            return self._died(f"returned what this process doesn't know: {format_error(error)}")
+            return self._died(f"returned a value that this process can't load: {format_error(error)}")
         if isinstance(failure, MemoryError) and self._memory is not None:
             return self._died(f"needed more than {self._memory / 1e6:g} MB")
         saved = None
@@ -284,7 +270,7 @@ class _Projection:
         return Outcome(self._name, False, failure=ProjectionDied(self._name, cause), recording=self._recording)
 
     def begin(self) -> None:
-        """Record its beginning, in its turn; not as the current task, because several run in parallel."""
+        """Record its beginning, in its turn; it isn't the current task, because several run in parallel."""
         if not self._begun:
             self._begun = True
             self._task.start(self._task_began)
@@ -324,7 +310,7 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
     try:
         begin()  # in the parent it may not be recorded yet
         with task.entered(), _recorded(task.name, recording):
-            if memory is not None:  # not earlier: Python waits forever for a thread that can't start
+            if memory is not None:  # not earlier: Python would wait forever for a thread that can't start
                 limit_memory(memory)
             result = run(action)
     except BaseException as error:  # noqa: BLE001  sent to the parent
@@ -336,7 +322,7 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
         state = saved_state.save(world).command.SerializeToString()
     try:
         return _pickled((failure is None, result, failure, steps, state, ""))
-    except Exception:  # noqa: BLE001  pickling calls code of the plan's classes; then send a text
+    except Exception:  # noqa: BLE001  pickling calls code of the plan's classes; a text replaces what it can't pickle
         if failure is None:
             return _pickled((True, None, None, steps, state, _text(result)))
         return _pickled((False, None, ProjectedError(format_error(failure)), steps, state, ""))
@@ -356,12 +342,12 @@ def _recorded(name: str, recording: Path | None) -> AbstractContextManager[objec
 def _pickled(answer: object) -> bytes:
     file = BytesIO()
     _Pickler(file).dump(answer)
-    _Unpickler(BytesIO(file.getvalue())).load()  # else the parent would find out
+    _Unpickler(BytesIO(file.getvalue())).load()  # to raise errors here, not in the parent
     return file.getvalue()
 
 
 class _Pickler(pickle.Pickler):
-    """Refers to objects and worlds by their names."""
+    """Replaces objects and worlds by their names."""
 
     def persistent_id(self, value: object) -> tuple[str, ...] | None:
         if isinstance(value, Object):
@@ -370,7 +356,7 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """Finds objects and worlds by their names; one that isn't in this process is its name."""
+    """Finds objects and worlds by their names; those that this process lacks are replaced by their names."""
 
     def persistent_load(self, names: tuple[str, ...]) -> object:
         world = next((each for each in open_worlds() if each.name == names[0]), None)

@@ -1,4 +1,7 @@
-"""Forked children: processes that continue the plan, send one answer, and never outlive their parent."""
+"""Forked children: processes that continue the plan, send one answer, and never outlive their parent.
+
+Projections, explorations and local sweeps run their children in a :class:`ChildPool`.
+"""
 
 from __future__ import annotations
 
@@ -10,42 +13,48 @@ import select
 import signal
 import sys
 import time
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, Generic, NoReturn, TypeVar
 
 from pycram.language.nesting import nothing_open
 from pycram.motions.process_module import forget_claims
-from pycram.scheduling.cancellation import begin_alone
-from pycram.world.world import open_worlds
+from pycram.scheduling.cancellation import begin_alone, checkpoint
+from pycram.scheduling.schedule import MISSED_SIGNALS_EVERY, scheduler
+from pycram.world.world import number_anew, open_worlds
 from recorder.tracing import forking, interrupts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections import deque
+    from collections.abc import Callable, Generator, Sequence
 
+
+Job = TypeVar("Job")
+
+GRACE: Final = 5.0  # s that an interrupted run of a plan has to end
 _PR_SET_PDEATHSIG: Final = 1
-_BLOCK: Final = 1 << 20  # bytes that are read at once
-_CRASHED: Final = 70
-_prctl: Any = None  # looked up here, as each child would change half a megabyte of memory in doing so
+_BLOCK: Final = 1 << 20  # bytes of one read
+_CRASHED: Final = 70  # exit code
+_prctl: Any = None  # looked up once: in each child, the lookup would change half a megabyte of memory
 with contextlib.suppress(OSError, AttributeError, TypeError):  # only Linux has it
     _prctl = ctypes.CDLL(None).prctl
 
 
 class Child:
-    """A forked process that calls a function, and sends the result as its answer."""
+    """A forked process that calls a function and sends the result as its answer."""
 
     def __init__(self, answer: Callable[[], bytes]) -> None:
-        self.received = bytearray()  # of the answer, so far
+        self.received = bytearray()  # the part of the answer that has arrived
         self.ended = False
-        self.status = 0  # of ``os.waitpid``
+        self.status = 0  # as ``os.waitpid`` returns it
         self.began = time.monotonic()
         self._reading, writing = os.pipe()
-        parent, dice = os.getpid(), random.getstate()  # which Python seeds again in a child
-        try:
+        parent, dice = os.getpid(), random.getstate()  # Python seeds its generator again in a child
+        with contextlib.ExitStack() as undoing:
+            undoing.callback(os.close, self._reading)
+            undoing.callback(os.close, writing)
             self.pid = forking.fork()
-        except BaseException:
-            os.close(self._reading)
-            os.close(writing)
-            raise
+            undoing.pop_all()
         if not self.pid:
             random.setstate(dice)
             _run(answer, writing, parent)
@@ -63,14 +72,14 @@ class Child:
             self._reap()
 
     def kill(self) -> None:
-        """Kill it, if it runs."""
+        """Kill the process, if it runs."""
         if not self.ended:
             os.kill(self.pid, signal.SIGKILL)
             self._reap()
 
     @property
     def how(self) -> str:
-        """How it ended, in words."""
+        """How the process ended, in words."""
         code = os.waitstatus_to_exitcode(self.status)  # negative for a signal
         return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
@@ -81,24 +90,24 @@ class Child:
 
 
 def usable_cores() -> int:
-    """Return the number of children of this process that can run in parallel."""
+    """Return the number of children that can run in parallel."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def obstacle() -> str:
-    """Return why this process can't be copied at this moment, and what to do; "" if it can."""
+    """Return why this process can't be copied now, and what to do; "" if it can."""
     if not hasattr(os, "fork"):
         return "this system can't copy a process (os.fork)"
     for world in open_worlds():
         if world.mode == "GUI":
-            return f"{world.name} has a window, which a copy can't have; open it with BulletWorld()"
+            return f"{world.name} has a window, which a copy can't have; open the world with BulletWorld()"
         if world.realtime:
-            return f"{world.name} runs in real time; call set_realtime(False) before"
+            return f"{world.name} runs in real time; first call set_realtime(False)"
     threads = [thread.name for thread in forking.others()]
     if threads:
         return (
-            f"the copy would lack the thread{'s' if threads[1:] else ''} {', '.join(threads)}; branches of `with par` "
-            "are copied, in_thread(...) has to end before"
+            f"the copy would lack the thread{'s' if threads[1:] else ''} {', '.join(threads)}; use branches of "
+            "`with par` instead, and let in_thread(...) end first"
         )
     return ""
 
@@ -108,20 +117,20 @@ def has_children() -> bool:
     if not hasattr(os, "waitid"):
         return False
     try:
-        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # takes none of them
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # leaves all of them
     except ChildProcessError:
         return False
     return True
 
 
 def wait(children: Sequence[Child], timeout: float | None) -> None:
-    """Read from the first children that send; return after the timeout in s if none does."""
+    """Read from the first children that send data; return after the timeout in s if none does."""
     for child in select.select(children, (), (), timeout)[0]:
         child.read()
 
 
 def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
-    """Run the child; it writes to, closes and cleans up nothing of the parent's."""
+    """Run the child; it doesn't write to, close or clean up anything of the parent."""
     try:
         die_with(parent)
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -141,20 +150,20 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         text = answer()
         while text:
             text = text[os.write(writing, text) :]
-    except BaseException:  # noqa: BLE001  the answer has errors of the action; this is the child's own
+    except BaseException:  # noqa: BLE001  an error of the child itself: the answer has errors of the action
         os._exit(_CRASHED)
     os._exit(0)
 
 
 def _leave(writing: int, parent: int) -> None:
-    """Run in a process that the child's action has forked: it has no part in the answer, and ends with the child."""
-    if os.getppid() == parent:  # its own children inherit what it has
+    """Run in a process that the child's action has forked: it sends no part of the answer, and ends with the child."""
+    if os.getppid() == parent:  # its own children inherit its open files
         os.close(writing)
         die_with(parent)
 
 
 def die_with(parent: int) -> None:
-    """Have the kernel end this process with its parent."""
+    """Make the kernel kill this process when its parent ends."""
     if _prctl is not None:
         _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
@@ -162,10 +171,109 @@ def die_with(parent: int) -> None:
 
 
 def limit_memory(memory: int) -> None:
-    """Limit this process's additional memory to some bytes; larger requests raise MemoryError."""
+    """Limit the additional memory of this process, in bytes; larger requests raise MemoryError."""
     import resource  # noqa: PLC0415  only systems that can fork have it
 
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123  of this very process
         pages = int(file.read().split()[0])
     limit = pages * resource.getpagesize() + memory
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
+@dataclass(frozen=True, slots=True)
+class ChildResult:
+    """The result of a child."""
+
+    answer: bytes  # b"" if it sent none
+    late: bool  # whether it exceeded the time limit
+    how: str  # how its process ended, in words
+    seconds: float  # its duration
+
+
+class _Running:
+    """A child with a time limit: it is interrupted at the limit, and killed after a grace time."""
+
+    def __init__(self, child: Child, limit: float | None, grace: float) -> None:
+        self.child = child
+        self._end = None if limit is None else child.began + limit
+        self._grace = grace
+        self._late = False
+
+    def time_left(self) -> float:
+        """Return the seconds until its next signal, at most the period in which missed signals are checked."""
+        if self._end is None:
+            return MISSED_SIGNALS_EVERY
+        return min(max(0.0, self._end - time.monotonic()), MISSED_SIGNALS_EVERY)
+
+    def result(self) -> ChildResult | None:
+        """Return its result, None while it runs; send a due signal."""
+        child = self.child
+        if not child.ended and self._end is not None and time.monotonic() >= self._end:
+            if self._late or not self._grace:
+                child.kill()
+            else:
+                self._end = time.monotonic() + self._grace
+                os.kill(child.pid, signal.SIGTERM)
+            self._late = True
+        if not child.ended:
+            return None
+        return ChildResult(bytes(child.received), self._late, child.how, time.monotonic() - child.began)
+
+
+class ChildPool(Generic[Job]):
+    """Children that run in parallel.
+
+    Args:
+        cores: Maximum number of children.
+        limit: Seconds of wall-clock time for each; None for no limit.
+        grace: Seconds between a SIGTERM at the limit and a SIGKILL; 0 for a SIGKILL at the limit.
+    """
+
+    def __init__(self, cores: int, limit: float | None, grace: float = 0.0) -> None:
+        self.cores = cores
+        self.limit = limit
+        self._grace = grace
+        self._running: dict[Job, _Running] = {}
+
+    def run(self, waiting: deque[Job], start: Callable[[Job], Child]) -> Generator[tuple[Job, ChildResult], None, None]:
+        """Yield each job with its child's result when it ends; closing the generator kills the remaining children.
+
+        Args:
+            waiting: The jobs in order; the caller may add or remove jobs between results.
+            start: Starts the child of a job.
+        """
+        running = self._running
+        try:
+            while waiting or running:
+                while waiting and len(running) < self.cores:
+                    job = waiting.popleft()
+                    running[job] = _Running(start(job), self.limit, self._grace)
+                wait([each.child for each in running.values()], min(each.time_left() for each in running.values()))
+                if interrupts.is_pending():
+                    checkpoint()
+                for job, each in list(running.items()):
+                    if job in running and (result := each.result()) is not None:
+                        del running[job]
+                        yield job, result
+        finally:
+            for job in list(running):
+                self.kill(job)
+
+    def is_running(self, job: Job) -> bool:
+        """Return whether a job's child runs."""
+        return job in self._running
+
+    def kill(self, job: Job) -> None:
+        """Kill a job's child; the job is not yielded."""
+        self._running.pop(job).child.kill()
+
+
+def run_from_start(answer: Callable[[], bytes]) -> Child:
+    """Fork a child that runs a program from its start, with the same names of worlds as in a new process."""
+    return Child(partial(_answer_from_start, answer))
+
+
+def _answer_from_start(answer: Callable[[], bytes]) -> bytes:
+    number_anew()
+    scheduler().alone = False  # it may wait for a signal
+    return answer()

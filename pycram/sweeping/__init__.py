@@ -1,37 +1,106 @@
-"""Sweeps: a plan runs many times, with different seeds and parameters, and each run is recorded.
+"""Sweeps: a plan runs many times, with different seeds and parameters, and each run is recorded into a folder.
 
 Each run is a fork of a process that has imported and parsed the modules and models of runs. It executes the whole plan
-from its start, with its own seed: so each recording is complete, and can be verified and retraced. A sweep that is
-started again makes only the missing runs.
+from its start, with its own seed: so each recording is complete, and can be verified and retraced.
+
+In the folder, ``sweep.json`` describes the sweep, so that a restarted sweep makes only the missing runs. ``sweep.lock``
+is locked while a sweep runs. Files whose names begin with a dot are being written.
 """
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
+import json
 import os
+import platform
+import re
 import shlex
 import threading
-from contextlib import closing
+import time
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram import plan_parameters
 from pycram.foundation import checks
-from pycram.foundation.failures import BadArgument
+from pycram.foundation.failures import BadArgument, UsageError
+from pycram.foundation.names import export
+from pycram.plan_parameters import Variations
+from pycram.running import MAX_SEED, RunSpec
 from pycram.scheduling.locks import refuse_held
-from pycram.seeding import MAX_SEED
-from pycram.sweeping import folder as folders
-from pycram.sweeping.folder import Sweep, SweepRefused, facts_of
-from pycram.sweeping.local import Local, Worker, WorkerLost
-from pycram.sweeping.one_run import RunLost, RunOutcome, Spec, Variations
+from pycram.sweeping.local import Local, RunLost, RunOutcome, SweepSpec, Worker, WorkerLost
 from pycram.world.world import open_worlds
 from recorder.tracing import forking
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 __all__ = ["LIMIT", "RunLost", "RunOutcome", "Sweep", "SweepRefused", "sweep"]
 
 LIMIT: Final = 300.0  # s
+FORMAT: Final = 1  # of sweep.json
+SWEEP: Final = "sweep.json"
+_LOCK: Final = "sweep.lock"
+_PART: Final = re.compile(r"\.(\d{5,}.*\.mcap|models-.*\.mcap|sweep\.json)\.part")
+_MAY_CHANGE: Final = frozenset({"runs", "plan"})  # when a sweep is restarted
+_KEPT: Final = 100  # outcomes of failures, and remarks: memory doesn't grow with the runs
+_held: Final[set[Path]] = set()  # folders that this process sweeps into
+
+
+class SweepRefused(UsageError):
+    """A sweep is impossible, or impossible into this folder."""
+
+    def __init__(self, cause: str) -> None:
+        super().__init__(cause)
+        self.cause = cause  # why it was rejected, and what to do
+
+
+export("pycram.sweeping", SweepRefused)
+
+
+@dataclass(slots=True)
+class Sweep:
+    """The progress and result of a sweep."""
+
+    folder: str  # of the recordings
+    runs: int  # requested number of runs
+    before: int = 0  # number of runs that existed before
+    done: int = 0  # number of runs that were made now
+    failed: int = 0  # number of these that failed
+    failures: list[RunOutcome] = field(default_factory=list)  # the first failed runs
+    stopped: str = ""  # why it ended before all runs were made; "" if it didn't
+    interrupted: bool = False  # by Ctrl-C
+    remarks: list[str] = field(default_factory=list)  # errors of hooks
+
+    def take(self, outcome: RunOutcome) -> bool:
+        """Count a run; return whether it was recorded: if not, no other run would be."""
+        if outcome.unrecorded:
+            self.stopped = f"run {outcome.number} couldn't be recorded: {outcome.unrecorded}"
+            return False
+        if outcome.remark and len(self.remarks) < _KEPT:
+            self.remarks.append(f"{outcome.name}: {outcome.remark}")
+        self.done += 1
+        if not outcome.succeeded:
+            self.failed += 1
+            if len(self.failures) < _KEPT:
+                self.failures.append(outcome)
+        return True
+
+    def has_not_begun(self) -> bool:
+        """Return whether the first run failed before the plan did anything, as all other runs would.
+
+        If so, its outcome gets the new name of its recording.
+        """
+        if self.before or self.done > 1 or not self.failures:
+            return False
+        first = self.failures[0]
+        if first.started and not first.lost:
+            return False
+        self.stopped = f"the first run failed before the plan did anything: {first.failure}"
+        self.failures = [replace(first, name=f"{first.name}.failed")]
+        return True
 
 
 def sweep(
@@ -58,12 +127,12 @@ def sweep(
     Args:
         plan: Its file.
         runs: Number of runs; they are numbered from 0.
-        folder: For the recordings; if it has a part of this sweep, the rest is made. With ``ray``, a folder that all
-            nodes share, or any URL that fsspec knows.
-        seed: Run N has the seed ``seed + N``, and draws its parameters from it.
+        folder: For the recordings; if it has a part of this sweep, only the rest is made. With ``ray``, a folder that
+            all nodes share, or any URL that fsspec supports.
+        seed: Run N has the seed ``seed + N``; its parameters are drawn from this seed.
         set: Values of parameters; the runs take all combinations in turn.
         sample: Distributions of parameters, as ``"uniform(0,1)"``; also normal, integers, choice.
-        cores: Maximum number of parallel runs; 0 for one on each core.
+        cores: Maximum number of parallel runs; 0 for one per core.
         limit: Seconds of wall-clock time for each run.
         memory: Bytes of additional memory for each run; 0 for no limit.
         arguments: Of the plan.
@@ -79,10 +148,24 @@ def sweep(
         LockHeld: The caller holds a lock.
     """
     refuse_held()
-    spec = _spec(plan, folder, seed, set or {}, sample or {}, limit, memory, arguments, motion, local_variables=locals)
-    for name, number, least in (("runs", runs, 1), ("cores", cores, 0)):
-        if checks.number(name, number) != int(number) or number < least:
-            raise BadArgument(name, number, f"a whole number from {least}")
+    file, listed, sampled = Path(plan), set or {}, sample or {}
+    if not file.is_file():
+        raise BadArgument("plan", str(plan), "the file of a plan")
+    _check(limit, memory, seed, runs, cores)
+    try:
+        for values in Variations(listed, sampled).every():
+            plan_parameters.check(file, values)
+    except SyntaxError as error:
+        raise SweepRefused(f"{plan}: {error}") from error
+    spec = SweepSpec(
+        RunSpec(file.absolute(), tuple(arguments), motion=motion, local_variables=locals),
+        str(Path(folder).absolute()),
+        int(seed),
+        {name: list(values) for name, values in listed.items()},
+        dict(sampled),
+        float(limit),
+        int(memory),
+    )
     if ray is not None:
         from pycram.sweeping.on_ray import sweep_on_ray  # noqa: PLC0415  needs an extra
 
@@ -91,63 +174,38 @@ def sweep(
         raise BadArgument("folder", str(folder), "a folder; a URL is for a Ray cluster (--ray)")
     if not hasattr(os, "fork"):
         raise SweepRefused("this system can't copy a process (os.fork)")
-    with folders.locked(Path(spec.folder)):
+    with locked(Path(spec.folder)):
         return _sweep(spec, runs, cores, progress)
 
 
-def _spec(
-    plan: str | Path,
-    folder: str | Path,
-    seed: int,
-    listed: Mapping[str, Sequence[Any]],
-    sampled: Mapping[str, str],
-    limit: float,
-    memory: int,
-    arguments: Sequence[str],
-    motion: str,
-    *,
-    local_variables: bool,
-) -> Spec:
-    file = Path(plan)
-    if not file.is_file():
-        raise BadArgument("plan", str(plan), "the file of a plan")
+def _check(limit: float, memory: int, seed: int, runs: int, cores: int) -> None:
+    """Check the numbers of a sweep.
+
+    Raises:
+        BadArgument: A number is wrong.
+    """
     if checks.number("limit", limit) <= 0 or limit > threading.TIMEOUT_MAX:
         raise BadArgument("limit", limit, "seconds, more than 0")
     if checks.number("memory", memory) < 0:
-        raise BadArgument("memory", memory, "bytes, 0 for any number")
+        raise BadArgument("memory", memory, "bytes, 0 for no limit")
     if checks.number("seed", seed) != int(seed) or not 0 <= seed <= MAX_SEED:
         raise BadArgument("seed", seed, f"a whole number from 0 to {MAX_SEED}")
-    variations = Variations(listed, sampled)
-    try:
-        for values in variations.every():
-            plan_parameters.check(file, values)
-    except SyntaxError as error:
-        raise SweepRefused(f"{plan}: {error}") from error
-    return Spec(
-        str(file.absolute()),
-        str(Path(folder).absolute()),
-        int(seed),
-        tuple(arguments),
-        {name: list(values) for name, values in listed.items()},
-        dict(sampled),
-        motion,
-        local_variables,
-        float(limit),
-        int(memory),
-    )
+    for name, number, least in (("runs", runs, 1), ("cores", cores, 0)):
+        if checks.number(name, number) != int(number) or number < least:
+            raise BadArgument(name, number, f"a whole number from {least}")
 
 
-def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, RunOutcome | None], None]) -> Sweep:
+def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, RunOutcome | None], None]) -> Sweep:
     folder = Path(spec.folder)
     facts = facts_of(spec, runs)
-    models = (folders.begin(folder, facts).get("models") or {}).get("file")
+    models = (begin(folder, facts).get("models") or {}).get("file")
     there = {each.name for each in folder.iterdir()}
     missing = [number for number in range(runs) if spec.name(number) not in there]
     result = Sweep(spec.folder, runs, before=runs - len(missing))
     progress(result, None)
     if not missing:
         return result
-    # forks would lack the threads of this process and start with its worlds
+    # forks would lack the threads of this process, and start with its worlds
     kind = Worker if forking.others() or open_worlds() else Local
     try:
         with closing(kind(spec, cores, models if models in there else None)) as process:
@@ -161,11 +219,11 @@ def _sweep(spec: Spec, runs: int, cores: int, progress: Callable[[Sweep, RunOutc
                             return result
                         progress(result, outcome)
                 if process.models:
-                    folders.write(folder, {**facts, "models": process.models})
+                    write(folder, {**facts, "models": process.models})
     except KeyboardInterrupt:
         result.interrupted = True
     except WorkerLost as error:
-        result.stopped = f"{error}; started again, the sweep makes the runs that are missing"
+        result.stopped = f"{error}; restart the sweep to make the missing runs"
     return result
 
 
@@ -173,5 +231,98 @@ def _set_aside(result: Sweep, outcome: RunOutcome) -> None:
     """Rename the recording of a plan that can't start, so that the fixed plan can be swept into the same folder."""
     folder = Path(result.folder)
     kept = (folder / outcome.name).replace(folder / result.failures[0].name)
-    (folder / folders.SWEEP).unlink(missing_ok=True)
+    (folder / SWEEP).unlink(missing_ok=True)
     result.stopped += f"; pycram-replay why {shlex.quote(str(kept))}"
+
+
+# --- the folder -------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Make a folder, and lock it against other sweeps while the ``with`` block runs.
+
+    Raises:
+        SweepRefused: Another sweep uses the folder, or it can't be made.
+    """
+    held = folder.resolve()
+    who = f"process {os.getpid()} on {platform.node()} (since {time.strftime('%Y-%m-%d %H:%M:%S')})"
+    if held in _held:  # opening and closing the file again would release the lock
+        raise _in_use(folder, who.partition(" (")[0])
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+    except OSError as error:
+        raise SweepRefused(f"{folder}: {error.strerror or error}") from error
+    with os.fdopen(lock, "r+", encoding="utf-8", errors="replace") as file:
+        try:
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # of this process only: forks may outlive it for a moment
+        except (BlockingIOError, PermissionError):
+            raise _in_use(folder, file.read(200).strip() or "another process") from None
+        except OSError:  # a file system without locks
+            pass
+        file.truncate(0)
+        file.write(f"{who}\n")
+        file.flush()
+        _held.add(held)
+        for part in folder.iterdir():
+            if _PART.fullmatch(part.name):  # of a sweep that was killed
+                part.unlink(missing_ok=True)
+        try:
+            yield
+        finally:
+            _held.discard(held)
+            with suppress(OSError):
+                file.truncate(0)
+
+
+def _in_use(folder: Path, who: str) -> SweepRefused:
+    return SweepRefused(f"{folder}: {who} is sweeping into it; wait until it ends, or name another folder")
+
+
+def begin(folder: Path, facts: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Write the description of a sweep, and return the folder's earlier one; empty in a new folder.
+
+    Raises:
+        SweepRefused: The folder has another sweep.
+    """
+    file = folder / SWEEP
+    before: dict[str, Any] = {}
+    if file.exists():
+        try:
+            before = json.loads(file.read_text(encoding="utf-8"))
+            known = {key: before[key] for key in facts}
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            cause = f"the file is damaged, or from another release ({error})"
+            raise SweepRefused(f"{file}: {cause}; name another folder") from error
+        given = json.loads(json.dumps(dict(facts)))
+        differing = [key for key in given if key not in _MAY_CHANGE and given[key] != known[key]]
+        if differing:
+            key = differing[0]
+            what = f"its {key} was {known[key]!r}, not {given[key]!r}"
+            what = "its plan was different" if key == "plan_sha256" else what
+            raise SweepRefused(f"{folder}: the folder has another sweep, and {what}; name another folder")
+    write(folder, {**facts, "models": before.get("models")})
+    return before
+
+
+def write(folder: Path, facts: Mapping[str, Any]) -> None:
+    """Write the description of a sweep, atomically."""
+    part = folder / f".{SWEEP}.part"
+    part.write_text(json.dumps({"format": FORMAT, **facts}, indent=1) + "\n", encoding="utf-8")
+    part.replace(folder / SWEEP)
+
+
+def facts_of(spec: SweepSpec, runs: int) -> dict[str, Any]:
+    """Return the content of a folder's ``sweep.json``."""
+    shared = spec.shared
+    return {
+        "plan": str(shared.plan),
+        "plan_sha256": hashlib.sha256(shared.plan.read_bytes()).hexdigest(),
+        "arguments": list(shared.arguments),
+        "seed": spec.seed,
+        "runs": runs,
+        "set": spec.listed,
+        "sample": spec.sampled,
+        "motion": shared.motion,
+    }

@@ -1,4 +1,4 @@
-"""``pycram sweep PLAN``: progress on stderr while it runs, and a summary in the end."""
+"""``pycram sweep PLAN``: progress on stderr, and a summary at the end."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import UsageError
+from pycram.plan_parameters import listed, sampled
 from pycram.running import FAILED, INTERRUPTED, SUCCEEDED, WRONG_USAGE, tell
 from pycram.sweeping import sweep
-from pycram.sweeping.one_run import listed, sampled
 
 if TYPE_CHECKING:
     import argparse
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 5  # failures
 _WIDTH: Final = 160  # characters of a failure
-_NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # another one makes no other cause
+_NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # failures that differ only in numbers have one cause
 
 
 def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
 
 
 class _Shown:
-    """The progress, as a bar on a terminal."""
+    """Shows the progress as a bar, on a terminal."""
 
     def __init__(self, runs: int) -> None:
         self.bar: Progress | None = _bar() if sys.stderr.isatty() else None
@@ -85,7 +85,7 @@ class _Shown:
 
 
 def _bar() -> Progress:
-    from rich.console import Console  # noqa: PLC0415  where nobody looks, it isn't needed
+    from rich.console import Console  # noqa: PLC0415  only for terminals
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
 
     return Progress(
@@ -94,18 +94,18 @@ def _bar() -> Progress:
         TextColumn("{task.fields[rate]}, {task.fields[failed]} failed"),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        auto_refresh=False,  # by a thread, which forks would lack
+        auto_refresh=False,  # it would need a thread, which forks lack
     )
 
 
 def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
-    there = f", {result.before} were there already" if result.before else ""
+    there = f", {result.before} existed before" if result.before else ""
     rate = f" in {seconds:.0f} s, {result.done / seconds:.1f} a second" if result.done and seconds else ""
     yield f"{folder}: {result.done} runs{rate}{there}; {result.failed} failed"
     left = result.runs - result.before - result.done
     if left and not result.stopped:
         yield f"{left} are missing; the same command makes them"
-    failures = sorted(result.failures, key=lambda each: each.number)  # they came as they ended
+    failures = sorted(result.failures, key=lambda each: each.number)  # they are in the order of their ends
     causes: dict[str, list[RunOutcome]] = {}
     for each in failures:
         causes.setdefault(_NUMBER.sub("#", each.failure), []).append(each)
@@ -119,5 +119,5 @@ def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
 
 
 def _short(failure: str) -> str:
-    line = " ".join("".join(each if each.isprintable() else " " for each in failure).split())  # terminals obey others
+    line = " ".join("".join(each if each.isprintable() else " " for each in failure).split())  # no control characters
     return line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..."

@@ -1,10 +1,10 @@
-"""Runs of a sweep on this machine, in forks of this process, or of a process of its own.
+"""Runs of a sweep on this machine, each in a forked child: in forks of this process, or of a worker process.
 
-:class:`Local` forks this process, after it has done the work that all runs share. A run whose process crashes, hangs or
-is killed is tried once more; if that fails too, its recording says so.
+:class:`Local` forks this process, after it has done the work that all runs share. If the process of a run crashes,
+hangs or is killed, the run is retried once; if that fails too, the run's recording says so.
 
-:class:`Worker` uses another process, because this one can't fork: it has threads, like Ray's and Jupyter's, or worlds.
-The worker reads batches as lines of JSON. It writes a line with each run's outcome, and after each batch one with the
+:class:`Worker` uses another process, if this one can't fork: it has worlds, or threads like Ray's and Jupyter's. The
+worker reads batches as lines of JSON. It writes a line with each run's outcome, and after each batch a line with the
 file of models. It stays warm between batches.
 """
 
@@ -14,36 +14,250 @@ import contextlib
 import glob
 import json
 import os
+import re
 import subprocess
 import sys
 import time
 from collections import deque
-from contextlib import closing
-from dataclasses import asdict
-from functools import partial
+from contextlib import closing, nullcontext, suppress
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache, partial
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from pycram import running
+from pycram.failures import PlanFailure
+from pycram.foundation.names import export
 from pycram.models import store, warming
-from pycram.projection.child import die_with, usable_cores
-from pycram.projection.pool import GRACE, ChildPool, run_from_start
-from pycram.sweeping.one_run import RunOutcome, Spec, hooks, run_once
+from pycram.plan_parameters import Variations
+from pycram.projection.child import GRACE, ChildPool, die_with, limit_memory, run_from_start, usable_cores
+from pycram.running import MAX_SEED, RunSpec
+from recorder.errors import RecordingError
+from recorder.mcap_sink import McapSink
 from recorder.mcap_writer import SharedModels, share_models
 from recorder.packages import versions
-from recorder.recording import look_up_revisions
+from recorder.provenance import metadata
+from recorder.recording import look_up_revisions, record, redirected
+from recorder.records import Query, Run, Task, format_failure
+from recorder.records.values import LEFT_OUT, is_secret
+from recorder.tracing.journal import NullSink
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable
+    from collections.abc import Callable, Generator, Iterable, Mapping
 
-    from pycram.projection.child import Child
-    from pycram.projection.pool import ChildResult
+    from pycram.projection.child import Child, ChildResult
+    from recorder.records import Record
+    from recorder.tracing.journal import Sink
 
+HOOKS: Final = "pycram.runs"
+"""Group of entry points: functions that a run's process calls with the path of its recording.
 
+They aren't called for a first run that fails before the plan did anything, because its recording is renamed.
+"""
 _ATTEMPTS: Final = 2
+_TIME_LIMIT: Final = "TimeLimit"
+_UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # in names of files, on any system
+_MAX_LETTERS: Final = 120  # characters of a name
+
+
+class RunLost(PlanFailure):
+    """The process of a run ended before the plan did, also in the retry."""
+
+
+export("pycram.sweeping", RunLost)
+
+
+@dataclass(frozen=True, slots=True)
+class SweepSpec:
+    """A sweep: its plan with the settings that all runs share, and the settings that vary."""
+
+    shared: RunSpec  # without seed and parameters
+    folder: str  # for recordings, absolute
+    seed: int = 0  # determines the seeds and sampled parameters of the runs
+    listed: Mapping[str, list[Any]] = field(default_factory=dict)  # values of parameters
+    sampled: Mapping[str, str] = field(default_factory=dict)  # distributions of parameters
+    limit: float = 300.0  # s of wall-clock time for a run
+    memory: int = 0  # bytes of additional memory for a run; 0 for no limit
+
+    def run(self, number: int) -> RunSpec:
+        """Return the settings of a run."""
+        values = Variations(self.listed, self.sampled).of(self.seed, number)
+        return replace(self.shared, seed=(self.seed + number) % (MAX_SEED + 1), parameters=values)
+
+    def name(self, number: int) -> str:
+        """Return the name of a run's recording, with its parameters shortened for people."""
+        values = self.run(number).parameters
+        shown = ((name, LEFT_OUT if is_secret(name) else value) for name, value in values.items())
+        words = ",".join(f"{name}={_shown(value)}" for name, value in shown)
+        return f"{number:05}{'.' if words else ''}{words[:_MAX_LETTERS]}.mcap"
+
+    def part(self, number: int) -> Path:
+        """Return the file of a run's incomplete recording."""
+        return Path(self.folder) / f".{self.name(number)}.part"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the sweep as JSON data."""
+        facts = asdict(self)
+        return {**facts, "shared": {**facts["shared"], "plan": str(self.shared.plan)}}
+
+    @classmethod
+    def of_json(cls, facts: Mapping[str, Any]) -> SweepSpec:
+        """Return the sweep from JSON data."""
+        given = facts["shared"]
+        shared = RunSpec(**{**given, "plan": Path(given["plan"]), "arguments": tuple(given["arguments"])})
+        return cls(**{**facts, "shared": shared})
+
+
+def _shown(value: object) -> str:
+    return _UNSAFE.sub("_", f"{value:.4g}" if isinstance(value, float) else str(value))
+
+
+@dataclass(frozen=True, slots=True)
+class RunOutcome:
+    """The result of a run."""
+
+    number: int
+    name: str  # of its recording
+    succeeded: bool
+    failure: str = ""  # in words
+    seconds: float = 0.0  # its duration
+    started: bool = True  # whether it had a task or a query
+    lost: bool = False  # whether its process ended before the plan did
+    unrecorded: str = ""  # why it couldn't be recorded; "" if it was
+    remark: str = ""  # error of a hook
+
+
+# --- one run, in a child ----------------------------------------------------------------------------------------------
+
+
+class _RunSink(McapSink):
+    """The recording of a run, and its end."""
+
+    end: Run | None = None
+    started = False
+    late: Callable[[], str] = str
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        self.started = self.started or isinstance(record, Task | Query)
+        if isinstance(record, Run) and record.phase == Run.FINISHED:
+            if record.interrupted_by and (cause := self.late()):
+                record.failure.type, record.failure.message = _TIME_LIMIT, cause
+                payload = record.SerializeToString()
+            self.end = record
+        super().write(topic, record, payload)
+
+
+def run_once(
+    spec: SweepSpec,
+    number: int,
+    attempt: int,
+    models: SharedModels | None,
+    began: float,
+    *,
+    noting: bool = False,
+    lost: str = "",
+) -> bytes:
+    """Run the plan once, in a child of the sweep; return the outcome, and notes to warm later runs.
+
+    Args:
+        spec: Of the sweep.
+        number: Of the run.
+        attempt: Number of the attempt, from 1.
+        models: The file of models that the recording refers to.
+        began: Start of the run by the system's monotonic clock, in s.
+        noting: Whether to take notes.
+        lost: Why the run's process ended in each attempt; then only this is recorded.
+    """
+    run, part, name = spec.run(number), spec.part(number), spec.name(number)
+    if spec.memory and not lost:
+        limit_memory(spec.memory)
+    sinks: list[_RunSink] = []
+    refused: list[str] = []
+
+    def late() -> str:
+        over = time.monotonic() - began >= spec.limit
+        return f"the run still ran after {spec.limit:g} s" if over else ""
+
+    def sink_of(start: Run) -> Sink:
+        if sinks:  # a recording that the plan itself makes: all runs would write to the same file
+            return NullSink()
+        start.sweep.number, start.sweep.seed, start.sweep.attempt = number, spec.seed, attempt
+        try:
+            sinks.append(_RunSink(part, metadata(start), models=models))
+        except RecordingError as error:
+            refused.append(error.cause)
+            raise
+        sinks[0].late = late
+        sinks[0].path = Path(spec.folder) / name  # projections are recorded next to it
+        return sinks[0]
+
+    with redirected(sink_of), warming.noted() if noting and not lost else nullcontext() as notes:
+        if lost:
+            _record_loss(run, part, lost)
+        else:
+            running.run(run, part, overwrite=True)
+    sink = sinks[0] if sinks else None
+    if sink is None or sink.lost or sink.end is None:
+        part.unlink(missing_ok=True)
+        why = "".join(refused) if sink is None else sink.lost
+        return _answer(RunOutcome(number, name, succeeded=False, unrecorded=why or "its end is missing"))
+    path = part.replace(Path(spec.folder) / name)
+    failure = "" if sink.end.succeeded else format_failure(sink.end.failure)
+    remark = _call_hooks(path) if sink.started or sink.end.succeeded else ""
+    outcome = RunOutcome(
+        number,
+        name,
+        sink.end.succeeded,
+        failure,
+        seconds=time.monotonic() - began,
+        started=sink.started,
+        lost=bool(lost),
+        remark=remark,
+    )
+    return _answer(outcome, notes)
+
+
+def _record_loss(run: RunSpec, part: Path, cause: str) -> None:
+    recording = record(
+        part,
+        name=run.plan.stem,
+        arguments=run.arguments,
+        source=run.plan,
+        seed=run.seed,
+        environment=run.motion,
+        parameters=run.parameters,
+        overwrite=True,
+    )
+    with suppress(RunLost), recording:
+        raise RunLost(cause)
+
+
+def _answer(outcome: RunOutcome, notes: warming.Notes | None = None) -> bytes:
+    return json.dumps({"outcome": asdict(outcome), "notes": notes and notes.text()}).encode()
+
+
+@cache
+def hooks() -> tuple[Callable[[Path], object], ...]:
+    """Return the functions that installed packages register for recordings."""
+    return tuple(each.load() for each in entry_points(group=HOOKS))
+
+
+def _call_hooks(path: Path) -> str:
+    """Call the hooks; return their error, or ""; the run doesn't depend on it."""
+    try:
+        for hook in hooks():
+            hook(path)
+    except Exception as error:  # noqa: BLE001  hooks are code of other packages
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+# --- many runs --------------------------------------------------------------------------------------------------------
 
 
 class _Job(NamedTuple):
-    """A run to be made, or a lost run to be recorded."""
+    """A run to make, or a lost run to record."""
 
     number: int
     attempt: int = 1
@@ -55,11 +269,11 @@ class Local:
 
     Args:
         spec: Of the sweep.
-        cores: Maximum number of parallel runs; 0 for one on each core.
-        models: Name of the file of models that recordings share; None until a run has loaded some.
+        cores: Maximum number of parallel runs; 0 for one per core.
+        models: Name of the file of models that recordings share; None until a run has loaded models.
     """
 
-    def __init__(self, spec: Spec, cores: int = 0, models: str | None = None) -> None:
+    def __init__(self, spec: SweepSpec, cores: int = 0, models: str | None = None) -> None:
         # the modules that plans import, once for all runs
         import numpy.random  # noqa: F401, PLC0415
 
@@ -68,11 +282,11 @@ class Local:
         self._spec = spec
         self._pool: ChildPool[_Job] = ChildPool(cores or usable_cores(), spec.limit, GRACE)
         self._models = SharedModels.of(Path(spec.folder) / models) if models else None
-        self._warm = False  # whether this process has computed what a run has noted
+        self._warm = False  # whether this process has loaded what a run has noted
         store.folder()  # shared by all runs
         hooks()
         versions()
-        look_up_revisions(Path(spec.plan))
+        look_up_revisions(spec.shared.plan)
 
     @property
     def models(self) -> dict[str, str] | None:
@@ -83,7 +297,7 @@ class Local:
         """Release nothing; a :class:`Worker` has a process to end."""
 
     def run(self, numbers: Iterable[int]) -> Generator[RunOutcome, None, None]:
-        """Make runs; yield their outcomes as they end. Closing the generator kills the remaining runs."""
+        """Make runs; yield each outcome when the run ends. Closing the generator kills the remaining runs."""
         waiting = deque(map(_Job, numbers))
         going = {job.number for job in waiting}
         try:
@@ -100,12 +314,12 @@ class Local:
                 self._spec.part(number).unlink(missing_ok=True)
 
     def _start(self, job: _Job) -> Child:
-        began = time.monotonic()  # no later than its time limit begins
+        began = time.monotonic()  # not after its time limit begins
         once = partial(run_once, self._spec, job.number, job.attempt, self._models, began)
         return run_from_start(partial(once, noting=not self._warm, lost=job.lost))
 
     def _again(self, job: _Job, result: ChildResult) -> _Job | None:
-        """Return the next job for a run that didn't end by itself; None if it did, or nothing more can be done."""
+        """Return the next job for a run that didn't end by itself; None if it did, or after the last attempt."""
         if job.lost or (result.answer and not result.late):
             return None
         if job.attempt < _ATTEMPTS:
@@ -116,16 +330,16 @@ class Local:
         if result.answer:  # it was interrupted, and its recording says so
             return None
         how = f"its process {result.how}"
-        cause = f"it still ran after {self._spec.limit:g} s, and had to be killed" if result.late else how
+        cause = f"it still ran after {self._spec.limit:g} s, and was killed" if result.late else how
         cause += f", at each of {_ATTEMPTS} attempts"
         part = self._spec.part(job.number)
         if part.exists():
             kept = part.replace(Path(self._spec.folder) / f"{self._spec.name(job.number)}.killed")
-            cause += f"; what it had recorded is in {kept.name}"
+            cause += f"; its incomplete recording is {kept.name}"
         return _Job(job.number, job.attempt, cause)
 
     def _outcome(self, job: _Job, result: ChildResult) -> RunOutcome:
-        if not result.answer:  # even its loss couldn't be recorded
+        if not result.answer:  # not even its loss could be recorded
             how = f"its process {result.how}"
             return RunOutcome(job.number, self._spec.name(job.number), succeeded=False, unrecorded=how)
         answer = json.loads(result.answer)
@@ -143,9 +357,9 @@ class WorkerLost(RuntimeError):
 
 
 class Worker:
-    """Makes runs as :class:`Local` does, in forks of another process; takes the same arguments."""
+    """Makes runs like :class:`Local`, with the same arguments, in forks of another process."""
 
-    def __init__(self, spec: Spec, cores: int = 0, shared: str | None = None) -> None:
+    def __init__(self, spec: SweepSpec, cores: int = 0, shared: str | None = None) -> None:
         self.spec = spec  # of the next batch
         self.shared = shared  # name of the file of models, for the next batch
         self.models: dict[str, str] | None = None  # name and hash of that file after the last batch
@@ -166,7 +380,7 @@ class Worker:
         self._process.communicate()
 
     def run(self, numbers: Iterable[int]) -> Generator[RunOutcome, None, None]:
-        """Make runs; yield their outcomes as they end. Closing the generator kills the remaining runs.
+        """Make runs; yield each outcome when the run ends. Closing the generator kills the remaining runs.
 
         Raises:
             WorkerLost: The process has ended.
@@ -174,7 +388,7 @@ class Worker:
         left = dict.fromkeys(numbers)
         if not left:
             return
-        batch = {"spec": asdict(self.spec), "numbers": [*left], "models": self.shared, "cores": self._cores}
+        batch = {"spec": self.spec.as_json(), "numbers": [*left], "models": self.shared, "cores": self._cores}
         sent, received = self._process.stdin, self._process.stdout
         try:
             if sent is not None and received is not None:
@@ -208,8 +422,7 @@ def main() -> None:
         batch = json.loads(line)
         key = batch["spec"], batch["models"]
         if local is None or of != key:
-            spec = Spec(**{**batch["spec"], "arguments": tuple(batch["spec"]["arguments"])})
-            local, of = Local(spec, batch["cores"], batch["models"]), key
+            local, of = Local(SweepSpec.of_json(batch["spec"]), batch["cores"], batch["models"]), key
         for outcome in local.run(batch["numbers"]):
             print(json.dumps({"outcome": asdict(outcome)}), file=answers, flush=True)
         print(json.dumps({"models": local.models}), file=answers, flush=True)

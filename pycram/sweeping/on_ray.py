@@ -1,8 +1,8 @@
 """Sweeps on a Ray cluster: batches of runs are Ray tasks, and recordings go to a folder that all nodes can write to.
 
-Ray repeats a lost node's batches; runs of these already in the folder aren't made twice. Each Ray process keeps a
-warm :class:`~pycram.sweeping.local.Worker`, and ends after a number of batches. PyCRAM and the plan are at the same
-paths on all nodes.
+Ray repeats the batches of a lost node; their runs that are already in the folder aren't made twice. Each Ray process
+keeps a warm :class:`~pycram.sweeping.local.Worker`, and ends after a number of batches. PyCRAM and the plan have the
+same paths on all nodes.
 """
 
 from __future__ import annotations
@@ -18,10 +18,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.sweeping import folder as folders
-from pycram.sweeping.folder import Sweep, facts_of
-from pycram.sweeping.local import Worker
-from pycram.sweeping.one_run import RunOutcome, Spec
+from pycram.sweeping import SWEEP, Sweep, SweepRefused, begin, facts_of, locked, write
+from pycram.sweeping.local import RunOutcome, SweepSpec, Worker
 from recorder.mcap_writer import MODELS_NAME
 from recorder.packages import needed
 
@@ -32,13 +30,13 @@ with needed():
     import fsspec
     import ray
 
-_BATCH: Final = 10  # runs of a task: its start costs some ms, and a lost node costs no more than these
-_CALLS: Final = 50  # batches of a process of Ray's
-_AHEAD: Final = 3  # batches that wait for each core
+_BATCH: Final = 10  # runs of a task: few, because a lost node loses them; its start costs some ms
+_CALLS: Final = 50  # batches of a Ray process
+_AHEAD: Final = 3  # waiting batches per core
 
 
 def sweep_on_ray(
-    spec: Spec, runs: int, url: str, address: str, cores: int, progress: Callable[[Sweep, RunOutcome | None], None]
+    spec: SweepSpec, runs: int, url: str, address: str, cores: int, progress: Callable[[Sweep, RunOutcome | None], None]
 ) -> Sweep:
     """Sweep on a cluster; see :func:`pycram.sweeping.sweep`.
 
@@ -47,26 +45,26 @@ def sweep_on_ray(
         runs: Number of runs.
         url: Of the folder.
         address: Of the cluster; "" for one on this machine.
-        cores: Maximum number of parallel runs; 0 for one on each core of the cluster.
+        cores: Maximum number of parallel runs; 0 for one per core of the cluster.
         progress: Called at the start and after each run.
     """
     store = _Store(url)
     with ExitStack() as within, tempfile.TemporaryDirectory(prefix="pycram-sweep-") as here:
         if store.is_local:
-            within.enter_context(folders.locked(Path(store.root)))
+            within.enter_context(locked(Path(store.root)))
         if not ray.is_initialized():
             ray.init(
                 address=address or None, num_cpus=(cores or None) if not address else None, logging_level=logging.ERROR
             )
             within.callback(ray.shutdown)
         facts = facts_of(spec, runs)
-        store.fetch(folders.SWEEP, Path(here))
-        models = (folders.begin(Path(here), facts).get("models") or {}).get("file")
+        store.fetch(SWEEP, Path(here))
+        models = (begin(Path(here), facts).get("models") or {}).get("file")
         there = store.names()
         models = models if models in there else None
         missing = [number for number in range(runs) if spec.name(number) not in there]
         result = Sweep(url, runs, before=runs - len(missing))
-        store.put(Path(here) / folders.SWEEP)
+        store.put(Path(here) / SWEEP)
         progress(result, None)
         batches = _batches(missing)
         try:
@@ -78,10 +76,9 @@ def sweep_on_ray(
                     return result
                 progress(result, outcome)
             models = models or next(filter(MODELS_NAME.fullmatch, sorted(store.names())), None)
-            folders.write(Path(here), {**facts, "models": None if models is None else store.described(models)})
-            store.put(Path(here) / folders.SWEEP)
-            at_once = cores or _cores()
-            for outcome in _made(spec, url, batches, models, at_once):
+            write(Path(here), {**facts, "models": None if models is None else store.described(models)})
+            store.put(Path(here) / SWEEP)
+            for outcome in _made(spec, url, batches, models, cores or _cores()):
                 if not result.take(outcome):
                     return result
                 progress(result, outcome)
@@ -103,8 +100,8 @@ def _batches(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
         yield numbers[start : start + _BATCH]
 
 
-def _made(spec: Spec, url: str, batches: Any, models: str | None, cores: int) -> Iterator[RunOutcome]:
-    """Submit batches, a few more at a time than there are cores; yield the outcomes as they come."""
+def _made(spec: SweepSpec, url: str, batches: Any, models: str | None, cores: int) -> Iterator[RunOutcome]:
+    """Submit batches, a few more at a time than there are cores; yield the outcomes when they arrive."""
     task = ray.remote(num_cpus=1, max_calls=_CALLS, max_retries=-1)(_make)
     waiting = iter(batches)
     running: list[Any] = []
@@ -112,7 +109,7 @@ def _made(spec: Spec, url: str, batches: Any, models: str | None, cores: int) ->
         while True:
             while len(running) < cores * _AHEAD and (batch := next(waiting, None)) is not None:
                 if batch:
-                    running.append(task.remote(asdict(spec), url, list(batch), models))
+                    running.append(task.remote(spec.as_json(), url, list(batch), models))
             if not running:
                 return
             ended, running = ray.wait(running)
@@ -134,16 +131,16 @@ class _Store:
         given = url if "://" in url else str(Path(url).absolute())
         try:
             self._files, self.root = fsspec.core.url_to_fs(given)
-        except (ImportError, ValueError) as error:  # what such a URL needs isn't installed, or there is no such kind
-            raise folders.SweepRefused(f"{url}: {error}, on all nodes") from error
+        except (ImportError, ValueError) as error:  # the URL's kind is unknown, or needs a package
+            raise SweepRefused(f"{url}: {error}, on all nodes") from error
         kinds = (self._files.protocol, *self._files.protocol)  # a name, or several
         if "memory" in kinds:
-            raise folders.SweepRefused(f"{url}: what is there is gone with its process; name a folder of files")
+            raise SweepRefused(f"{url}: its files are lost when its process ends; name a folder of files")
         self.is_local = "file" in kinds
         self._files.makedirs(self.root, exist_ok=True)
 
     def names(self) -> set[str]:
-        """Return the names of the files in it."""
+        """Return the names of its files."""
         self._files.invalidate_cache()
         return {Path(each).name for each in self._files.ls(self.root, detail=False)}
 
@@ -157,11 +154,11 @@ class _Store:
         """Copy a file into the folder, or into a folder within it, atomically."""
         folder = f"{self.root}/{within}" if within else self.root
         target = f"{folder}/{file.name}"
-        if self.is_local:  # storage of objects does it by itself
+        if self.is_local:  # object storage is atomic by itself
             self._files.makedirs(folder, exist_ok=True)
             part = f"{folder}/.{file.name}.part"
             self._files.put_file(str(file), part)
-            shutil.copystat(file, part)  # by its time tables know a recording again
+            shutil.copystat(file, part)  # tables identify a recording by its time
             os.replace(part, target)  # noqa: PTH105  as texts
         else:
             self._files.put_file(str(file), target)
@@ -174,19 +171,19 @@ class _Store:
     def set_aside(self, name: str, kept: str) -> None:
         """Rename the recording of a plan that can't start, so that the fixed plan can be swept into the same folder."""
         self._files.mv(f"{self.root}/{name}", f"{self.root}/{kept}")
-        self._files.rm(f"{self.root}/{folders.SWEEP}")
+        self._files.rm(f"{self.root}/{SWEEP}")
 
     def described(self, name: str) -> dict[str, str]:
         """Return name and hash of a file of models."""
         return {"file": name, "sha256": hashlib.sha256(self._files.cat_file(f"{self.root}/{name}")).hexdigest()}
 
 
-_worker: Worker | None = None
+_worker: Worker | None = None  # of this Ray process
 
 
-def _warm(spec: Spec, models: str | None) -> Worker:
+def _warm(spec: SweepSpec, models: str | None) -> Worker:
     """Return the worker of this Ray process, for runs into a folder of its own."""
-    global _worker  # noqa: PLW0603  of this process of Ray's
+    global _worker  # noqa: PLW0603
     if _worker is None:
         folder = tempfile.mkdtemp(prefix="pycram-sweep-")
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -197,35 +194,37 @@ def _warm(spec: Spec, models: str | None) -> Worker:
 
 def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str | None) -> list[dict[str, Any]]:
     """Make the missing runs of a batch, as a Ray task."""
-    global _worker  # noqa: PLW0603  of this process of Ray's
-    spec, store = Spec(**spec_facts), _Store(url)
+    global _worker  # noqa: PLW0603
+    spec, store = SweepSpec.of_json(spec_facts), _Store(url)
     worker = _warm(spec, models)
     folder = Path(worker.spec.folder)
     if models is not None:
         store.fetch(models, folder)
     missing = [number for number in numbers if not store.has(spec.name(number))]
-    # of a lost node's batch, whose outcomes went with it
+    # existing runs are of a lost node's batch, whose outcomes were lost
     outcomes = [_known(store, spec, number, folder) for number in numbers if number not in missing]
+    finished = False
     try:
         for outcome in worker.run(missing):
             if not outcome.unrecorded:
-                for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # and what lies beside it
+                for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # and files beside it
                     within = made.parent.relative_to(folder).as_posix().removeprefix(".")
-                    if store.is_local or not within:  # rows aren't those of a file with another time
+                    if store.is_local or not within:  # rows don't match a file with another time
                         store.put(made, within)
                     made.unlink()
             outcomes.append(asdict(outcome))
-    except BaseException:
-        worker.close()
-        _worker = None
-        raise
+        finished = True
+    finally:
+        if not finished:  # the worker may still run the batch
+            worker.close()
+            _worker = None
     for made in folder.glob("models-*.mcap"):
         if not store.has(made.name):
             store.put(made)
     return outcomes
 
 
-def _known(store: _Store, spec: Spec, number: int, folder: Path) -> dict[str, Any]:
+def _known(store: _Store, spec: SweepSpec, number: int, folder: Path) -> dict[str, Any]:
     """Return the outcome of an existing recording."""
     from mcap.reader import make_reader  # noqa: PLC0415
 

@@ -62,7 +62,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Print the difference between two folders of recordings."""
-    from replay.runs.comparison import compare_folders, lines  # noqa: PLC0415  what it needs is an extra
+    from replay.runs.statistics import compare_folders, lines  # noqa: PLC0415  what it needs is an extra
 
     if options.second is not None or not Path(options.first).is_dir():
         raise ReplayError("two folders are compared, or steps of one recording, or two recordings")

@@ -3,8 +3,8 @@
 ``tables/`` in the folder has ``contents.json``, which lists the recordings in the tables, and a subfolder for each part
 with the Parquet files of some recordings. An update adds a part; small parts are merged. New contents replace the old
 ones by one rename, so a kill leaves the old tables or the new ones. Readers hold a shared lock on their parts: an
-obsolete part stays until its last reader closes. Recordings that can't be read, or are of a newer release, are reported
-and left out.
+obsolete part stays until its last reader closes. Recordings that can't be read, or are from a newer release, are left
+out and reported.
 """
 
 from __future__ import annotations
@@ -39,24 +39,21 @@ except ImportError:  # Windows
 
 
 _RUN_FIELD: Final = pa.field(RUN.name, pa.string())
-_MODELS: Final = "models-"  # files of models that a sweep's recordings share
-_BATCH: Final = 200  # recordings whose rows are in memory at once
-_PARTS: Final = 8  # small parts that are merged into one
-_SMALL: Final = 2000  # recordings in a part that is still merged with others
+_MODELS: Final = "models-"  # prefix of files of models that a sweep's recordings share
+_CONTENTS: Final = "contents.json"
+_PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # name of a part; a dot precedes it while it is written
+_BATCH: Final = 200  # recordings whose rows are in memory together
+_PARTS: Final = 8  # number of small parts that are merged into one
+_SMALL: Final = 2000  # a part with fewer recordings is small
 
 
 class NotRead(ReplayError):
-    """The tables of a folder of recordings can't be made or read.
-
-    Attributes:
-        path: the folder.
-        cause: the reason.
-    """
+    """The tables of a folder of recordings can't be made or read."""
 
     def __init__(self, path: Path, cause: str) -> None:
         super().__init__(f"{path}: {cause}")
-        self.path = str(path)
-        self.cause = cause
+        self.path = str(path)  # of the folder
+        self.cause = cause  # why, and what to do
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +67,6 @@ class Skipped:
 class Folder:
     """A folder of recordings, with its tables.
 
-    Args:
-        path: the folder.
-
     Raises:
         NotALog: there is no such folder, or no recording in it.
     """
@@ -82,7 +76,7 @@ class Folder:
         if not self.path.is_dir():
             raise NotALog(self.path, "is no folder of recordings" if self.path.exists() else "there is no such folder")
         if not self.recordings():
-            raise NotALog(self.path, "is a directory in which no recording lies")
+            raise NotALog(self.path, "is a directory without recordings")
         self._contents = Contents()
         self._held = contextlib.ExitStack()
 
@@ -112,14 +106,14 @@ class Folder:
         return [str(tables / part / f"{table}.parquet") for part in sorted(self._contents.parts)]
 
     def recordings(self) -> dict[str, os.stat_result]:
-        """Return the recordings that are in the folder now, by name; what begins with a dot is being written."""
+        """Return the recordings in the folder by name; files whose names begin with a dot are being written."""
         found = {}
         with os.scandir(self.path) as entries:
             for entry in entries:
                 ours = entry.name.endswith(".mcap") and not entry.name.startswith((".", _MODELS))
                 if not ours:
                     continue
-                if entry.is_symlink():  # one to nothing can't be read, and is named for it
+                if entry.is_symlink():  # a broken link can't be read, and is reported
                     if not Path(entry.path).is_dir():
                         found[entry.name] = entry.stat(follow_symlinks=Path(entry.path).is_file())
                 elif entry.is_file():
@@ -130,13 +124,13 @@ class Folder:
         """Bring the tables up to date.
 
         Args:
-            progress: called with the number of recordings read, and of all to be read.
+            progress: called with the number of recordings that were read, and of all that must be read.
 
         Raises:
             NotRead: the tables aren't up to date, and can't be written.
         """
-        if self.tables.is_symlink():  # its target isn't ours to replace
-            raise NotRead(self.path, f"{self.tables} is a link; remove it, and tables are made in its place")
+        if self.tables.is_symlink():  # its target may be anywhere
+            raise NotRead(self.path, f"{self.tables} is a link; remove it, to make tables in its place")
         self.close()
         try:
             with self._locked():
@@ -147,12 +141,12 @@ class Folder:
             self._contents = Contents.read(self.tables)  # a read-only disk may have up-to-date tables
             if any(self._changed(self.recordings())):
                 reason = error.strerror or str(error)
-                cause = f"its tables can't be written ({reason}); copy it to where they can be"
+                cause = f"its tables can't be written ({reason}); copy the folder to a writable place"
                 raise NotRead(self.path, cause) from error
             self._hold()
 
     def _changed(self, present: Mapping[str, os.stat_result]) -> tuple[list[str], list[str]]:
-        """Return the recordings in the tables that changed or are gone, and the recordings to be read."""
+        """Return the recordings in the tables that changed or are gone, and the recordings that must be read."""
         known = self._contents.files
         stale = [
             name
@@ -258,11 +252,12 @@ class Folder:
             for name, table in tables.items():
                 parquet.write_table(table, partial / f"{name}.parquet", compression="zstd")
             shutil.rmtree(self.tables / part, ignore_errors=True)  # of an update that was killed
-            partial.chmod(0o777 & ~_umask())
+            mask = os.umask(0)
+            os.umask(mask)
+            partial.chmod(0o777 & ~mask)
             partial.rename(self.tables / part)
-        except BaseException:
-            shutil.rmtree(partial, ignore_errors=True)
-            raise
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)  # if it wasn't renamed
         return part
 
     # --- locks -------------------------------------------------------------------------------------------------------
@@ -280,7 +275,7 @@ class Folder:
     def _hold(self) -> None:
         """Keep other processes from removing these tables until they are closed."""
         for part in self._contents.parts:
-            with contextlib.suppress(BlockingIOError):  # don't wait for it
+            with contextlib.suppress(BlockingIOError):  # another process is removing it
                 self._held.enter_context(flocked(self.tables / part, exclusive=False))
 
 
@@ -288,32 +283,16 @@ def _state(state: os.stat_result | None) -> dict[str, Any]:
     return {} if state is None else {"size": state.st_size, "mtime_ns": state.st_mtime_ns}
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
 def empty_tables() -> dict[str, pa.Table]:
     """Return the tables of a folder without recordings."""
     return {table.name: pa.schema([_RUN_FIELD, *arrow_schema(table)]).empty_table() for table in TABLES}
-
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
-
-_CONTENTS: Final = "contents.json"
-_PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # its name; with a dot before it while it is written
 
 
 @dataclass
 class Contents:
     """The contents of the tables."""
 
-    #: size and time of each recording that was read, and its part; those that can't be read have the reason
+    #: size and time of each recording that was read, with its part; or with the reason why it can't be read
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
     next: int = 1  # number of the next part
 

@@ -32,17 +32,12 @@ _SINGLE: Final = "give one statement that selects: the tables of runs are read, 
 
 
 class Refused(ReplayError):
-    """A statement doesn't only read the tables, or can't be executed.
-
-    Attributes:
-        sql: the statement.
-        cause: the reason.
-    """
+    """A statement doesn't only read the tables, or can't be executed."""
 
     def __init__(self, sql: str, cause: str) -> None:
         super().__init__(cause)
-        self.sql = sql
-        self.cause = cause
+        self.sql = sql  # the statement
+        self.cause = cause  # the reason
 
 
 class Answer:

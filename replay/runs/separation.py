@@ -1,61 +1,72 @@
-"""What separates runs that failed from those that succeeded, by the facts that are on record of them.
+"""The facts that separate failed from successful runs, read from the tables of their folder.
 
-Each fact that is true of some runs and false of others is scored as in spectrum-based fault localisation: Ochiai and
-Tarantula (Abreu et al. 2007; Jones and Harrold 2005). Facts are compared with the other runs that got to the same
-site, so that what merely comes before a failure has no score (Liblit et al. 2005: "context"), and what tells how far
-runs got ranks below all that doesn't. A claim is made only
-where failures that are dealt to the runs at random would make any in less than one of a hundred folders
-(:mod:`replay.runs.chance`). Facts that are true of the same runs are one claim.
+A *site* is a parameter, a slot of a motion's solution, an answer, a choice, an event, or an order of two events. It has
+values in each run that reached it; only values before the failure count. A *fact* is a statement about these values,
+true of some runs and false of others that reached the site (Liblit et al. 2005, "Scalable statistical bug isolation").
+Facts are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007; Jones and Harrold
+2005). Facts that are true of the same runs are one *claim*.
 
-Facts that are true of some runs and false of others: values, and the ranges of numbers that separate best.
-
-Some facts tell how far failed runs got, which may be a symptom of their end: that they came to a task, what was chosen
-last where a success goes on to choose, what only a third attempt has (:attr:`Fact.how_far`).
-
-How surprising it is that something is true of so many failures, where very much is compared.
-
-The failures are dealt anew to the runs at random, many times; each time the strongest evidence of all facts is kept:
-what chance alone would find (Westfall and Young 1993, "Resampling-based multiple testing", the single-step maximum).
-Facts that are true of nearly the same runs, as the ranges of a number, so count little more than one of them, and no
-claim is made without a cause in more than the share of folders that is asked for.
-
-The evidence is the log-likelihood ratio of two shares of failures against one (the G-test's statistic, halved).
+A claim must be stronger than chance: the failures are dealt to the runs at random, many times, and the strongest
+evidence of all facts is kept each time (Westfall and Young 1993, "Resampling-based multiple testing", the single-step
+maximum). The evidence is the log-likelihood ratio of two failure rates against one (half of the G-test's statistic).
+Facts that only reflect how far a run got, which may be a symptom of its end, are listed last (:attr:`Fact.how_far`).
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter, defaultdict
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from replay.runs.predicates import PRESENT, ComparedRun, Site, sites
+from recorder.records import from_json
 from replay.runs.statistics import difference
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
+    from recorder.records import Plain
     from replay.runs.runs import Runs
 
 
 LEVEL: Final = 0.01
-"""Chance that any claim is made where nothing separates."""
+"""Probability of any claim if nothing separates the runs."""
+PRESENT: Final = frozenset({"happened", "reached"})
+"""Kinds of sites without values: events that happened, and tasks that runs reached."""
 _ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "happened", "reached")
+#: Kinds of tasks whose parameters are those of their motion, or only describe the plan's structure.
+_STRUCTURE: Final = frozenset({"process-module", "plan", "branch", "block", "cleanup"})
+_AXES: Final = ("x", "y", "z")
+_MAX_SITES: Final = 20_000
+_MAX_MARKS: Final = 60  # events of a run whose order is compared
+_MAX_TEXT: Final = 80  # characters of a value
+_MAX_VALUES: Final = 12  # different texts of a site that are compared one by one
+_CUTS: Final = 16  # maximum number of cuts between ranges of a number
+_LARGE: Final = 0.71  # probability that one number exceeds another (Vargha and Delaney 2000: a large effect)
+_ROUNDS: Final = 1000  # random permutations of the failures
+_LEAST: Final = 200  # permutations, if there are many facts about many runs
+_WORK: Final = 2e10  # maximum number of multiplications
+_ROWS: Final = 1000  # facts that are evaluated together
+
+Truth: TypeAlias = NDArray[np.bool_]
+RunNumbers: TypeAlias = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A fact that separates, with those that are true of the same runs."""
+    """A fact that separates the runs, with other facts that are true of the same runs."""
 
-    fact: Fact  # the first of them; one of progress only if all are
+    fact: Fact  # the first fact; it reflects progress only if all facts do
     also: tuple[str, ...]  # the other facts, in words
     ochiai: float  # score, 0 to 1
     chance: float  # probability of a claim this strong if nothing separates the runs
-    failure: str  # a failed run of which the fact is true
-    success: str  # a similar successful run of which the fact is false, or ""
+    failure: str  # name of a failed run of which the fact is true
+    success: str  # name of a similar successful run of which the fact is false, or ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +74,7 @@ class Separation:
     """The facts that separate failures from successes."""
 
     cases: tuple[ComparedRun, ...]
-    claims: tuple[Claim, ...]  # the strongest first; facts of progress last
+    claims: tuple[Claim, ...]  # the strongest first; those that reflect progress last
     compared: int  # number of compared facts
     explained: int  # number of failed runs of which a claim is true
 
@@ -84,7 +95,7 @@ def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None =
     Args:
         runs: the folder of the runs.
         names: names of the runs to compare; by default all.
-        cause: cause of the failures to compare with the successes; by default all.
+        cause: cause of the failures to compare with the successes; by default all causes.
     """
     cases = _cases(runs, names, cause)
     return _separation(cases, list(compared_of(sites(runs, cases), cases)))
@@ -96,7 +107,7 @@ def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[
         "SELECT run, succeeded, cause, coalesce(q.step - 1, cause_step), records FROM runs r LEFT JOIN "
         "(SELECT f.run, max(f.step) AS step FROM failures f JOIN failures t USING (run, task, type, message) "
         "WHERE f.of = 'query' AND t.root AND f.step <= t.step GROUP BY 1) q USING (run) "
-        "WHERE succeeded IS NOT NULL ORDER BY run"  # a query that raised the failure is the failure, not its cause
+        "WHERE succeeded IS NOT NULL ORDER BY run"  # a query that raised the failure isn't its cause
     )
     return tuple(
         ComparedRun(run, not succeeded, records if succeeded or step is None else step)
@@ -129,7 +140,7 @@ def _separation(cases: tuple[ComparedRun, ...], found: list[Compared]) -> Separa
         chance = min(chance for _, chance in alike)
         also = tuple(other.text for other, _ in alike[1:])
         claims.append(Claim(fact, also, fact.ochiai(failures), chance, *_pair(fact, facts, cases)))
-    claims.sort(  # facts of progress come last, however well they separate
+    claims.sort(  # facts that reflect progress come last, however well they separate
         key=lambda each: (each.fact.how_far, -round(each.ochiai, 6), _ORDER.index(each.fact.kind), each.fact.step)
     )
     explained = len(frozenset().union(*(claim.fact.true & failed for claim in claims)))
@@ -152,9 +163,246 @@ def _pair(fact: Fact, facts: Sequence[Fact], cases: Sequence[ComparedRun]) -> tu
     return cases[a].run, cases[b].run
 
 
-_MAX_VALUES: Final = 12  # different texts of a site that are compared one by one
-_CUTS: Final = 16  # places at which the range of a number is cut, at most
-_LARGE: Final = 0.71  # how often a number of one kind exceeds one of another (Vargha and Delaney 2000: a large effect)
+# --- sites ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A value of a site in a run."""
+
+    value: str | float | bool
+    step: int
+
+
+@dataclass(slots=True)
+class Site:
+    """A point at which runs may differ."""
+
+    kind: str  # "parameter", "pose", "motion", "query", "choice", "event", "order", or one of :data:`PRESENT`
+    name: str  # as "arm at pick-up(spoon)"
+    #: By the number of the run, its values in order; runs that didn't reach the site are left out.
+    values: dict[int, list[Value]] = field(default_factory=lambda: defaultdict(list))
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedRun:
+    """A run that is compared with others."""
+
+    run: str  # name of its file
+    failed: bool
+    end: int  # the last step that counts: where its failure began, or the last one of a success
+
+
+def sites(runs: Runs, cases: Sequence[ComparedRun]) -> list[Site]:
+    """Return the sites of runs with their values."""
+    found = _Sites(cases)
+    found.parameters(runs)
+    found.poses(runs)
+    found.tasks(runs)
+    found.queries(runs)
+    found.events(runs)
+    found.orders()
+    return [site for site in found.sites.values() if site.values]
+
+
+class _Sites:
+    """Collects the sites from the tables."""
+
+    def __init__(self, cases: Sequence[ComparedRun]) -> None:
+        self.cases = cases
+        self.numbers = {case.run: number for number, case in enumerate(cases)}
+        self.sites: dict[tuple[str, str], Site] = {}
+        self.marks: list[dict[str, tuple[int, str]]] = [{} for _ in cases]  # by name: first step, and branch
+        self.branches: list[dict[int, str]] = [{} for _ in cases]
+
+    def add(self, kind: str, name: str, number: int, value: Plain, step: int) -> None:
+        """Add a simple value, or the coordinates of a position; ignore other values."""
+        for suffix, simple in _simple(value):
+            key = kind, f"{suffix} of {name}" if suffix else name
+            if key not in self.sites and len(self.sites) >= _MAX_SITES:
+                return
+            site = self.sites.setdefault(key, Site(*key))
+            site.values[number].append(Value(simple, step))
+
+    def before(self, run: str, step: int) -> int | None:
+        """Return the number of a run, or None if a step of it doesn't count."""
+        number = self.numbers.get(run)
+        return number if number is not None and step <= self.cases[number].end else None
+
+    def mark(self, number: int, name: str, step: int, task: int) -> None:
+        """Note the first step of an event, and its branch."""
+        self.marks[number].setdefault(name, (step, self.branches[number].get(task, "")))
+
+    def parameters(self, runs: Runs) -> None:
+        """Add the parameters of runs."""
+        for run, parameters in runs.sql("SELECT run, parameters FROM runs").rows():
+            number = self.numbers.get(run)
+            if number is not None:
+                for name, text in parameters or ():
+                    self.add("parameter", name, number, from_json(text), 0)
+
+    def poses(self, runs: Runs) -> None:
+        """Add the positions at which bodies were loaded, and to which the plan first moved them."""
+        put = runs.sql(
+            "SELECT p.run, p.step, p.body, p.x, p.y, p.z, m.command FROM poses p JOIN mutations m USING (run, step) "
+            "WHERE m.body = p.body AND m.command IN ('load_body', 'move_body') ORDER BY p.run, p.step"
+        )
+        seen: set[tuple[str, str, str]] = set()
+        for run, step, body, *place, command in put.rows():
+            number = self.before(run, step)
+            if number is None or (run, body, command) in seen:
+                continue
+            seen.add((run, body, command))
+            how = "loaded" if command == "load_body" else "moved first"
+            for axis, value in zip(_AXES, place, strict=True):
+                self.add("pose", f"{axis} of {body}, where it was {how}", number, value, step)
+
+    def tasks(self, runs: Runs) -> None:  # noqa: C901  one step after the other
+        """Add the tasks that runs reached, with their slots, resolvers and process modules."""
+        rows = runs.sql(
+            "SELECT run, step, task, parent, kind, name, label, parameters, solution, resolver, module, status, "
+            "last_step, origin FROM tasks ORDER BY run, step"
+        )
+        for run, step, task, parent, kind, name, label, *values, resolver, module, status, last, origin in rows.rows():
+            number = self.numbers.get(run)
+            if number is None:
+                continue
+            known = self.branches[number]
+            branch = known.get(parent, "")
+            known[task] = f"{branch}/{task}" if kind == "branch" else branch
+            if step > self.cases[number].end:
+                continue
+            if not self.cases[number].failed or (last is not None and last < self.cases[number].end):
+                # tasks that the failure ended only repeat the place of the failure
+                self.add("reached", f"{label} {kind}" if kind in _STRUCTURE else label, number, True, step)
+            if kind not in _STRUCTURE:
+                self.mark(number, f"the start of {label}", step, task)
+                slots: dict[str, Plain] = {}
+                for text in values:  # slots of the solution replace the given slots
+                    slots |= _object(text)
+                for slot, value in slots.items():
+                    self.add("motion", f"{slot} at {label}", number, value, step)
+            ended = last is not None and last < self.cases[number].end
+            if ended and kind not in _STRUCTURE:
+                self.mark(number, f"the end of {label}", last, task)
+                if status == "failed" and origin:
+                    self.add("reached", f"the failure of {label}", number, True, last)
+            for what, value in (("resolver", resolver), ("process module", module)):
+                if value and kind == "motion":
+                    self.add("motion", f"{what} at {label}", number, value.rpartition(".")[2] or value, step)
+            if kind == "branch" and name:
+                self.mark(number, f"the start of branch {name}", step, task)
+
+    def queries(self, runs: Runs) -> None:
+        """Add answers and choices."""
+        rows = runs.sql(
+            "SELECT run, step, task, label, answer, chosen, candidates, failure FROM queries ORDER BY run, step"
+        )
+        for run, step, task, label, answer, chosen, candidates, failure in rows.rows():
+            number = self.before(run, step)
+            if number is None:
+                continue
+            self.mark(number, label, step, task)
+            if candidates and chosen:
+                self.add("choice", f"what {label} chose", number, chosen, step)
+            if failure:
+                self.add("query", label, number, f"raises {failure}", step)
+            elif answer and len(answer) < 10 * _MAX_TEXT:
+                self.add("query", label, number, from_json(answer), step)
+
+    def events(self, runs: Runs) -> None:
+        """Add events, values of fluents, and the plan's own changes of worlds."""
+        rows = runs.sql("SELECT run, step, task, kind, label, value FROM events ORDER BY run, step")
+        for run, step, task, kind, label, value in rows.rows():
+            number = self.before(run, step)
+            if number is None:
+                continue
+            self.mark(number, f"{kind} {label}", step, task)
+            if kind == "fluent" and value and len(value) < 10 * _MAX_TEXT:
+                self.add("event", f"fluent {label}", number, from_json(value), step)
+            else:
+                self.add("happened", f"{kind} {label}", number, True, step)
+        rows = runs.sql("SELECT run, step, task, command, body FROM mutations WHERE body <> '' ORDER BY run, step")
+        for run, step, task, command, body in rows.rows():
+            number = self.before(run, step)
+            if number is not None:
+                self.mark(number, f"{command.replace('_', ' ')} {body}", step, task)
+                if command == "load_body":
+                    self.add("happened", f"{body} was loaded", number, True, step)
+
+    def orders(self) -> None:
+        """Add the order of two events of different branches.
+
+        If only one of them happened before the failure, it was the first. A pair counts only if its order is known in
+        nearly all failures, because the failures would select other pairs, and if its events are usual in successes.
+        """
+        failures = sum(case.failed for case in self.cases)
+        usual: Counter[str] = Counter()
+        for case, marks in zip(self.cases, self.marks, strict=True):
+            usual.update(name for name, (_, branch) in marks.items() if branch and not case.failed)
+        successes = len(self.cases) - failures
+        names = sorted(name for name, count in usual.most_common(_MAX_MARKS) if 2 * count >= successes)
+        for first, second in combinations(names, 2):
+            site = Site("order", f"{first} before {second}")
+            known = 0
+            for number, marks in enumerate(self.marks):
+                a, b = marks.get(first), marks.get(second)
+                if a is None and b is None:
+                    continue
+                if a is not None and b is not None and not _apart(a[1], b[1]):
+                    continue
+                is_first = b is None or (a is not None and a[0] < b[0])
+                step = max(each[0] for each in (a, b) if each is not None)
+                site.values[number] = [Value(is_first, step)]
+                known += self.cases[number].failed
+            if known >= 0.95 * failures and any(_both(marks, first, second) for marks in self.marks):
+                self.sites["order", site.name] = site
+
+
+def _both(marks: Mapping[str, tuple[int, str]], first: str, second: str) -> bool:
+    return first in marks and second in marks and _apart(marks[first][1], marks[second][1])
+
+
+def _apart(a: str, b: str) -> bool:
+    """Return whether two branches differ and neither contains the other."""
+    return a != b and not f"{a}/".startswith(f"{b}/") and not f"{b}/".startswith(f"{a}/")
+
+
+def _object(text: str) -> Mapping[str, Plain]:
+    try:
+        value = json.loads(text) if text else {}
+    except ValueError:
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def _simple(value: Plain) -> Iterator[tuple[str, str | float | bool]]:
+    """Yield the simple values to which a value is reduced, each with its coordinate or ""."""
+    if isinstance(value, bool):
+        yield "", value
+    elif isinstance(value, int | float):
+        yield "", float(value)
+    elif isinstance(value, str):
+        yield "", value[:_MAX_TEXT]
+    elif value is None:
+        yield "", "None"
+    elif isinstance(value, dict):
+        if isinstance(value.get("object"), str):
+            yield "", str(value["object"])
+        elif len(value) == 1 and isinstance(text := next(iter(value.values())), str):
+            yield "", text[:_MAX_TEXT]
+    elif len(value) == len(_AXES) and all(_is_number(item) for item in value):
+        yield from zip(_AXES, map(float, value), strict=True)  # type: ignore[arg-type]
+    elif all(isinstance(item, str | dict) for item in value):
+        named: list[Any] = [simple for item in value for _, simple in _simple(item)]
+        yield "", ", ".join(map(str, named))[:_MAX_TEXT] or "nothing"
+
+
+def _is_number(value: Plain) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+# --- facts ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,11 +416,11 @@ class Fact:
     failures: int  # number of failed runs that reached the site
     succeeded: int  # number of successful runs of which it is true
     successes: int  # number of successful runs that reached the site
-    step: float  # median of the first steps at which it is known
-    evidence: float  # how strongly it correlates with failing
+    step: float  # median of the first steps at which its value is known
+    evidence: float  # how strongly it correlates with failure
     true: frozenset[int]  # numbers of the runs of which it is true
     known: frozenset[int]  # numbers of the runs that reached the site
-    how_far: bool  # whether it only tells how far the failed runs got
+    how_far: bool  # whether it may only reflect how far the failed runs got
 
     def ochiai(self, failures: int) -> float:
         """Return the score of Ochiai, 0 to 1, given the number of all failed runs."""
@@ -207,10 +455,10 @@ class Compared:
     known: RunNumbers  # numbers of the runs that reached the site
     true: Truth  # whether a fact (row) is true of one of these runs (column)
     text: Callable[[int], str]  # returns a fact in words
-    #: Returns the number, from 1, of the value in a run that makes a fact true.
+    #: Returns the index, from 1, of the value in a run that makes a fact true.
     turn: Callable[[int, int], int] = lambda _row, _run: 1
-    best: bool = False  # whether only the strongest fact counts, as of ranges of a number
-    whole: Site | None = None  # the site with all values, if the last values are compared
+    best: bool = False  # whether only the strongest fact counts, as for ranges of a number
+    whole: Site | None = None  # the site with all values, if only the last values are compared
 
     def facts(self, failed: Truth) -> Iterator[Fact]:
         """Yield the facts that count."""
@@ -236,7 +484,7 @@ class Compared:
             )
 
     def _how_far(self, row: int, failed: Truth) -> bool:
-        """Return whether failed runs have it from a turn that successes rarely reach, or where these go on."""
+        """Return whether failed runs have it only from an index that successes rarely reach, or usually exceed."""
         if self.site.kind in PRESENT:
             return self.site.kind == "reached"
         values = (self.whole or self.site).values
@@ -282,10 +530,7 @@ def _picked(compared: Compared, rows: RunNumbers, *, whole: Site | None) -> Comp
 
 
 def _last(site: Site) -> Site | None:
-    """Return the site with only the last value of each run, which was in force when it failed.
-
-    None if no run has several values.
-    """
+    """Return the site with only the last value of each run; None if no run has several values."""
     if site.kind in {*PRESENT, "order"} or all(len({each.value for each in got}) == 1 for got in site.values.values()):
         return None
     if site.kind == "choice":
@@ -304,7 +549,7 @@ def _reached(site: Site, runs: int) -> Compared:
 
 
 def _values(site: Site, simple: Sequence[str | float | bool]) -> Compared:
-    """Compare whether a site ever had each value."""
+    """Compare whether a site had each value at any time."""
     known = sorted(site.values)
     had = [{each.value for each in site.values[number]} for number in known]
     true = np.array([[value in values for values in had] for value in simple])
@@ -333,7 +578,7 @@ def _value_text(site: Site, value: str | float | bool) -> str:
 
 
 def _ranges(site: Site) -> Compared:
-    """Compare the ranges of a number between values that occur."""
+    """Compare the ranges of a number between occurring values."""
     known = np.array(sorted(site.values))
     first = np.array([float(site.values[number][0].value) for number in known.tolist()])
     values = np.sort(first)
@@ -347,7 +592,7 @@ def _ranges(site: Site) -> Compared:
 
 
 def _range_text(site: Site, values: np.ndarray, low: int, high: int) -> str:
-    """Return a range in words; its ends are halfway between values that occur."""
+    """Return a range in words; its ends are halfway between occurring values."""
     name, at, where = site.name.partition(" at ")
     if values[low] == values[high - 1]:
         return f"{name}={values[low]:g}{at}{where}"
@@ -363,17 +608,11 @@ def _between(a: float, b: float) -> str:
     return next((text for text in texts if a < float(text) < b), repr((a + b) / 2))
 
 
-Truth = NDArray[np.bool_]
-RunNumbers = NDArray[np.intp]
-
-_ROUNDS: Final = 1000
-_LEAST: Final = 200  # rounds, if there are many facts of many runs
-_WORK: Final = 2e10  # multiplications at most
-_ROWS: Final = 1000  # facts that are looked at together
+# --- chance -----------------------------------------------------------------------------------------------------------
 
 
 def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
-    """Return how strongly facts correlate with failing; 0 without a higher failure rate.
+    """Return how strongly facts correlate with failure; 0 for facts without a higher failure rate.
 
     Args:
         true: whether a fact (row) is true of a run (column).
@@ -408,7 +647,7 @@ class Chance:
         ]
         work = sum(true.size for _, true in groups)
         rounds = int(min(_ROUNDS, max(_LEAST, _WORK / max(work, 1))))
-        dice = np.random.default_rng(0)  # the same answer each time
+        dice = np.random.default_rng(0)  # the same result each time
         dealt = dice.permuted(np.tile(failed, (rounds, 1)), axis=1).T
         strongest: NDArray[Any] = np.zeros(rounds)
         for known, true in groups:
@@ -418,6 +657,6 @@ class Chance:
         self._strongest = np.sort(strongest)
 
     def of(self, strength: float) -> float:
-        """Return the probability that chance alone finds any fact with so much evidence."""
+        """Return the probability that chance alone produces any fact with this much evidence."""
         as_strong = len(self._strongest) - int(np.searchsorted(self._strongest, strength - 1e-9))
         return (1 + as_strong) / (1 + len(self._strongest))

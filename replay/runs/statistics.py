@@ -1,26 +1,38 @@
-"""Statistics over many runs: how often they succeed, why they fail, and what takes long."""
+"""Statistics of many runs: how often they succeed, why they fail, and what takes long; and two folders compared.
+
+In a comparison, runs of both folders with the same number, seed and parameters are paired. A pair ends differently
+because something changed between the sweeps, such as the plan, or because a seed doesn't determine everything.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import shlex
 from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import from_json
-from replay.report.phrases import percent
+from replay.errors import ReplayError
+from replay.report import report
+from replay.report.phrases import percent, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from replay.runs.folder import Skipped
     from replay.runs.runs import Runs
 
 
+_Z: Final = 1.959963984540054  # of 95 %
 _MAX_VALUES: Final = 8  # values of a parameter that are listed one by one; more numbers are split into quarters
 _QUARTERS: Final = 4
 _SLOWEST: Final = 10
+_MAX_CAUSES: Final = 10  # printed causes
+_MAX_PAIRS: Final = 3  # printed pairs of runs
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +62,10 @@ class FailureCause:
     count: int
     share: float  # of all failures
     first: str  # name of the first run
-    step: int | None  # at which the first failure began, if known
+    step: int | None  # step at which the first failure began, if known
     message: str  # of the first failure
-    runs: tuple[str, ...]  # names of all
-    steps: tuple[int | None, ...]  # at which their failures began
+    runs: tuple[str, ...]  # names of all runs
+    steps: tuple[int | None, ...]  # steps at which their failures began
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +88,9 @@ class Statistics:
     folder: str
     plan: str
     runs: tuple[str, ...]  # names of its recordings
-    others: tuple[tuple[str, int], ...]  # number of recordings of each other plan, which are left out
+    others: tuple[tuple[str, int], ...]  # number of recordings of each other plan; these are left out
     skipped: tuple[Skipped, ...]  # files that are left out
-    success: Share  # of the runs that weren't interrupted
+    success: Share  # successes among the runs that weren't interrupted
     outcomes: tuple[tuple[str, int], ...]  # number of runs by outcome
     parameters: tuple[tuple[str, tuple[Share, ...]], ...]  # success by the values of each parameter with several values
     causes: tuple[FailureCause, ...]  # of failures, the most frequent first
@@ -140,7 +152,7 @@ def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureC
     """Return the causes of failures, the most frequent first.
 
     Args:
-        failed: of each run its name, the cause, the step at which that began, and the failure's message.
+        failed: for each run its name, and the cause, first step and message of its failure.
     """
     found: dict[str, list[tuple[str, int | None, str]]] = {}
     for run, cause, step, message in failed:
@@ -202,9 +214,6 @@ def _slowest(runs: Runs, table: str, name: str, condition: str, plan: str) -> tu
     return tuple(Slow(*row) for row in rows.rows())
 
 
-_Z: Final = 1.959963984540054  # of 95 %
-
-
 def wilson(count: int, of: int, z: float = _Z) -> tuple[float, float]:
     """Return the 95 % interval of a rate (Wilson 1927, "Probable inference"); 0 to 1 without runs.
 
@@ -225,3 +234,104 @@ def difference(a: int, of_a: int, b: int, of_b: int) -> tuple[float, float]:
     (low_a, high_a), (low_b, high_b) = wilson(a, of_a), wilson(b, of_b)
     apart = first - second
     return apart - math.hypot(first - low_a, high_b - second), apart + math.hypot(high_a - first, second - low_b)
+
+
+# --- two folders ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FolderComparison:
+    """The difference between two folders of runs."""
+
+    plan: str
+    first: Share  # successes in the first folder
+    second: Share  # successes in the second folder
+    causes: tuple[tuple[str, int, int], ...]  # of failures, with their counts in both, the largest change first
+    paired: int  # number of pairs of runs
+    mended: tuple[tuple[str, str], ...]  # names of pairs that fail in the first folder only
+    broken: tuple[tuple[str, str], ...]  # names of pairs that fail in the second folder only
+
+    @property
+    def effect(self) -> float:
+        """The success rate in the second folder minus that in the first; 0 if a folder has no run that ended."""
+        a, b = self.first, self.second
+        return b.succeeded / b.of - a.succeeded / a.of if a.of and b.of else 0.0
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval of the effect."""
+        return difference(self.second.succeeded, self.second.of, self.first.succeeded, self.first.of)
+
+    def __bool__(self) -> bool:
+        """Return whether the runs end differently in the second folder."""
+        shares = (self.first.succeeded, self.first.of) != (self.second.succeeded, self.second.of)
+        return shares or bool(self.mended or self.broken) or any(a != b for _, a, b in self.causes)
+
+
+def compare_folders(first: Runs, second: Runs, plan: str | None = None) -> FolderComparison:
+    """Compare two folders of runs of one plan, by default the most frequent one of the first folder.
+
+    Raises:
+        ReplayError: a folder has no run of that plan.
+    """
+    chosen, _ = plan_of(first, plan)
+    stats = [statistics(each, chosen) for each in (first, second)]
+    for runs, each in zip((first, second), stats, strict=True):
+        if not each.runs:
+            raise ReplayError(f"{runs.path} has no run of {chosen!r}; runs of one plan are compared")
+    before, after = _ended(first, chosen), _ended(second, chosen)
+    both = sorted((before[given], after[given]) for given in before.keys() & after.keys())
+    counts = [Counter({cause.cause: cause.count for cause in each.causes}) for each in stats]
+    counted = [(cause, counts[0][cause], counts[1][cause]) for cause in counts[0] | counts[1]]
+    return FolderComparison(
+        chosen,
+        stats[0].success,
+        stats[1].success,
+        tuple(sorted(counted, key=lambda each: (-abs(each[2] - each[1]), -max(each[1:]), each[0]))),
+        len(both),
+        tuple((a, b) for (a, before_ok), (b, after_ok) in both if after_ok and not before_ok),
+        tuple((a, b) for (a, before_ok), (b, after_ok) in both if before_ok and not after_ok),
+    )
+
+
+def _ended(runs: Runs, plan: str) -> dict[tuple[str, str, str], tuple[str, bool]]:
+    """Return name and success of runs by number, seed and parameters; without a sweep, a run's number is its name."""
+    rows = runs.sql(
+        "SELECT coalesce(number::VARCHAR, run), seed, parameters::VARCHAR, run, succeeded FROM runs "
+        "WHERE plan = ? AND succeeded IS NOT NULL",
+        [plan],
+    )
+    return {(number, seed, given): (run, succeeded) for number, seed, given, run, succeeded in rows.rows()}
+
+
+@report.data.register(FolderComparison)
+def _(found: FolderComparison) -> dict[str, object]:
+    facts = dataclasses.asdict(found)
+    for name, share in (("first", found.first), ("second", found.second)):
+        facts[name] |= {"interval": share.interval}
+    facts["causes"] = [{"cause": cause, "first": a, "second": b} for cause, a, b in found.causes]
+    return facts | {"effect": found.effect, "interval": list(found.interval)}
+
+
+def lines(found: FolderComparison, first: Path, second: Path) -> Iterator[str]:
+    """Yield a comparison as text, given the two folders."""
+
+    def signed(share: float) -> str:
+        return f"{'+' if share > 0 else ''}{percent(share) if share >= 0 else f'-{percent(-share)}'}"
+
+    low, high = found.interval
+    yield f"plan     {found.plan}"
+    yield f"first    {found.first}: {first}"
+    yield f"second   {found.second}: {second}"
+    yield f"change   {signed(found.effect)} (95 %: {signed(low)} to {signed(high)})"
+    yield f"paired   {plural(found.paired, 'run')} of both with the same number, seed and parameters"
+    for what, pairs in (("fail no more", found.mended), ("fail only in the second", found.broken)):
+        if pairs:
+            yield from ("", f"{len(pairs)} of them {what}")
+        for a, b in pairs[:_MAX_PAIRS]:
+            yield f"  pycram-replay diff {shlex.quote(str(first / a))} {shlex.quote(str(second / b))}"
+    if found.causes:
+        yield from ("", "Failures by cause, first -> second")
+    yield from (f"  {a:4} -> {b:<4} {cause}" for cause, a, b in found.causes[:_MAX_CAUSES])
+    if len(found.causes) > _MAX_CAUSES:
+        yield f"  {plural(len(found.causes) - _MAX_CAUSES, 'more cause')}"

@@ -193,7 +193,7 @@ def _of_its_own() -> object:
 def test_what_only_the_copy_knows_cannot_come_back(cup: Object) -> None:
     outcome = project(_of_its_own)
     assert isinstance(outcome.failure, ProjectionDied)
-    assert "returned what this process doesn't know" in str(outcome.failure)
+    assert "returned a value that this process can't load" in str(outcome.failure)
 
 
 @pytest.mark.parametrize("limit", [{"timeout": 0}, {"timeout": -1}, {"memory": 0}, {"memory": -1}, {"memory": 1e30}])

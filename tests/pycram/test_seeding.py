@@ -13,7 +13,7 @@ import pytest
 
 import replay
 from pycram.cli import main, recording_path
-from pycram.seeding import chosen_seed
+from pycram.running import chosen_seed
 from recorder.records import Output, Run
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def test_what_takes_long_is_imported_once(tmp_path: Path, options: Sequence[str]
     """The command that starts itself again has imported little before."""
     (tmp_path / "plan.py").write_text(PLAN)
     ended = run(tmp_path, *options, environment={"PYTHONPROFILEIMPORTTIME": "1"})
-    started = [re.findall(rf"\| +{name}\n", ended.stderr) for name in ("pycram.seeding", "numpy")]
+    started = [re.findall(rf"\| +{name}\n", ended.stderr) for name in ("pycram.running", "numpy")]
     assert [len(each) for each in started] == [2, 1]
 
 

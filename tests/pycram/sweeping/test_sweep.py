@@ -20,8 +20,8 @@ import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.cli import main as pycram_command
 from pycram.failures import BadArgument, UsageError
+from pycram.plan_parameters import Variations
 from pycram.sweeping import RunOutcome, Sweep, SweepRefused
-from pycram.sweeping.one_run import Variations
 from recorder.records import Mutation, Run
 from replay.recording import Recording
 from replay.restore.verify import verify
@@ -276,7 +276,7 @@ def test_two_sweeps_into_one_folder(plan: Path, tmp_path: Path) -> None:
     with pytest.raises(SweepRefused, match="its seed was 0, not 1"):
         pycram.sweep(plan, 1, folder, seed=1)
     plan.write_text(PLAN + "\n# another\n")
-    with pytest.raises(SweepRefused, match="the plan was another"):
+    with pytest.raises(SweepRefused, match="its plan was different"):
         pycram.sweep(plan, 1, folder)
 
 
@@ -386,7 +386,7 @@ def test_a_run_that_hangs_is_ended(plan: Path, tmp_path: Path) -> None:
     result = pycram.sweep(plan, 2, tmp_path / "runs", set={"what": ["fine", "hangs"]}, limit=4)
     assert (result.done, result.failed) == (2, 1)
     began, ended = ends(recordings(tmp_path / "runs")[1])
-    assert (ended.failure.type, ended.failure.message) == ("TimeLimit", "the run still went on after 4 s")
+    assert (ended.failure.type, ended.failure.message) == ("TimeLimit", "the run still ran after 4 s")
     assert began.sweep.attempt == 2
 
 
@@ -431,7 +431,7 @@ def test_what_installed_packages_do_with_a_recording_costs_no_run(
             path.with_suffix(".row").write_text(str(len(log)))
 
     hooks: Callable[[], Any] = lambda: (note,)  # noqa: E731
-    monkeypatch.setattr("pycram.sweeping.one_run.hooks", hooks)
+    monkeypatch.setattr("pycram.sweeping.local.hooks", hooks)
     result = pycram.sweep(plan, 2, tmp_path / "runs")
     assert result.remarks == ["00001.mcap: ValueError: no row"]
     assert result.failed == 0
