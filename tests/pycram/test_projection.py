@@ -373,7 +373,7 @@ def running_thread() -> Iterator[None]:
 
 
 def test_what_can_not_be_projected_is_said_before(world: BulletWorld, monkeypatch: pytest.MonkeyPatch) -> None:
-    with running_thread(), pytest.raises(NotProjectable, match="lack the thread my thread; branches of `with par`"):
+    with running_thread(), pytest.raises(NotProjectable, match="lack the thread my thread; use branches of `with par`"):
         project(world.simulate, 1)
     with pytest.raises(NotProjectable, match="MainThread"):
         in_thread(project, world.simulate, 1)

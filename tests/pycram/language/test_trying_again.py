@@ -68,7 +68,7 @@ def test_retry_works_as_in_cram() -> None:
         for attempt in failure_handling(1):
             with attempt:
                 retry()
-    with pytest.raises(UsageError, match="belongs into"):
+    with pytest.raises(UsageError, match="in the body of"):
         retry()
 
 
@@ -170,7 +170,7 @@ def test_misused_failure_handlings_are_refused() -> None:
 
 
 def test_leaving_the_loop_after_a_failure_ends_the_handling_and_warns() -> None:
-    with pytest.warns(FailureLeft, match="after attempt 2 had failed: Unreachable: left arm") as warned:
+    with pytest.warns(FailureLeft, match="after attempt 2 failed: Unreachable: left arm") as warned:
         for attempt in failure_handling(5):
             with attempt:
                 fails()
