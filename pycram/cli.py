@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.running import INTERRUPTED, MAX_SEED, SUCCEEDED, WRONG_USAGE, RunSpec, chosen_seed, restart, run, tell
-from recorder.closed_output import discard, until_closed
-from recorder.errors import RecordingError
+from recorder.errors import RecordingError, discard, until_closed
 from recorder.packages import NotInstalled, needed, versions
 
 if TYPE_CHECKING:

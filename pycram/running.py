@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import recorder
-from recorder.closed_output import until_closed
-from recorder.errors import RecordingError
+from recorder.errors import RecordingError, until_closed
 from recorder.packages import NotInstalled, needed
 from recorder.tracing.interrupts import Terminated
 

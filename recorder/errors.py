@@ -1,12 +1,23 @@
-"""Errors that the recorder shares, and hints for their messages: "did you mean ...?"."""
+"""Errors that the recorder shares, hints for their messages ("did you mean ...?"), and closed pipes.
+
+Output that nobody reads any more, as after ``| head``, is no error: the rest of it is discarded.
+"""
 
 from __future__ import annotations
 
+import io
+import os
+import sys
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
+    from typing import TextIO
+
+_MAX_SUGGESTED: Final = 3
+_MAX_LISTED: Final = 25  # the joints of a kitchen
 
 
 class PortableError(Exception):
@@ -33,10 +44,6 @@ class RecordingError(PortableError, OSError):
         self.cause = cause  # the system's message
 
 
-_MAX_SUGGESTED: Final = 3
-_MAX_LISTED: Final = 25  # the joints of a kitchen
-
-
 def nearest(name: object, known: Iterable[str]) -> list[str]:
     """Return up to 3 known names that are similar to a given one, the most similar first; else such that contain it."""
     import difflib  # noqa: PLC0415  most processes suggest nothing
@@ -60,3 +67,26 @@ def suggestion(name: object, known: Iterable[str]) -> str:
     if len(names) > _MAX_LISTED:
         return f"there are {len(names)} of them, such as {', '.join(names[:_MAX_SUGGESTED])}"
     return f"there are {', '.join(names) or 'none'}"
+
+
+@contextmanager
+def until_closed() -> Iterator[None]:
+    """Pass on what the block prints; if its reader has gone, end the block there, without an error."""
+    try:
+        yield
+    except BrokenPipeError:
+        pass
+    finally:
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            try:
+                stream.flush()
+            except BrokenPipeError:
+                discard(stream)
+
+
+def discard(stream: TextIO) -> None:
+    """Discard what a stream still buffers and gets from now on; otherwise Python reports an error when it exits."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    with suppress(AttributeError, io.UnsupportedOperation):  # a stream that a plan has put there
+        os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)

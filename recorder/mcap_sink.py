@@ -105,15 +105,13 @@ class McapSink:
         raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
         self._watched = WatchedFile(path, raw)
-        try:
-            with self._guarded():
-                self._writer.move(self._file, start.getvalue())
-                if durable:
-                    self._watched.sync()
-                    self._watched.sync_name()
-        except BaseException:
-            self._close_file()
-            raise
+        with contextlib.ExitStack() as undoing, self._guarded():
+            undoing.callback(self._close_file)
+            self._writer.move(self._file, start.getvalue())
+            if durable:
+                self._watched.sync()
+                self._watched.sync_name()
+            undoing.pop_all()
         self._timer.start()
 
     def _begin(self, file: io.BytesIO, metadata: Mapping[str, str]) -> None:
@@ -152,7 +150,10 @@ class McapSink:
                 self._add_foxglove(record)
                 at_once = False
             else:
-                self._buffer.append((self._shared_key(topic, record), seq, now, payload, record))
+                # queries have their world's channel: looks among them teach robots what they believe
+                of_world = isinstance(record, Query) and record.world in self._lifetimes
+                key = (topic, record.world, self._lifetime(record)) if of_world else (topic, "", 0)
+                self._buffer.append((key, seq, now, payload, record))
                 # no file opens without the start of the run
                 at_once = record.status in _FAILURES if isinstance(record, Task) else isinstance(record, Run)
             self._count += 1
@@ -162,12 +163,6 @@ class McapSink:
                     self._flush()
             elif self._pending == 1:
                 self._wake.set()
-
-    def _shared_key(self, topic: str, record: Record) -> _Key:
-        """The channel of what isn't of one world; queries are: looks among them teach robots what they believe."""
-        if isinstance(record, Query) and record.world in self._lifetimes:
-            return topic, record.world, self._lifetime(record)
-        return topic, "", 0
 
     def _lifetime(self, record: Record) -> int:
         """Number of its world among those of the same name, from 1: a name is free again when its world has ended."""
@@ -364,7 +359,8 @@ def open_output(path: Path) -> io.FileIO:
             raise RecordingError(path, "it is a pipe that nobody reads", "start its reader first") from error
         hint = "make the folder first" if not path.parent.exists() else "choose a path that you may write to"
         raise RecordingError(path, reason(error), hint) from error
-    try:
+    with contextlib.ExitStack() as undoing:
+        undoing.callback(file.close)
         try:
             fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -372,10 +368,15 @@ def open_output(path: Path) -> io.FileIO:
         except OSError as error:
             if error.errno not in _WITHOUT_LOCKS:
                 raise RecordingError(path, reason(error), HINT) from error
-        _empty(path, file)
-    except BaseException:
-        file.close()
-        raise
+        if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            start = file.read(len(MAGIC)) or b""
+            if start and start != MAGIC:
+                raise RecordingError(
+                    path, "there is a file that is no recording", "move it away or choose another path"
+                )
+            file.seek(0)
+            file.truncate()
+        undoing.pop_all()
     return file
 
 
@@ -432,16 +433,6 @@ class WatchedFile:
                 os.fsync(folder)
             finally:
                 os.close(folder)
-
-
-def _empty(path: Path, file: io.FileIO) -> None:
-    """Empties an older recording; refuses any other file that has content."""
-    if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        start = file.read(len(MAGIC)) or b""
-        if start and start != MAGIC:
-            raise RecordingError(path, "there is a file that is no recording", "move it away or choose another path")
-        file.seek(0)
-        file.truncate()
 
 
 def reason(error: OSError) -> str:

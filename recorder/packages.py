@@ -20,41 +20,24 @@ if TYPE_CHECKING:
 
 #: Extras by the modules that they bring. trimesh is in two: whoever needs it for pictures alone names the extra.
 _EXTRAS: Final = {
-    "greenlet": "executor",
-    "pybullet": "executor",
-    "pybullet_data": "executor",
-    "scipy": "executor",
-    "trimesh": "executor",
-    "collada": "executor",
-    "example-robot-data": "executor",
-    "ompl": "executor",
-    "toppra": "executor",
-    "PIL": "render",
-    "pyarrow": "viewer",
-    "duckdb": "runs",
-    "av": "video",
-    "rerun": "viewer",
-    "rerun_cli": "viewer",
-    "rerun_sdk": "viewer",
-    "rich": "executor",
-    "ray": "ray",
-    "fsspec": "ray",
-}
-
-
-#: Whose versions recordings hold.
+    module: extra
+    for extra, modules in {
+        "executor": (
+            "greenlet", "pybullet", "pybullet_data", "scipy", "trimesh", "collada", "example-robot-data", "ompl",
+            "toppra", "rich",
+        ),
+        "render": ("PIL",),
+        "viewer": ("pyarrow", "rerun", "rerun_cli", "rerun_sdk"),
+        "runs": ("duckdb",),
+        "video": ("av",),
+        "ray": ("ray", "fsspec"),
+    }.items()
+    for module in modules
+}  # fmt: skip
+#: Packages whose versions recordings hold.
 _RECORDED: Final = (
-    "pycram",
-    "pybullet",
-    "mcap",
-    "protobuf",
-    "numpy",
-    "trimesh",
-    "example-robot-data",
-    "ompl",
-    "toppra",
-    "rerun-sdk",
-)
+    "pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "ompl", "toppra", "rerun-sdk",
+)  # fmt: skip
 
 
 class NotInstalled(ModuleNotFoundError):

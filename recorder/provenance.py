@@ -9,6 +9,7 @@ import platform
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -42,7 +43,8 @@ def describe(
     for name, value in parameters.items():
         text = json.dumps(LEFT_OUT if is_secret(name) else value, default=str)
         run.parameters.add(name=escaped(name), value_json=text)
-    run.directory = _directory()
+    with suppress(OSError):  # the directory was removed
+        run.directory = escaped(str(Path.cwd()))
     if seed is not None:
         run.seed = str(seed)
     run.order = order
@@ -54,9 +56,19 @@ def describe(
     run.host, run.cpu = escaped(platform.node()), _cpu()
 
 
-def look_up_revisions(program: Path | None) -> None:
-    """Look up the revisions for :func:`describe`, which starts git: once, for all forks of this process."""
+def main_program() -> Path | None:
+    """Return the file that this process runs; None for a prompt."""
+    file = getattr(sys.modules.get("__main__"), "__file__", None)
+    return Path(file) if file else None
+
+
+def look_up_revisions(plan: Path | None = None) -> None:
+    """Look up the revisions for recordings of this process's forks: git takes as long as a small plan.
+
+    ``plan`` is the plan's file, by default the program's.
+    """
     pycram_revision()
+    program = plan or main_program()
     if program is not None and program.is_file():
         _plan_revision(program.resolve())
 
@@ -72,13 +84,6 @@ def hash_seed() -> str:
     if not sys.flags.hash_randomization:
         return "0"
     return seed if seed.isdecimal() and not sys.flags.ignore_environment else "random"
-
-
-def _directory() -> str:
-    try:
-        return escaped(str(Path.cwd()))
-    except OSError:  # it was removed
-        return ""
 
 
 @functools.cache

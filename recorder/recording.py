@@ -9,9 +9,8 @@ import time
 import weakref
 from collections import Counter
 from collections.abc import Iterable
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -102,12 +101,13 @@ def record(
     """
     given = sys.argv[1:] if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
-    program = _program() if source is None else Path(source)
+    program = provenance.main_program() if source is None else Path(source)
     title = escaped(name or (program.stem if program else "plan"))
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
     provenance.describe(began, given, program, seed, order, parameters or {})
     began.environment = environment
-    began.by_program = program is not None and _is_program(program)
+    main = provenance.main_program()
+    began.by_program = bool(program and main and main.exists() and main.samefile(program))
     if began.by_program:
         began.called_as = escaped(sys.argv[0])
     began.looks = journal.looks()
@@ -115,31 +115,28 @@ def record(
     start = time.perf_counter_ns()
     sink = _redirect(began) if _redirect is not None else None
     file = Path(path) if overwrite or sink is not None else free_path(Path(path))
-    opened = partial(_begin, file, live, began, program, sink, local_variables=locals, durable=durable)
-    with terminable(), _closed(opened, title, start, output=output) as recording:
-        yield recording
+    with terminable():
+        recording = _begin(file, live, began, program, sink, local_variables=locals, durable=durable)
+        log, owner = recording.journal, process()
 
-
-@contextmanager
-def _closed(opened: Callable[[], Recording], title: str, start: int, *, output: bool) -> Iterator[Recording]:
-    recording = opened()
-    log = recording.journal
-    owner = process()
-    try:
-        with _recording_uncaught(log, title), recorded_output(log) if output else nullcontext():
-            yield recording
-    except BaseException as error:
-        try:
-            if process() == owner:
+        def end(_: object, error: BaseException | None, __: object) -> None:
+            if process() != owner:  # a forked child has nothing to close: the file is its parent's
+                return
+            try:
                 _finish(log, title, start, error)
-        except OSError as failed:
-            failed.__context__, error.__context__ = error.__context__, failed
-            if not isinstance(error, RecordingError):  # a plan that failed is no reason to hide it
-                print(f"recorder: {failed}", file=sys.stderr)
-        raise
-    else:
-        if process() == owner:  # a forked child that leaves the block has nothing to close: the file is its parent's
-            _finish(log, title, start, None)
+            except OSError as failed:
+                if error is None:
+                    raise
+                failed.__context__, error.__context__ = error.__context__, failed
+                if not isinstance(error, RecordingError):  # a plan that failed is no reason to hide it
+                    print(f"recorder: {failed}", file=sys.stderr)
+
+        with ExitStack() as ending:
+            ending.push(end)
+            ending.enter_context(_recording_uncaught(log, title))
+            if output:
+                ending.enter_context(recorded_output(log))
+            yield recording
 
 
 def _check(path: object, *, source: object, arguments: object, **texts: object) -> None:
@@ -241,12 +238,11 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
 
 
 def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:
-    with Uninterrupted():  # one who presses Ctrl-C again wants it to end, not to lose the end of the recording
-        try:
-            _append_end(log, title, start, error)
-        finally:
-            if isinstance(error, KeyboardInterrupt):
-                drop_pending()
+    with Uninterrupted(), ExitStack() as ending:  # a second Ctrl-C ends the plan, and loses no end of a recording
+        if isinstance(error, KeyboardInterrupt):
+            ending.callback(drop_pending)
+        ending.callback(journal.close_journal, log)
+        _append_end(log, title, start, error)
 
 
 def _append_end(log: Journal, title: str, start: int, error: BaseException | None) -> None:
@@ -262,38 +258,14 @@ def _append_end(log: Journal, title: str, start: int, error: BaseException | Non
         end.failure.CopyFrom(failure_with_frames(error, errors=_MAX_ERRORS))
         if isinstance(error, KeyboardInterrupt):
             end.interrupted_by, end.checkpoint = interrupted_by(), interrupted_at()
-    try:
-        with span.running() as tasks:
-            for began in reversed(tasks):
-                log.append(_left(began))
-            log.append(end)
-            journal.forget_journal(log)  # tasks that end now are in it no more
-    finally:
-        journal.close_journal(log)
-
-
-def _left(began: Task) -> Task:
-    """Return the last record of a task that still runs when its recording ends, by the record of its beginning."""
-    left = Task(phase=Task.LEFT, status=began.status, duration_ns=time.time_ns() - began.began_ns)
-    for field in ("task", "parent", "world", "sim_step", "thread", "kind", "name", "attempt"):
-        setattr(left, field, getattr(began, field))
-    return left
-
-
-def _is_program(file: Path) -> bool:
-    program = _program()
-    return program is not None and program.exists() and program.samefile(file)
-
-
-def look_up_revisions(source: Path | None = None) -> None:
-    """Look up the code's revisions once, for recordings of this process' forks: git takes as long as a small plan."""
-    provenance.look_up_revisions(_program() if source is None else source)
-
-
-def _program() -> Path | None:
-    main = sys.modules.get("__main__")
-    file = getattr(main, "__file__", None)
-    return Path(file) if file else None
+    with span.running() as tasks:
+        for began in reversed(tasks):
+            left = Task(phase=Task.LEFT, status=began.status, duration_ns=time.time_ns() - began.began_ns)
+            for field in ("task", "parent", "world", "sim_step", "thread", "kind", "name", "attempt"):
+                setattr(left, field, getattr(began, field))
+            log.append(left)
+        log.append(end)
+        journal.forget_journal(log)  # tasks that end now are in it no more
 
 
 def _leave_to_parent(sink: McapSink | None, log: Journal) -> None:

@@ -291,6 +291,11 @@ def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> Join
         roll, pitch, yaw = _three_numbers(robot, name, "origin rpy", origin.get("rpy", "0 0 0"))
         pose = (position, geometry.from_rpy(roll, pitch, yaw))
     lower, upper, effort, velocity = _limits(robot, name, kind, element.find("limit"))
+    mimic = None
+    if kind != "fixed" and (mimicking := element.find("mimic")) is not None:
+        multiplier = _number(robot, name, "mimic multiplier", mimicking.get("multiplier", "1"))
+        offset = _number(robot, name, "mimic offset", mimicking.get("offset", "0"))
+        mimic = Mimic(mimicking.get("joint", ""), multiplier, offset)
     return Joint(
         name=name,
         type=kind,
@@ -302,16 +307,8 @@ def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> Join
         upper=upper,
         effort=effort,
         velocity=velocity,
-        mimic=_mimic(robot, name, element) if kind != "fixed" else None,
+        mimic=mimic,
     )
-
-
-def _mimic(robot: str, joint: str, element: ET.Element) -> Mimic | None:
-    mimic = element.find("mimic")
-    if mimic is None:
-        return None
-    multiplier = _number(robot, joint, "mimic multiplier", mimic.get("multiplier", "1"))
-    return Mimic(mimic.get("joint", ""), multiplier, _number(robot, joint, "mimic offset", mimic.get("offset", "0")))
 
 
 def _axis(robot: str, joint: str, element: ET.Element) -> Vector:

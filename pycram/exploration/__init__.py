@@ -34,8 +34,8 @@ from pycram.scheduling.order import ADDED, Made, Precedence, Standing, text_of
 from pycram.scheduling.schedule import scheduler, seed_order
 from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink, free_path
-from recorder.provenance import metadata
-from recorder.recording import look_up_revisions, record, redirected
+from recorder.provenance import look_up_revisions, metadata
+from recorder.recording import record, redirected
 from recorder.records import Fluent, Keyframe, Mutation, Run, format_failure, without_addresses
 from recorder.tracing.journal import NullSink
 

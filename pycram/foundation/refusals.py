@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
 from pycram.foundation.errors import UsageError
 from recorder import records
 from recorder.tracing import journal, span
-from recorder.tracing.call_stack import is_of_plan
+from recorder.tracing.call_stack import is_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -111,7 +111,7 @@ def _is_of_call(error: BaseException) -> bool:
 
 def _is_part(frame: FrameType | None) -> bool:
     """Return whether a call is part of another decorated one, without the plan's own code between them."""
-    while frame is not None and not is_of_plan(frame):
+    while frame is not None and not is_plan(frame):
         if frame.f_code is _ASK:
             return True
         frame = frame.f_back

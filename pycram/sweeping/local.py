@@ -37,8 +37,8 @@ from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink
 from recorder.mcap_writer import SharedModels, share_models
 from recorder.packages import versions
-from recorder.provenance import metadata
-from recorder.recording import look_up_revisions, record, redirected
+from recorder.provenance import look_up_revisions, metadata
+from recorder.recording import record, redirected
 from recorder.records import Query, Run, Task, format_failure
 from recorder.records.values import LEFT_OUT, is_secret
 from recorder.tracing.journal import NullSink

@@ -173,13 +173,13 @@ def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
     numbers = []
     for part, count in (("position", 3), ("orientation", 4)):
         values = pose.get(part) if isinstance(pose, dict) else None
-        if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+        if not (
+            isinstance(values, list)
+            and len(values) == count
+            and all(type(value) in (int, float) and -_FAR <= value <= _FAR for value in values)
+        ):
             raise ValueError(f"{values!r} is no {part} of {name}")
         numbers.append([float(value) for value in values])
     if not _MIN_SQUARE <= sum(number * number for number in numbers[1]) <= _MAX_SQUARE:
         raise ValueError(f"{numbers[1]} is no unit quaternion")
     return numbers[0], numbers[1]
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and -_FAR <= value <= _FAR

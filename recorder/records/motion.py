@@ -43,16 +43,13 @@ class Frame(NamedTuple):
 def frame_name(world: str, body: str, link: str = "") -> str:
     """Name of the frame of a body's link; "" for its base."""
     name = _escaped(body) if world == _FIRST_WORLD else f"{_escaped(world)}//{_escaped(body)}"
-    return _unreserved(f"{name}/{_escaped(link)}" if link else name)
+    name = f"{name}/{_escaped(link)}" if link else name
+    reserved = name == ROOT or name.startswith(_RERUN_PREFIX)
+    return f"%{ord(name[0]):X}{name[1:]}" if reserved else name
 
 
 def _escaped(name: str) -> str:
     return name.replace("%", "%25").replace("/", "%2F")
-
-
-def _unreserved(name: str) -> str:
-    reserved = name == ROOT or name.startswith(_RERUN_PREFIX)
-    return f"%{ord(name[0]):X}{name[1:]}" if reserved else name
 
 
 class BodyMotion(NamedTuple):
@@ -117,8 +114,17 @@ class FrameTree:
         for sim_step, states, whole in self._states(record):
             motions = [self._motion(record.world, sim_step, state, whole=whole) for state in states]
             frames = [frame for motion in motions for frame in motion.frames]
-            if frames:
-                yield _message(sim_step, frames)
+            if not frames:
+                continue
+            message = FrameTransforms()
+            seconds, steps = divmod(sim_step, STEPS_PER_SECOND)
+            nanos = steps * _NS // STEPS_PER_SECOND
+            for frame, pose in frames:
+                transform = message.transforms.add(parent_frame_id=frame.parent, child_frame_id=frame.child)
+                transform.timestamp.seconds, transform.timestamp.nanos = seconds, nanos
+                at, turn = transform.translation, transform.rotation
+                (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w) = pose
+            yield message
 
     def _states(self, record: Record) -> list[tuple[int, Sequence[BodyState], bool]]:
         """The simulated steps of a record: number, states of bodies, and whether these are complete."""
@@ -158,18 +164,6 @@ class FrameTree:
             for joint, frame in body.links(model, model.joints if whole else values):
                 frames.append((frame, joint.pose(values.get(joint.name, 0.0))))
         return BodyMotion(sim_step, name, frames, values)
-
-
-def _message(sim_step: int, frames: Iterable[tuple[Frame, Pose]]) -> FrameTransforms:
-    message = FrameTransforms()
-    seconds, steps = divmod(sim_step, STEPS_PER_SECOND)
-    nanos = steps * _NS // STEPS_PER_SECOND
-    for frame, pose in frames:
-        transform = message.transforms.add(parent_frame_id=frame.parent, child_frame_id=frame.child)
-        transform.timestamp.seconds, transform.timestamp.nanos = seconds, nanos
-        position, orientation = transform.translation, transform.rotation
-        (position.x, position.y, position.z), (orientation.x, orientation.y, orientation.z, orientation.w) = pose
-    return message
 
 
 BASE_COORDINATES: Final = ("x", "y", "yaw")

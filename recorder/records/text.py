@@ -37,7 +37,7 @@ from recorder.records import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from recorder.records import Argument, BeginTrajectory, Candidate, Decision, Driven, LoadBody, Record, Simulate
+    from recorder.records import Argument, BeginTrajectory, Candidate, Decision, Record, Simulate
 
     Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text with its level
 
@@ -128,18 +128,6 @@ def _query(record: Query) -> Line:
     return f"{asked} -> {by_name(record.answer_json)}{by}{rejected}", _INFO
 
 
-def _output(record: Output) -> Line:
-    if record.stream == "logging":
-        return f"{record.logger} {record.level}: {record.text}", _LEVELS.get(record.level, _INFO)
-    return f"{record.stream}: {record.text}", _WARNING if record.stream == "stderr" else _INFO
-
-
-def _subscription(record: Subscription) -> Line:
-    change = "removed from" if record.removed else "added to"
-    sender = f" of {record.sender}" if record.sender else ""
-    return f"handler {record.handler} {change} event {record.name}{sender}", _DEBUG
-
-
 def _fluent(record: Fluent) -> Line:
     name, after = f"fluent {record.name}", record.after_json
     if record.by_fork:
@@ -157,14 +145,22 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
         f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers",
         _INFO,
     ),
-    Subscription: _subscription,
+    Subscription: lambda record: (
+        f"handler {record.handler} {'removed from' if record.removed else 'added to'} event {record.name}"
+        + (f" of {record.sender}" if record.sender else ""),
+        _DEBUG,
+    ),
     Refusal: lambda record: (
         f"refused: {record.name}({values(record.arguments)}): {format_failure(record.failure)}",
         _WARNING,
     ),
     Fluent: _fluent,
     Run: _run,
-    Output: _output,
+    Output: lambda record: (
+        (f"{record.logger} {record.level}: {record.text}", _LEVELS.get(record.level, _INFO))
+        if record.stream == "logging"
+        else (f"{record.stream}: {record.text}", _WARNING if record.stream == "stderr" else _INFO)
+    ),
     Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
     Envelope: lambda _: ("a record of a kind that this release doesn't know", _DEBUG),
 }
@@ -193,24 +189,15 @@ def _numbers(values: Sequence[float]) -> str:
     return _THREE % numbers if len(numbers) == 3 else f"[{', '.join([f'{number:.3f}' for number in numbers])}]"
 
 
-def _loaded(command: LoadBody) -> str:
-    inside = ", ".join([f"{overlap.depth * 1e3:.0f} mm inside of {overlap.body}" for overlap in command.overlaps[:]])
-    return f"{command.body} {_numbers(command.position)}" + (f", {inside}" if inside else "")
-
-
 def _simulated(command: Simulate) -> str:
-    steps = f"{command.steps} steps"
-    if command.driven:
-        return f"{steps}, {', '.join([_driven(each) for each in command.driven[:]])}"
-    if not command.HasField("settled"):
-        return steps
-    return f"{steps} until all was at rest" if command.settled else f"{steps}; not all is at rest yet"
-
-
-def _driven(driven: Driven) -> str:
-    off = f" ({driven.joint} {driven.error:.3f} off)" if driven.error > _NOTABLE_ERROR else ""
-    at = f"{driven.body} at {driven.time:.3f} s of trajectory {driven.number}"
-    return f"{at}, which has ended{off}" if driven.ended else f"{at}{off}"
+    text = f"{command.steps} steps"
+    for driven in command.driven[:]:
+        text += f", {driven.body} at {driven.time:.3f} s of trajectory {driven.number}"
+        text += ", which has ended" if driven.ended else ""
+        text += f" ({driven.joint} {driven.error:.3f} off)" if driven.error > _NOTABLE_ERROR else ""
+    if command.driven or not command.HasField("settled"):
+        return text
+    return f"{text} until all was at rest" if command.settled else f"{text}; not all is at rest yet"
 
 
 def _began(command: BeginTrajectory) -> str:
@@ -227,7 +214,10 @@ def _began(command: BeginTrajectory) -> str:
 
 _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others have none
     "open_world": lambda command: str(command.mode),
-    "load_body": _loaded,
+    "load_body": lambda command: (
+        f"{command.body} {_numbers(command.position)}"
+        + "".join([f", {each.depth * 1e3:.0f} mm inside of {each.body}" for each in command.overlaps[:]])
+    ),
     "remove_body": lambda command: command.body,
     "move_body": lambda command: f"{command.body} {_numbers(command.position)}",
     "move_joints": lambda command: (
@@ -355,21 +345,11 @@ def _out_of_reach(data: Mapping[str, Any]) -> str:
     return "out of reach" if distance is None else f"out of reach by {' and '.join(parts)}"
 
 
-def _unreached(data: Mapping[str, Any]) -> str:
-    often = f"; most often {pairs}" if (pairs := _pairs(data)) else ""
-    return f"no path in {data['checks']} checks, which came within {data['distance']:.2f} of the goal{often}"
-
-
 def _misfit(data: Mapping[str, Any]) -> str:
     width = data["width"]
     if width is None:
         return "nothing to take there"
     return f"{width * 1e3:.0f} mm wide, the fingers hold {data['least'] * 1e3:.0f} to {data['most'] * 1e3:.0f} mm"
-
-
-def _uneven(data: Mapping[str, Any]) -> str:
-    height = data["height"]
-    return "nothing to take there" if height is None else f"uneven by {height * 1e3:.0f} mm"
 
 
 def _unseen(data: Mapping[str, Any]) -> str:
@@ -381,14 +361,19 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     "OutOfReach": _out_of_reach,
     "Touching": lambda data: _pairs(data) + (f", and {data['more']} more" if data.get("more") else ""),
     "Misfit": _misfit,
-    "Uneven": _uneven,
+    "Uneven": lambda data: (
+        "nothing to take there" if data["height"] is None else f"uneven by {data['height'] * 1e3:.0f} mm"
+    ),
     "NoRoom": lambda data: str(data["reason"]),
     "Slips": lambda data: (
         "its fingers would touch it on one side only" if data["sides"] else "its fingers would close on nothing"
     ),
     "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
     "Unseen": _unseen,
-    "Unreached": _unreached,
+    "Unreached": lambda data: (
+        f"no path in {data['checks']} checks, which came within {data['distance']:.2f} of the goal"
+        + (f"; most often {pairs}" if (pairs := _pairs(data)) else "")
+    ),
     "Inferior": lambda data: f"{data['by']} {data['value']:g}",
     "Untried": lambda _: "not tried",
     "Unfit": lambda data: str(data["reason"]),

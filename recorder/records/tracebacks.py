@@ -7,12 +7,14 @@ all errors and records are put together from these parts.
 from __future__ import annotations
 
 import traceback
+from functools import partial
 from itertools import groupby
+from operator import attrgetter
 from traceback import TracebackException
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import CodeType, TracebackType
 
 MAX_FRAMES: Final = 32
@@ -26,6 +28,7 @@ _REPEATED: Final = 3  # times that Python prints the same line; then it counts
 _MAX_CACHED: Final = 4096  # texts of frames
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
 _CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
+_PLACE: Final = attrgetter("co_filename", "co_name")
 _SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)  # to their messages Python adds something
 
 _texts: Final[dict[tuple[int, int, int], tuple[CodeType, str]]] = {}  # with the code, as its address is in the key
@@ -73,7 +76,7 @@ def _part(error: BaseException, frames: int) -> str:
 
 
 def _is_small_group(error: BaseException) -> bool:
-    """Whether it is a group that Python prints with its members; another is printed as if it had none."""
+    """Return whether Python prints the error with its members; a larger group is printed without any."""
     return isinstance(error, BaseExceptionGroup) and _is_quickly_printed(error)
 
 
@@ -98,22 +101,15 @@ def _innermost(trace: TracebackType | None, frames: int) -> TracebackType | None
 
 
 def _stack(trace: TracebackType | None) -> Iterator[str]:
-    for _, group in groupby(_entries(trace), _place):
+    entries = []
+    while trace is not None:
+        entries.append(trace)
+        trace = trace.tb_next
+    for _, group in groupby(entries, lambda each: (*_PLACE(each.tb_frame.f_code), each.tb_lineno)):
         same = list(group)
         yield from map(_frame, same[:_REPEATED])
         if (more := len(same) - _REPEATED) > 0:
             yield f"  [Previous line repeated {more} more time{'s' if more > 1 else ''}]\n"
-
-
-def _entries(trace: TracebackType | None) -> Iterator[TracebackType]:
-    while trace is not None:
-        yield trace
-        trace = trace.tb_next
-
-
-def _place(entry: TracebackType) -> tuple[str, int, str]:
-    code = entry.tb_frame.f_code
-    return code.co_filename, entry.tb_lineno, code.co_name
 
 
 def _frame(entry: TracebackType) -> str:
@@ -134,14 +130,15 @@ def _message(error: BaseException) -> Iterator[str]:
         yield from TracebackException(kind, error, error.__traceback__, limit=0).format_exception_only()
         return
     module = "" if kind.__module__ in {"builtins", "__main__"} else f"{kind.__module__}."
-    name, text = f"{module}{kind.__qualname__}", _text(error, "exception")
+    name, text = f"{module}{kind.__qualname__}", text_or(lambda: str(error), lambda _: "<exception str() failed>")
     yield f"{name}: {text}\n" if text else f"{name}\n"
     for note in notes if isinstance(notes, list) else ():
-        yield from (f"{line}\n" for line in _text(note, "note").split("\n"))
+        yield from (f"{line}\n" for line in text_or(partial(str, note), lambda _: "<note str() failed>").split("\n"))
 
 
-def _text(value: object, what: str) -> str:
+def text_or(text: Callable[[], str], otherwise: Callable[[Exception], str]) -> str:
+    """Return the text that a user's own method gives; if the method raises an error, another text."""
     try:
-        return str(value)
-    except Exception:  # noqa: BLE001  the value's own __str__
-        return f"<{what} str() failed>"
+        return text()
+    except Exception as error:  # noqa: BLE001  a user's method may raise anything
+        return otherwise(error)

@@ -19,7 +19,7 @@ from hashlib import sha256
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from recorder.records.log_pb2 import Argument, Failure
-from recorder.records.tracebacks import MAX_ERRORS, format_traceback
+from recorder.records.tracebacks import MAX_ERRORS, format_traceback, text_or
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -124,8 +124,12 @@ def from_json(text: str) -> Plain:
 
 def _loaded(text: str) -> Plain:
     """Return the value of a line of JSON; raise ValueError if it isn't JSON or exceeds our limits."""
-    if len(text) > MAX_NESTING and text.count("[") + text.count("{") > MAX_NESTING and _depth(text) > MAX_NESTING:
-        raise ValueError(f"it is nested more than {MAX_NESTING} deep")
+    if len(text) > MAX_NESTING and text.count("[") + text.count("{") > MAX_NESTING:
+        depth = 0
+        for bracket in _BRACKET.findall(text):
+            depth += 1 if bracket in "[{" else -1 if bracket in "]}" else 0
+            if depth > MAX_NESTING:
+                raise ValueError(f"it is nested more than {MAX_NESTING} deep")
     value: Plain = (_WARY if _LONG_NUMBER.search(text) else _DECODER).decode(text)
     return value
 
@@ -145,24 +149,13 @@ _WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)  # c
 _LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
 
 
-def _depth(text: str) -> int:
-    depth = deepest = 0
-    for bracket in _BRACKET.findall(text):
-        depth += 1 if bracket in "[{" else -1 if bracket in "]}" else 0
-        deepest = max(depth, deepest)
-    return deepest
-
-
 def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> dict[str, Plain]:
     """Return the named values that a record carries; if strict, raise ValueError for one that isn't JSON."""
     return {argument.name: _loaded(argument.json) if strict else from_json(argument.json) for argument in arguments}
 
 
 def _message(error: BaseException) -> str:
-    try:
-        return str(error)
-    except Exception as broken:  # noqa: BLE001  the error's own __str__
-        return f"<no message: {type(broken).__qualname__}>"
+    return text_or(lambda: str(error), lambda broken: f"<no message: {type(broken).__qualname__}>")
 
 
 def format_error(error: BaseException) -> str:

@@ -122,11 +122,6 @@ def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | No
     return frame, _site(innermost)[1] if innermost is not None else None
 
 
-def is_of_plan(frame: FrameType) -> bool:
-    """Whether a frame runs the plan's own code."""
-    return _site(frame)[0] is _Origin.PLAN
-
-
 def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
     lines: list[CallSite] = []
     known, plan, runner = _sites.get, _Origin.PLAN, _Origin.RUNNER  # for speed
@@ -368,16 +363,16 @@ def _collection(value: Any, depth: int) -> str:
     except RuntimeError:  # another thread is changing it
         some = ()
     if kind is dict:
-        texts = [f"{described(key, depth + 1)}: {_item(key, item, depth + 1)}" for key, item in some]
+        texts = [
+            f"{described(key, depth + 1)}: "
+            + (LEFT_OUT if type(key) is str and is_secret(key) else described(item, depth + 1))
+            for key, item in some
+        ]
     else:
         texts = [described(item, depth + 1) for item in some]
     if len(value) > len(texts):
         texts.append(_ELLIPSIS)
     return f"{before}{', '.join(texts)}{',' if kind is tuple and len(value) == 1 else ''}{after}"
-
-
-def _item(key: object, item: object, depth: int) -> str:
-    return LEFT_OUT if type(key) is str and is_secret(key) else described(item, depth)
 
 
 def _of_numpy(value: Any, name: str) -> str:

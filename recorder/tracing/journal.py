@@ -391,12 +391,11 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
             journal.append(record)
         journal.expect_keyframes(source.name for source in sources)
         _open = (*_open, journal)
-    try:
+    with ExitStack() as undoing:
+        undoing.callback(forget_journal, journal)
         for source in sources:
             source.record_keyframe(journal)
-    except BaseException:
-        forget_journal(journal)
-        raise
+        undoing.pop_all()
 
 
 def close_journal(journal: Journal) -> None:

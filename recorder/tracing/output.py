@@ -12,10 +12,11 @@ import re
 import sys
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from recorder.closed_output import discard
+from recorder.errors import discard
 from recorder.records import Output, escaped, format_error
+from recorder.records.tracebacks import text_or
 from recorder.tracing import context, journal
 from recorder.tracing.call_stack import CallSite, call_site
 from recorder.tracing.context import current_ident, current_name
@@ -82,10 +83,7 @@ def _logged(log: Journal) -> Iterator[None]:
 
 
 def _logged_line(message: logging.LogRecord) -> Output:
-    try:
-        text = message.getMessage()
-    except Exception:  # noqa: BLE001  of a wrong format, or of an argument's own __str__
-        text = str(message.msg)
+    text = text_or(message.getMessage, lambda _: str(message.msg))
     if message.exc_info and message.exc_info[1] is not None:
         text = f"{text}: {format_error(message.exc_info[1])}"
     return Output(
@@ -93,13 +91,11 @@ def _logged_line(message: logging.LogRecord) -> Output:
     )
 
 
-class _Origin:
-    """Where a line began: the plan's line, and its task."""
+class _Origin(NamedTuple):
+    """The place where an output line began."""
 
-    __slots__ = ("site", "task")
-
-    def __init__(self, site: CallSite, task: int) -> None:
-        self.site, self.task = site, task
+    site: CallSite  # the plan's line
+    task: int  # id of the task
 
     @classmethod
     def here(cls) -> _Origin:

@@ -17,8 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from recorder.closed_output import discard, until_closed
-from recorder.errors import suggestion
+from recorder.errors import discard, suggestion, until_closed
 from recorder.packages import NotInstalled, needed
 from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
