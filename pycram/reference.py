@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pycram.actions import ActionType
     from pycram.motions.motion_types import MotionType
     from pycram.motions.process_module import ProcessModule
-    from pycram.motions.slots import Slot, Slotted
+    from pycram.motions.slots import Slot, SlotTable
 
 _HEAD: Final = """\
 # Reference: motions and actions
@@ -89,7 +89,7 @@ def _motion(motion: MotionType, module: ProcessModule) -> str:
     return "\n".join([*parts, ""])
 
 
-def _demands(kind: Slotted) -> Iterator[str]:
+def _demands(kind: SlotTable) -> Iterator[str]:
     """Yield which slots have to be there together."""
     if len(kind.one_of) > 1:
         names = " or ".join(f"`{name}`" for name in kind.one_of)
@@ -101,7 +101,7 @@ def _table(slots: Iterable[Slot]) -> str:
     for slot in slots:
         names = " or ".join(f"`{name}`" for name in (slot.name, *slot.aliases))
         values, default = _default(slot.values)
-        missing = "required" if slot.required else slot.missing or default
+        missing = "required" if slot.required else slot.otherwise or default
         rows.append(f"| {names} | {_cell(values)} | {_cell(missing)} |")
     return "\n".join([*rows, ""])
 

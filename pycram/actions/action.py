@@ -11,16 +11,26 @@ import inspect
 import re
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import candidates_of, thing
 from pycram.foundation.checks import text
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.names import qualified_name
-from pycram.motions import slot_checks
 from pycram.motions.designator import Designator, ResolvedDesignator
-from pycram.motions.slots import DesignatorError, Slot, checked_slots, described, given_slots, slot_name
+from pycram.motions.slots import (
+    ARM,
+    GRASP,
+    ORIENTATION,
+    POSITION,
+    DesignatorError,
+    Kind,
+    Slot,
+    SlotTable,
+    given_slots,
+    slot_name,
+)
 from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
@@ -28,39 +38,43 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from pycram.motions.designator import Resolver, Solution
-    from pycram.motions.slot_checks import Check
+    from pycram.motions.slots import Check
 
 
-def anything(name: str, value: Any) -> Any:  # noqa: ARG001  a check
-    """Whatever the action takes."""
+Function = TypeVar("Function", bound="Callable[..., Any]")
+#: Called with an action's slots; yields values for the open slots, or other values.
+Choices: TypeAlias = "Callable[..., Iterable[Mapping[str, Any]]]"
+
+
+# --- checks of slots -------------------------------------------------------------------------------------------------
+
+
+def _anything(name: str, value: Any) -> Any:  # noqa: ARG001  a check
     if isinstance(value, Designator):
         value.check()
     return value
 
 
-def place(name: str, value: Any) -> Any:
-    """A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame."""
-    if isinstance(value, LocationDesignator):
-        value.check()
-        return value
+def _place(name: str, value: Any) -> Any:
     if isinstance(value, str) or hasattr(value, "outline"):
-        described = LocationDesignator(on=value)
-        described.check()
-        return described
-    return slot_checks.position(name, value)
+        value = LocationDesignator(on=value)
+    if not isinstance(value, LocationDesignator):
+        return POSITION(name, value)
+    value.check()
+    return value
 
 
 def place_for_an_object(name: str, value: Any) -> Any:
-    """A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame."""
-    wanted = place(name, value)
+    """Check a place where an object can be put down."""
+    wanted = _place(name, value)
     if isinstance(wanted, LocationDesignator) and not (wanted.for_objects or wanted.prop_value("position")):
         raise BadArgument(name, value, "a place where an object can be put: with on or in, or a position")
     return wanted
 
 
 def place_for_the_robot(name: str, value: Any) -> Any:
-    """A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame."""
-    wanted = place(name, value)
+    """Check a place where the robot can stand."""
+    wanted = _place(name, value)
     if isinstance(wanted, LocationDesignator) and wanted.for_objects:
         known = "a place where the robot can stand, as LocationDesignator(near=...) or (reachable_for=...)"
         raise BadArgument(name, value, f"{known}; this is one for an object")
@@ -68,85 +82,74 @@ def place_for_the_robot(name: str, value: Any) -> Any:
 
 
 def portable(name: str, value: Any) -> Any:
-    """An Object, an ObjectDesignator, or a type of objects, which isn't a robot or furniture."""
+    """Check an object that a gripper can take: neither a robot nor furniture."""
     wanted = thing(name, value)
     if all(body.fixed for body in candidates_of(wanted)):
         raise BadArgument(name, value, "an object that can be taken; robots and the environment can't")
     return wanted
 
 
-def location(name: str, value: Any) -> Any:
-    """A LocationDesignator."""
+def _location(name: str, value: Any) -> Any:
     if not isinstance(value, LocationDesignator):
         raise BadArgument(name, value, "a LocationDesignator")
     value.check()
     return value
 
 
-def budget(name: str, value: Any) -> Any:
-    """How many tries may fail, from 0 up."""
+def _budget(name: str, value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise BadArgument(name, value, "a whole number from 0 up")
     return value
 
 
-def flag(name: str, value: Any) -> Any:
-    """True or False."""
+def _flag(name: str, value: Any) -> Any:
     if not isinstance(value, bool):
         raise BadArgument(name, value, "True or False")
     return value
 
 
-BY_SLOT: Final[Mapping[str, Check]] = {
-    "object": thing,
-    "target": place,
-    "place": location,
-    "put": location,
-    "clear": flag,
-    "close": flag,
-    "orientation": slot_checks.orientation,
-    "arm": slot_checks.arm,
-    "grasp": slot_checks.grasp,
+_ANYTHING: Final = Kind("Whatever the action takes", _anything)
+_LOCATION: Final = Kind("A LocationDesignator", _location)
+_FLAG: Final = Kind("True or False", _flag)
+
+#: The checks of the slots of PyCRAM's own actions, by name.
+_BY_SLOT: Final[Mapping[str, Check]] = {
+    "object": Kind("An Object of a world, an ObjectDesignator, or a type of objects", thing),
+    "target": Kind("A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame", _place),
+    "place": _LOCATION,
+    "put": _LOCATION,
+    "clear": _FLAG,
+    "close": _FLAG,
+    "orientation": ORIENTATION,
+    "arm": ARM,
+    "grasp": GRASP,
 }
-"""The checks of the slots of PyCRAM's own actions, by name."""
-
-
-Function = TypeVar("Function", bound="Callable[..., Any]")
-#: Called with an action's slots; yields values for the open slots, or other values.
-Choices: TypeAlias = "Callable[..., Iterable[Mapping[str, Any]]]"
-
 _COMMON: Final = (
     Slot(
         "budget",
-        budget,
+        _budget,
         text="how many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of "
         "the budget around it",
     ),
-    Slot("projected", flag, text="whether the best choices are imagined first; False by default"),
+    Slot("projected", _flag, text="whether the best choices are imagined first; False by default"),
 )
-_ARGUMENT: Final = re.compile(r"^\s*(\w+): (.*)$")
 
 
-@dataclass(frozen=True, slots=True)
-class ActionType:
+# --- types of actions ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionType(SlotTable):
     """A type of actions."""
 
-    type: str  # its name
     function: Callable[..., Any]  # performs it when everything is chosen
-    slots: tuple[Slot, ...]  # without ``type``
     choices: Choices | None = None  # finds values of open slots; None if there is nothing to choose
     prepare: Callable[..., Any] | None = None  # called before choices are found
     text: str = ""  # the first lines of the function's docstring
-    one_of: ClassVar[tuple[str, ...]] = ()
-    only_one: ClassVar[bool] = False
-
-    def describe(self) -> str:
-        """Describe its slots, for messages."""
-        return described(self)
 
     @property
     def recorded_as(self) -> str:
-        """The function's name in records: of our own actions, by the action, whichever file they are in."""
+        """The function's name in records; that of PyCRAM's own actions doesn't depend on their file."""
         if self.function.__module__.startswith(f"{__package__}."):
             return f"{__package__}.{self.function.__name__}.{self.function.__name__}"
         return qualified_name(self.function)
@@ -227,16 +230,16 @@ def _type(
     checked: Mapping[str, Check],
 ) -> ActionType:
     texts = _texts(function)
-    slots = []
+    table = []
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind not in (parameter.KEYWORD_ONLY, parameter.POSITIONAL_OR_KEYWORD):
             raise BadArgument("function", qualified_name(function), "a function whose parameters have names")
         slot = slot_name(parameter.name)
         required = parameter.default is parameter.empty
-        check = checked.get(slot) or BY_SLOT.get(slot, anything)
-        slots.append(Slot(slot, check, required=required, text=texts.get(parameter.name, "")))
-    doc = inspect.getdoc(function) or ""
-    return ActionType(name, function, (*slots, *_COMMON), choices, prepare, doc.partition("\n\nArgs:")[0])
+        check = checked.get(slot) or _BY_SLOT.get(slot, _ANYTHING)
+        table.append(Slot(slot, check, required=required, text=texts.get(parameter.name, "")))
+    text = (inspect.getdoc(function) or "").partition("\n\nArgs:")[0]
+    return ActionType(name, (*table, *_COMMON), function=function, choices=choices, prepare=prepare, text=text)
 
 
 def _texts(function: Callable[..., Any]) -> dict[str, str]:
@@ -247,7 +250,7 @@ def _texts(function: Callable[..., Any]) -> dict[str, str]:
     for line in section.splitlines():
         if not line.startswith(" "):
             break
-        if match := _ARGUMENT.match(line):
+        if match := re.match(r"\s*(\w+): (.*)$", line):
             name = match[1]
             found[name] = match[2]
         elif name:
@@ -271,41 +274,34 @@ class ActionDesignator(ResolvedDesignator):
 
     def check(self) -> None:
         """Check its slots as far as possible without a search."""
-        checked_type(self)
+        _checked(self)
 
 
-def checked_type(designator: ActionDesignator) -> tuple[ActionType, dict[str, Any]]:
-    """Return a designator's type and its checked slots.
-
-    Raises:
-        DesignatorError: Its type is unknown, or a slot is missing, unknown or wrong.
-    """
+def _checked(designator: ActionDesignator) -> tuple[ActionType, dict[str, Any]]:
     kind, given = given_slots(designator, TYPES, "action ")
-    return kind, checked_slots(kind, given)
+    return kind, kind.checked(given)
 
 
 def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
     """Prepare an action before its choices are found; after the ``with`` block, finish that."""
     try:
-        kind, slots = checked_type(designator)
-    except DesignatorError:  # only a resolver of the plan may know it
+        kind, given = _checked(designator)
+    except DesignatorError:  # a resolver of the plan may know it
         return nullcontext()
     if kind.prepare is None:
         return nullcontext()
+    values = arguments(kind.prepare, given)
     if inspect.isgeneratorfunction(kind.prepare):
-        return contextmanager(kind.prepare)(**arguments(kind.prepare, slots))
-    kind.prepare(**arguments(kind.prepare, slots))
+        return contextmanager(kind.prepare)(**values)
+    kind.prepare(**values)
     return nullcontext()
 
 
 def resolve(designator: ActionDesignator) -> Iterator[Solution]:
     """Yield the solutions of an action designator, one for each choice."""
-    kind, slots = checked_type(designator)
-    whole = {slot: value for slot, value in slots.items() if slot not in ("budget", "projected")}
-    if kind.choices is None:
-        yield {"action": kind.type, **whole}
-        return
-    for choice in kind.choices(**arguments(kind.choices, whole)):
+    kind, given = _checked(designator)
+    whole = {slot: value for slot, value in given.items() if slot not in ("budget", "projected")}
+    for choice in ({},) if kind.choices is None else kind.choices(**arguments(kind.choices, whole)):
         yield {"action": kind.type, **whole, **choice}
 
 
@@ -323,6 +319,5 @@ def type_of(solution: Solution) -> ActionType:
     names = [slot.name for slot in kind.slots]
     for slot, value in solution.items():
         if slot != "action" and slot not in names:
-            problem = f"a choice has the unknown slot {slot}{did_you_mean(slot, names)}"
-            raise DesignatorError(problem, type=name, slot=slot, value=value, takes=kind.describe())
+            raise kind.error(f"a choice has the unknown slot {slot}{did_you_mean(slot, names)}", slot, value)
     return kind

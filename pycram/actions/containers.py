@@ -13,8 +13,8 @@ import numpy as np
 from pycram.actions.action import action
 from pycram.actions.performing import perform
 from pycram.foundation.failures import AccessFailed, BadArgument, NoPlace, PlanFailure, UnknownName
-from pycram.motions import slot_checks
 from pycram.motions.designator import MotionDesignator
+from pycram.motions.slots import BODY, DISTANCE, NAME, POSITION
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.places import Pull, standing_places
@@ -27,7 +27,7 @@ from recorder.geometry import convex_hull, margin_in_polygon
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from pycram.motions.slot_checks import Check
+    from pycram.motions.slots import Check
 
 
 _PLACES: Final = 3  # to stand at, that are tried for each width
@@ -64,7 +64,7 @@ class Access:
 def known_container(name: str, value: Any) -> Any:
     """A container of furniture, its name, or an Object, of which joint or handle say what is meant."""
     if isinstance(value, Object):
-        return slot_checks.body(name, value)
+        return BODY(name, value)
     known = containers()
     for access, container in known:
         if value in (access.name, container):
@@ -76,10 +76,10 @@ def known_container(name: str, value: Any) -> Any:
 
 _CHECKS: Final[Mapping[str, Check]] = {
     "container": known_container,
-    "joint": slot_checks.name,
-    "handle": slot_checks.name,
-    "distance": slot_checks.distance,
-    "place": slot_checks.position,
+    "joint": NAME,
+    "handle": NAME,
+    "distance": DISTANCE,
+    "place": POSITION,
 }
 
 

@@ -13,8 +13,8 @@ from pycram.actions.navigating import go
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
 from pycram.foundation.failures import Blocked, MissingPart, NoPlace, PlaceFailed, ReasoningError
-from pycram.motions import slot_checks
 from pycram.motions.designator import MotionDesignator
+from pycram.motions.slots import POSITION
 from pycram.reasoning.collision import checker
 from pycram.reasoning.driving import drives
 from pycram.reasoning.grasping import placing as settling
@@ -121,7 +121,7 @@ def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]
         raise blocked[0]
 
 
-@action("handing-over", choices=_choices, checked={"target": slot_checks.position})
+@action("handing-over", choices=_choices, checked={"target": POSITION})
 def handing_over(
     object: Any,  # noqa: A002  the slot's name
     arm: str | None = None,

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias
 from pycram.actions.objects import ObjectDesignator, object_of, thing
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoPlace, UnknownName
-from pycram.motions import slot_checks
 from pycram.motions.designator import ResolvedDesignator
-from pycram.motions.slots import DesignatorError, Slot, checked_slots, described
+from pycram.motions.slots import ARM, ORIENTATION, POSITION, Slot, SlotTable
 from pycram.reasoning.places import PutDown, free_places, standing_places
 from pycram.reasoning.places.free import SIDES
 from pycram.scheduling.future import unwrap
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
     from pycram.models.surfaces import Surface
     from pycram.motions.designator import Resolver, Solution
-    from pycram.motions.slots import Slotted
     from pycram.reasoning.places import Place
 
 #: Surfaces with their furniture.
@@ -31,7 +29,6 @@ Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
 
 
 def _surfaces(name: str, value: Any) -> Surfaces:
-    """A surface, its name, furniture (all of its surfaces that are in no container), or a list of these."""
     values = value if isinstance(value, list | tuple) else [value]
     found = [each for one in values for each in _surfaces_of(name, one)]
     if not found:
@@ -56,7 +53,6 @@ def _surfaces_of(name: str, value: Any) -> Surfaces:
 
 
 def _inside(name: str, value: Any) -> Surfaces:
-    """A container, its name, or an object with containers."""
     known = [(body, container) for body in _furniture() for container in body.containers.values()]
     if isinstance(value, Object):
         chosen = [(body, container) for body, container in known if body is value]
@@ -75,14 +71,12 @@ def _furniture() -> list[Object]:
 
 
 def _near(name: str, value: Any) -> Any:
-    """[x, y] or [x, y, z] in m, world frame, or an object."""
     if isinstance(value, Object | ObjectDesignator | str):
         return thing(name, value)
     return list(checks.vector(name, (*value, 0.0) if hasattr(value, "__len__") and len(value) == 2 else value))
 
 
 def _side(name: str, value: Any) -> Any:
-    """Of the surface, or (side, object), as the robot sees it: "front", "back", "left" or "right"."""
     side, of = value if isinstance(value, list | tuple) and len(value) == 2 else (value, None)
     if side not in SIDES:
         raise BadArgument(name, value, f"one of {', '.join(SIDES)}, or one of these and an object")
@@ -90,38 +84,41 @@ def _side(name: str, value: Any) -> Any:
 
 
 def _reachable(name: str, value: Any) -> Any:
-    """What the robot is to reach: an object, or [x, y, z] in m; of a place for an object, the robot."""
     if isinstance(value, Object | ObjectDesignator | str):
         return thing(name, value)
-    return value if isinstance(value, PutDown) else slot_checks.position(name, value)
+    return value if isinstance(value, PutDown) else POSITION(name, value)
 
 
-class _Slots:
-    """The slots of location designators."""
-
-    type = "location"
-    slots: Final = (
-        Slot("position", slot_checks.position, text="[x, y, z] in m, world frame: a place that is known"),
-        Slot("orientation", slot_checks.orientation, text="a quaternion [x, y, z, w], world frame, there"),
-        Slot("on", _surfaces),
-        Slot("in", _inside),
+_SLOTS: Final = SlotTable(
+    "location",
+    (
+        Slot("position", POSITION, text="[x, y, z] in m, world frame: a place that is known"),
+        Slot("orientation", ORIENTATION, text="a quaternion [x, y, z, w], world frame, there"),
+        Slot(
+            "on",
+            _surfaces,
+            text="A surface, its name, furniture (all of its surfaces that are in no container), or a list of these",
+        ),
+        Slot("in", _inside, text="A container, its name, or an object with containers"),
         Slot("for", thing, text="the object that is to be put there; that of the action by default"),
-        Slot("near", _near),
-        Slot("side", _side),
-        Slot("reachable-for", _reachable),
+        Slot("near", _near, text="[x, y] or [x, y, z] in m, world frame, or an object"),
+        Slot(
+            "side",
+            _side,
+            text='Of the surface, or (side, object), as the robot sees it: "front", "back", "left" or "right"',
+        ),
+        Slot(
+            "reachable-for",
+            _reachable,
+            text="What the robot is to reach: an object, or [x, y, z] in m; of a place for an object, the robot",
+        ),
         Slot("visible-for", thing, text="the object that the robot's camera is to see from there"),
         Slot("away-from", _near, text="an object or a point that it is to be at least 0.4 m away from"),
-        Slot("arm", slot_checks.arm, text="the arm that is to reach; any by default"),
-    )
-    one_of: Final = ("position", "on", "in", "near", "reachable-for", "visible-for")
-    only_one = False
-
-    @staticmethod
-    def describe() -> str:
-        """Describe them, for messages."""
-        return described(_Slots(), "a LocationDesignator")
-
-
+        Slot("arm", ARM, text="the arm that is to reach; any by default"),
+    ),
+    one_of=("position", "on", "in", "near", "reachable-for", "visible-for"),
+    designator="a LocationDesignator",
+)
 _AWAY: Final = 0.4  # m
 _MAX_NEAR: Final = 20  # places in a row that may be too near; then the search ends
 _EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on", "visible-for"), ("in", "visible-for"))
@@ -135,8 +132,7 @@ class LocationDesignator(ResolvedDesignator):
     the best first.
     """
 
-    takes: ClassVar[Slotted] = _Slots()
-    """Its slots."""
+    takes: ClassVar[SlotTable] = _SLOTS
 
     @staticmethod
     def _own_resolver() -> Resolver:
@@ -173,12 +169,11 @@ class LocationDesignator(ResolvedDesignator):
 
 def _checked(designator: LocationDesignator) -> dict[str, Any]:
     given = {key: unwrap(value) for key, value in designator.description if value is not None}
-    slots = checked_slots(_Slots(), given)
+    checked = _SLOTS.checked(given)
     for one, other in _EXCLUDING:
-        if one in slots and other in slots:
-            problem = f"slots {one} and {other} exclude each other"
-            raise DesignatorError(problem, type="location", slot=other, value=given[other], takes=_Slots.describe())
-    return slots
+        if one in checked and other in checked:
+            raise _SLOTS.error(f"slots {one} and {other} exclude each other", other, given[other])
+    return checked
 
 
 def resolve(designator: LocationDesignator) -> Iterator[Solution]:
@@ -205,7 +200,7 @@ def _objects_places(slots: Mapping[str, Any]) -> Iterator[Place]:
     if "for" not in slots:
         known = sorted({body.type for body in _furniture() if not body.is_environment})
         problem = f"missing slot for: the object that is to be put there; {suggestion('', known)}"
-        raise DesignatorError(problem, type="location", slot="for", takes=_Slots.describe())
+        raise _SLOTS.error(problem, "for")
     side, near = slots.get("side"), slots.get("near")
     robot = slots.get("reachable-for")
     return free_places(

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from pycram.foundation.failures import BadArgument, PerceptionError
 from pycram.knowledge import beliefs
-from pycram.motions import slot_checks
 from pycram.motions.designator import ResolvedDesignator
-from pycram.motions.slots import DesignatorError, Slot, checked_slots, described
+from pycram.motions.slots import BODY, NAME, DesignatorError, Slot, SlotTable
 from pycram.scheduling.future import unwrap
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
@@ -18,24 +17,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from pycram.motions.designator import Resolver, Solution
-    from pycram.motions.slots import Slotted
 
 
-class _Slots:
-    """The slots of object designators."""
-
-    type = "object"
-    slots: Final = (
-        Slot("type", slot_checks.name, text='type of the object, as "milk"'),
-        Slot("name", slot_checks.name, text="name of the object"),
-    )
-    one_of: Final = ("type", "name")
-    only_one = False
-
-    @staticmethod
-    def describe() -> str:
-        """Describe them, for messages."""
-        return described(_Slots(), "an ObjectDesignator")
+_SLOTS: Final = SlotTable(
+    "object",
+    (
+        Slot("type", NAME, text='type of the object, as "milk"'),
+        Slot("name", NAME, text="name of the object"),
+    ),
+    one_of=("type", "name"),
+    designator="an ObjectDesignator",
+)
 
 
 class ObjectDesignator(ResolvedDesignator):
@@ -44,8 +36,7 @@ class ObjectDesignator(ResolvedDesignator):
     Its solutions have ``object``, ``position`` and ``orientation``: the object, and where it is believed to be.
     """
 
-    takes: ClassVar[Slotted] = _Slots()
-    """Its slots."""
+    takes: ClassVar[SlotTable] = _SLOTS
 
     @staticmethod
     def _own_resolver() -> Resolver:
@@ -84,7 +75,7 @@ def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
 def _candidates(designator: ObjectDesignator) -> list[Object]:
     """Return the objects of the world that a designator describes; DesignatorError if there are none."""
     given = {key: unwrap(value) for key, value in designator.description if value is not None}
-    wanted = checked_slots(_Slots(), given)
+    wanted = _SLOTS.checked(given)
     world = BulletWorld.current_robot().world
     found = world.objects
     for slot, value in wanted.items():
@@ -97,7 +88,7 @@ def _candidates(designator: ObjectDesignator) -> list[Object]:
 
 
 def candidates_of(thing: Object | ObjectDesignator) -> list[Object]:
-    """Return the given object, or the objects that a designator describes, all of one type."""
+    """Return the given object, or the objects of one type that a designator describes."""
     if not isinstance(thing, ObjectDesignator):
         return [thing]
     found = _candidates(thing)
@@ -117,9 +108,9 @@ def object_of(thing: Object | ObjectDesignator) -> Object:
 
 
 def thing(name: str, value: Any) -> Any:
-    """An Object of a world, an ObjectDesignator, or a type of objects."""
+    """Check an object of a plan: an Object of a world, an ObjectDesignator, or a type of objects."""
     if isinstance(value, Object):
-        return slot_checks.body(name, value)
+        return BODY(name, value)
     designator = ObjectDesignator(type=value) if isinstance(value, str) else value
     if not isinstance(designator, ObjectDesignator):
         raise BadArgument(name, value, "an Object, an ObjectDesignator, or a type of objects")

@@ -258,7 +258,6 @@ class _Act:
         for branch in self._designator.branches():
             branch.result()
         checkpoint()
-        _check(self._designator)
         with performing(self._designator):
             return self._carried_out()
 

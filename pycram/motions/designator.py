@@ -1,13 +1,12 @@
-"""Designators: descriptions of what a plan wants, resolved to parameters as late as possible (thesis 3.5.1, 4.5, 4.6).
+"""Designators: descriptions of motions, actions, objects and places, resolved late (thesis 3.5.1, 4.5, 4.6).
 
-A designator is a list of slots, (key, value) pairs. Referencing it finds its solutions: dictionaries with all
-parameters of an action. Its first solution is its reference; its next solution is another designator with the same
-slots, equated to it. Equated designators describe the same thing over time, and form a chain from the first to the
-current one. A designator is *effective* once it has been referenced, or if it was made to stand for something that was
-found.
+A designator has slots, (key, value) pairs. Resolvers find its solutions: dictionaries with all parameters. Its first
+solution is its reference; its next solution is another designator with the same slots, equated to it. Equated
+designators describe the same thing over time, and form a chain from the first to the current one. A designator is
+*effective* once it has been referenced, or if it was made to stand for something that was found.
 
-Designators are ``==`` only if they are identical; :meth:`Designator.equal` tells whether they are equated. The slots
-never change, so any number of threads may use a designator; it copies lists and other containers among them.
+Designators are ``==`` only if they are identical; :meth:`Designator.equal` compares chains. Their slots never change,
+so any number of threads may use a designator.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
@@ -43,64 +42,19 @@ if TYPE_CHECKING:
 
 __all__ = ["Designator", "DesignatorError", "MotionDesignator", "ResolvedDesignator", "Solution"]
 
-_chains_lock = threading.Lock()  # one for all chains, as chains get joined; no other code runs while it is held
+_chains_lock = threading.Lock()  # of all chains, as they get joined; no other code runs while it is held
 
-
-class Equated:
-    """A link of such a chain; alone at first."""
-
-    def __init__(self: Self) -> None:
-        self._chain: list[Self] = [self]
-
-    def equate(self, other: Self) -> None:
-        """State that this describes the same as another one, and is newer than all of the other's chain.
-
-        Raises:
-            BadArgument: The other can't be equated.
-        """
-        if not isinstance(other, Equated):
-            raise BadArgument("other", other, "something to equate with, such as a designator")
-        with _chains_lock:
-            own, theirs = self._chain, other._chain
-            if own is theirs:
-                return
-            index = own.index(self)
-            theirs[:0] = own[:index]  # this one's predecessors come before all of the other's
-            theirs += own[index:]
-            for link in own:
-                link._chain = theirs  # noqa: SLF001  same class
-
-    def chain(self) -> list[Self]:
-        """Return all that are equated with this one, and itself, the oldest first."""
-        with _chains_lock:
-            return list(self._chain)
-
-    def equal(self, other: Self) -> bool:
-        """Whether another one is equated with this one."""
-        with _chains_lock:
-            return isinstance(other, Equated) and self._chain is other._chain
-
-    def first(self) -> Self:
-        """Return the oldest of the chain."""
-        return self.chain()[0]
-
-    def current(self) -> Self:
-        """Return the newest of the chain."""
-        return self.chain()[-1]
-
-
+#: All parameters of a motion, action, object or place, by name.
+Solution: TypeAlias = Mapping[str, Any]
+Resolver: TypeAlias = Callable[[Any], Iterable[Solution] | None]
 Function = TypeVar("Function", bound="Callable[..., object]")
 
 
 class Resolvers(Generic[Function]):
-    """Functions in the order in which they were added; iteration goes through a snapshot.
-
-    Args:
-        owner: What they resolve, for messages.
-    """
+    """Functions that users register, called in order until one answers; iteration goes through a snapshot."""
 
     def __init__(self, owner: str) -> None:
-        self.owner = owner
+        self.owner = owner  # what they resolve, for messages
         self._lock = threading.Lock()
         self._functions: tuple[Function, ...] = ()
 
@@ -148,25 +102,14 @@ class Resolvers(Generic[Function]):
         return function in self._functions
 
 
-#: All parameters of an action, by name.
-Solution: TypeAlias = Mapping[str, Any]
-
-
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """How a solution was found.
+    """How a solution was found."""
 
-    Attributes:
-        resolver: qualified name of the function that gave it; "" if none did.
-        index: which of the designator's solutions it is, from 0.
-        known: how many were found by now; further ones are found when they are requested.
-        complete: whether there are no others.
-    """
-
-    resolver: str = ""
-    index: int = 0
-    known: int = 1
-    complete: bool = False
+    resolver: str = ""  # qualified name of the function that found it; "" for none
+    index: int = 0  # among the designator's solutions
+    known: int = 1  # number of solutions found so far; others are found on request
+    complete: bool = False  # whether there are no others
 
 
 class Solutions:
@@ -176,14 +119,14 @@ class Solutions:
     search, and the first to find a solution decides.
 
     Args:
-        find: Yields the solutions, each with the name of what gave it; called again after it failed, and then the known
-            ones are skipped.
+        find: Yields the solutions, each with the name of its resolver. After a failure it is called again, and the
+            known solutions are skipped.
     """
 
     def __init__(self, find: Callable[[], Iterator[tuple[Solution, str]]]) -> None:
         self._lock = threading.Lock()
         self._find = find
-        self._rest: Iterator[tuple[Solution, str]] | None = None  # yields those after the kept ones
+        self._rest: Iterator[tuple[Solution, str]] | None = None  # yields the solutions after the kept ones
         self._kept: list[tuple[Solution, str]] = []
         self._complete = False
 
@@ -206,40 +149,37 @@ class Solutions:
                         self._kept.append(solution)
 
     def resolution(self, index: int) -> Resolution:
-        """Return how the solution of an index was found, as far as it was."""
+        """Return how the solution of an index was found; the resolver is "" if it wasn't."""
         with self._lock:
             resolver = self._kept[index][1] if index < len(self._kept) else ""
             return Resolution(resolver, index, len(self._kept), self._complete)
 
 
-#: The designators that are carried out in this context: a motion may be made of motions.
+#: The designators that are carried out in this context: a motion may consist of motions.
 _performed: ContextVar[tuple[Designator, ...]] = ContextVar("pycram_performed", default=())
 
 
 def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
-    """Make what is asked of a designator in the ``with`` block part of carrying it out."""
+    """Make requests of a designator in the ``with`` block part of carrying it out: they aren't on record."""
     return Binding(_performed, (*_performed.get(), designator))
 
 
-def recorded(name: str, designator: Designator, index: int | None = None) -> AbstractContextManager[Question]:
-    """Put a request that the block answers on record, unless its designator is being carried out.
+@contextmanager
+def _recorded(name: str, designator: Designator, index: int | None = None) -> Iterator[Question]:
+    """Put a plan's request for a solution on record; the block answers it.
 
-    One that fails with a UsageError is a refusal, which its caller records; another has its failure in the record.
+    A UsageError is a refusal, which the caller records; other failures go into the record.
 
     Args:
         name: "reference" or "next_solution".
-        designator: what is to be resolved.
-        index: of the requested solution; the designator's own by default.
+        designator: The designator.
+        index: Of the solution; the designator's own by default.
     """
     request = Question(name, {"designator": designator})
     if any(each is designator for each in _performed.get()) or not journal.recording():
-        return nullcontext(request)
-    return _on_record(request, designator, index)
-
-
-@contextmanager
-def _on_record(request: Question, designator: Designator, index: int | None) -> Iterator[Question]:
-    with performing(designator), request.recorded(journal.current_world):  # with what its resolvers ask of it
+        yield request
+        return
+    with performing(designator), request.recorded(journal.current_world):
         try:
             yield request
         finally:
@@ -248,7 +188,7 @@ def _on_record(request: Question, designator: Designator, index: int | None) -> 
             request.evidence = {**resolver, "index": found.index, "known": found.known, "complete": found.complete}
 
 
-class Designator(Equated, ABC):
+class Designator(ABC):
     """A description of something, as slots: ``Designator([("type", "milk")])`` or ``Designator(type="milk")``.
 
     Args:
@@ -257,24 +197,21 @@ class Designator(Equated, ABC):
         parent: A designator to equate it with.
         slots: Further slots; ``reachable_for`` is the slot ``reachable-for``, ``in_`` the slot ``in``.
 
-    Attributes:
-        timestamp: When it became effective, in seconds since the Unix epoch; None before.
-
     Raises:
         DesignatorError: The description isn't a list of pairs.
     """
 
     performed_by: ClassVar[str] = ""
-    """What performs it; "" for ``ProcessModule.perform``."""
+    """Qualified name of the function that performs it; "" for ``ProcessModule.perform``."""
 
     @refusing("designator", name="Designator")
     def __init__(self, description: Description = (), parent: Designator | None = None, **slots: object) -> None:
-        super().__init__()
+        self._chain: list[Any] = [self]  # equated designators
         self._slots = pairs(description) + pairs((slot_name(name), value) for name, value in slots.items())
         self._lock = threading.Lock()
         self._effective = False
         self._data: Value = None
-        self.timestamp: float | None = None
+        self.timestamp: float | None = None  # when it became effective, in seconds since the Unix epoch
         if parent is not None:
             self.equate(parent)
 
@@ -311,9 +248,77 @@ class Designator(Equated, ABC):
         given = ((item, self.prop_value(item)) if isinstance(item, str) else item for item in properties)
         return {key: unwrap(value) for key, value in pairs(given)}
 
+    def branches(self) -> Iterator[Pending]:
+        """Yield the branches of all futures in its slots, also in designators there; don't wait."""
+        for _, value in self._slots:
+            yield from value.branches() if isinstance(value, Designator) else branches_in(value)
+
+    def check(self) -> None:  # noqa: B027  most have nothing to check
+        """Check its slots as far as possible without a search.
+
+        Raises:
+            UsageError: One is missing, unknown or wrong.
+        """
+
+    def values_for(self, slot: str, given: Mapping[str, Value]) -> Iterator[Mapping[str, Value]]:  # noqa: ARG002  for subclasses
+        """Yield values for another designator's slots, for each of its own solutions.
+
+        Args:
+            slot: The slot of the other designator that has this one as its value.
+            given: All slots of the other designator.
+
+        Yields:
+            Values by slot: of that slot, and of others that follow from it.
+
+        Raises:
+            DesignatorError: It can't be the value of a slot.
+        """
+        kind = type(self).__name__
+        raise DesignatorError(f"a {kind} can't be the value of slot {slot}", slot=slot, value=self)
+
+    # --- chains ------------------------------------------------------------------------------------------------------
+
+    def equate(self, other: Self) -> None:
+        """State that this describes the same as another designator, and is newer than all of the other's chain.
+
+        Raises:
+            BadArgument: The other isn't a designator.
+        """
+        if not isinstance(other, Designator):
+            raise BadArgument("other", other, "something to equate with, such as a designator")
+        with _chains_lock:
+            own, theirs = self._chain, other._chain
+            if own is theirs:
+                return
+            index = own.index(self)
+            theirs[:0] = own[:index]  # its predecessors come before the other's chain
+            theirs += own[index:]
+            for link in own:
+                link._chain = theirs  # noqa: SLF001  same class
+
+    def chain(self) -> list[Self]:
+        """Return all designators that are equated with this one, and itself, the oldest first."""
+        with _chains_lock:
+            return list(self._chain)
+
+    def equal(self, other: Self) -> bool:
+        """Return whether another designator is equated with this one."""
+        with _chains_lock:
+            return isinstance(other, Designator) and self._chain is other._chain
+
+    def first(self) -> Self:
+        """Return the oldest of the chain."""
+        return self.chain()[0]
+
+    def current(self) -> Self:
+        """Return the newest of the chain."""
+        return self.chain()[-1]
+
     def newest_effective(self) -> Designator | None:
         """Return the newest effective designator of the chain; None if there is none."""
         return next((designator for designator in reversed(self.chain()) if designator.effective), None)
+
+    # --- solutions ---------------------------------------------------------------------------------------------------
 
     @property
     def effective(self) -> bool:
@@ -324,36 +329,6 @@ class Designator(Equated, ABC):
     def data(self) -> Value:
         """The data of :meth:`make_effective`; None otherwise."""
         return self._data
-
-    def branches(self) -> Iterator[Pending]:
-        """Yield the branches of all futures among its slots, and among those of designators in these; don't wait."""
-        for _, value in self._slots:
-            yield from value.branches() if isinstance(value, Designator) else branches_in(value)
-
-    def check(self) -> None:
-        """Check its slots as far as that needs no search.
-
-        Raises:
-            UsageError: One is missing, unknown or wrong.
-        """
-
-    def values_for(self, slot: str, given: Mapping[str, Value]) -> Iterator[Mapping[str, Value]]:  # noqa: ARG002  for those that stand for something
-        """Yield what it stands for as the value of another one's slot, for each of its solutions.
-
-        Args:
-            slot: The other one's slot.
-            given: The other one's slots.
-
-        Yields:
-            The slot's value by the slot's name, and what else it says of the other one, by names of slots.
-
-        Raises:
-            DesignatorError: It stands for nothing there.
-        """
-        kind = type(self).__name__
-        raise DesignatorError(f"a {kind} can't be the value of slot {slot}", slot=slot, value=self)
-
-    # --- solutions ---------------------------------------------------------------------------------------------------
 
     @abstractmethod
     def _solution(self) -> Solution:
@@ -370,7 +345,7 @@ class Designator(Equated, ABC):
         Raises:
             DesignatorError: There is none.
         """
-        with recorded("reference", self) as asked:
+        with _recorded("reference", self) as asked:
             asked.answer = solution = self._referenced()
         return solution
 
@@ -386,11 +361,11 @@ class Designator(Equated, ABC):
         return own(solution)
 
     def resources(self) -> Resources | None:
-        """Return what it needs, as far as known by now; None for the whole robot. Must not wait or fail."""
+        """Return its known needs of the robot; None for the whole robot. Must not wait or fail."""
         return None
 
     def resolution(self, index: int | None = None) -> Resolution:
-        """Return how its solution was found, as far as it was; or another one, by its index from 0."""
+        """Return how its solution, or that of an index, was found; the resolver is "" if it wasn't."""
         resolver = qualified_name(type(self)._solution) if self._data is None else ""  # noqa: SLF001  same class
         return Resolution(resolver, index or 0)
 
@@ -431,7 +406,7 @@ class Designator(Equated, ABC):
     def make_effective(
         self, properties: Description | None = None, data: Value = None, timestamp: float | None = None
     ) -> Self:
-        """Return a new effective designator, equated with this one, that stands for what was found or became true.
+        """Return a new effective designator, equated with this one, that stands for something found.
 
         Args:
             properties: Its slots; this one's by default.
@@ -446,7 +421,7 @@ class Designator(Equated, ABC):
         return designator
 
     def __reduce__(self) -> tuple[type[Designator], tuple[list[tuple[str, Value]]]]:
-        """Return what makes one with the same slots, in another process too; it is equated with nothing."""
+        """Return the means to make one with the same slots, also in another process; it is equated with nothing."""
         return type(self), (list(self._slots),)
 
     def __record__(self) -> object:
@@ -460,16 +435,13 @@ class Designator(Equated, ABC):
         return f"{type(self).__name__}({list(self._slots)!r})"
 
 
-Resolver: TypeAlias = Callable[[Any], Iterable[Solution] | None]
-
-
 class ResolvedDesignator(Designator):
     """A designator whose solutions are found by resolvers, one by one.
 
-    Resolvers are functions that take the designator and return solutions, a list or a generator, or None for
-    designators of other types. Users add theirs with :meth:`add_resolver`, also a decorator. They are called in order,
-    those of a subclass before its parents', and last PyCRAM's own. If a resolver raises DesignatorError, the next one
-    is called; the error is raised if none has a solution.
+    A resolver takes the designator and returns solutions, a list or a generator, or None for designators of other
+    types. Users add resolvers with :meth:`add_resolver`, also a decorator. They are called in order, first those of the
+    subclass, then its parents', then PyCRAM's own. If a resolver raises DesignatorError, the next resolver is called;
+    the error is raised if none has a solution.
     """
 
     resolvers: ClassVar[Resolvers[Resolver]] = Resolvers("designators")
@@ -486,7 +458,7 @@ class ResolvedDesignator(Designator):
     @staticmethod
     @abstractmethod
     def _own_resolver() -> Resolver:
-        """Return PyCRAM's own resolver, which is called last."""
+        """Return PyCRAM's own resolver; it is called last."""
 
     @classmethod
     def add_resolver(cls, resolver: Resolver) -> Resolver:
@@ -509,7 +481,7 @@ class ResolvedDesignator(Designator):
         return value if isinstance(value, str) else ""
 
     def next_solution(self) -> Self | None:
-        """Return the designator of the next solution; see :meth:`Designator.next_solution`."""
+        """Return an equated designator with the next solution; None if there is none."""
         if self._data is not None or self._following(self._index + 1) is None:
             return None
         following = type(self)(self._slots, self)
@@ -518,15 +490,15 @@ class ResolvedDesignator(Designator):
         return following
 
     def resolution(self, index: int | None = None) -> Resolution:
-        """Return how its solution was found, as far as it was; or another one, by its index from 0."""
+        """Return how its solution, or that of an index, was found."""
         if self._data is not None:
             return super().resolution(index)
         return self._solutions.resolution(self._index if index is None else index)
 
     @refusing("designator", name="next_solution")
     def _following(self, index: int) -> Solution | None:
-        """Return a later solution, which the plan asks for; None if there is none."""
-        with recorded("next_solution", self, index) as asked:
+        """Return a later solution for the plan; None if there is none."""
+        with _recorded("next_solution", self, index) as asked:
             asked.answer = solution = self._solutions.at(index)
         return solution
 
@@ -537,7 +509,7 @@ class ResolvedDesignator(Designator):
         return solution
 
     def _all_solutions(self) -> Iterator[Solution]:
-        yield self.reference()  # no designator is made for each of the others
+        yield self.reference()  # without a designator for each further solution
         if self._data is None:
             for index in itertools.count(self._index + 1):
                 solution = self._following(index)
@@ -571,9 +543,9 @@ class MotionDesignator(ResolvedDesignator):
         return motion_types.resolve
 
     def resources(self) -> Resources | None:
-        """Return what it needs of the robot: by its type, and once it is effective, by the ``cmd`` of its solution.
+        """Return its needs of the robot: by its type, and once it is effective, by the ``cmd`` of its solution.
 
-        Only PyCRAM's own are known; others get the whole robot, unless their process module or a subclass says less.
+        Other motions than PyCRAM's get the whole robot, unless their process module or a subclass says less.
         """
         if self.effective and isinstance(solution := self._referenced(), Mapping):
             return motion_types.resources_of(solution)
@@ -591,5 +563,5 @@ def _solutions_of(resolver: Resolver, designator: Designator) -> Iterator[Soluti
 
 
 def unfinished(designator: Designator) -> list[str]:
-    """Return the names of running branches among a designator's slots that may wait for something requested later."""
+    """Return the names of running branches in a designator's slots that may wait for later requests."""
     return [branch.name for branch in designator.branches() if not branch.done and not branch.ordered]

@@ -46,13 +46,14 @@ if TYPE_CHECKING:
     from typing import Self
 
     from pycram.models.robots.description import Arm, RobotDescription
+    from pycram.motions.designator import Solution
     from pycram.motions.execution import Execution
     from pycram.world.object import Object
 
 
 @runtime_checkable
 class Module(Protocol):
-    """A process module, as environments and motions use it."""
+    """The part of a process module that environments and motions use."""
 
     def resources(self, designator: Designator) -> Resources | None:
         """Return what carrying a designator out needs of the robot."""
@@ -69,15 +70,18 @@ AS_ASKED: Final = "as asked"
 """The only candidate, where a plan leaves nothing to choose."""
 
 FOLLOWING: Final = (TrackingLost, Displaced, TrajectoryEnded)
-"""Failures of whatever follows a trajectory."""
+"""Failures of motions that follow a trajectory."""
 
-SIMULATED = "simulated"
-"""The environment in which motions are done at once."""
-CONTINUOUS = "continuous"
-"""The environment in which they take simulated time."""
+SIMULATED: Final = "simulated"
+"""The execution environment in which motions are instantaneous."""
+CONTINUOUS: Final = "continuous"
+"""The execution environment in which motions take simulated time."""
+
+_ONE_AT_A_TIME: Final = Resources(moves=frozenset({"module"}))
+_TOGETHER: Final = Resources()
 
 _environment: ContextVar[str] = ContextVar("pycram_environment", default="")
-_of_run = SIMULATED  # where the plan names none, in any thread
+_of_run = SIMULATED  # the environment for plans that name none, in all threads
 _modules_lock = threading.Lock()
 _registered: dict[tuple[str, str], Modules] = {}
 _defaults: dict[str, Callable[[], Modules]] = {}
@@ -85,28 +89,19 @@ _of_world: weakref.WeakKeyDictionary[BulletWorld, dict[tuple[str, str], Modules]
 
 _queues: weakref.WeakKeyDictionary[BulletWorld, ResourceQueue] = weakref.WeakKeyDictionary()
 _queues_lock = threading.Lock()
-#: For the motions that one is made of: the queues for what is held of the robots of worlds, by world.
+#: For the motions that are parts of a motion: queues for its resources, by world.
 _parts: ContextVar[Mapping[BulletWorld, ResourceQueue]] = ContextVar("pycram_parts", default=MappingProxyType({}))
+#: For the motions that a running module performs: queues of the modules; concurrent modules have separate queues.
+_inner_queues: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVar("pycram_modules", default=None)
 #: The designator that is carried out in this context, and how that was decided.
 _decided: ContextVar[tuple[Designator | None, Decision | None]] = ContextVar("pycram_decided", default=(None, None))
 
-_ONE_AT_A_TIME = Resources(moves=frozenset({"module"}))
-_TOGETHER = Resources()
 
-#: Queues of the modules that a running module performs motions with; concurrent modules have separate ones.
-_inner_queues: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVar("pycram_modules", default=None)
+# --- execution environments ------------------------------------------------------------------------------------------
 
 
 class NoProcessModule(UsageError):
-    """No process module takes a designator.
-
-    Attributes:
-        cmd: The solution's ``cmd``.
-        robot: Name of the robot.
-        environment: The execution environment.
-        known: The ``cmd`` of each of its modules.
-        undescribed: Why the robot has no description, without which it has no modules of PyCRAM's; "" if it has one.
-    """
+    """No process module takes a designator."""
 
     def __init__(self, cmd: str, robot: str, environment: str, known: list[str], undescribed: str = "") -> None:
         super().__init__(
@@ -114,14 +109,22 @@ class NoProcessModule(UsageError):
             f"it has modules for {', '.join(known) or 'nothing'}; {undescribed}"
             "add one with register() or ProcessModule.resolvers"
         )
-        self.cmd = cmd
-        self.robot = robot
+        self.cmd = cmd  # of the solution
+        self.robot = robot  # its name
         self.environment = environment
-        self.known = known
-        self.undescribed = undescribed
+        self.known = known  # the ``cmd`` of each module in the environment
+        self.undescribed = undescribed  # why the robot has no description; "" if it has one
 
 
-export("pycram.process_module", NoProcessModule)
+class NoDescription(UsageError):
+    """The robot has no description, so process modules don't know its arms."""
+
+    def __init__(self, robot: str) -> None:
+        super().__init__(f"nothing is known of the robot {robot}; give Object(..., description=...) its TOML file")
+        self.robot = robot
+
+
+export("pycram.process_module", NoProcessModule, NoDescription)
 
 
 @contextmanager
@@ -138,14 +141,19 @@ def execution_environment(name: str) -> Iterator[None]:
         yield
 
 
+def current_environment() -> str:
+    """Return the name of the current execution environment."""
+    return _environment.get() or _of_run
+
+
 def set_default(name: str) -> None:
-    """Use the process modules of an environment wherever the plan names none, in all threads of this process."""
-    global _of_run  # noqa: PLW0603  of the run, which is the process's
+    """Use the process modules of an environment where the plan names none, in all threads of this process."""
+    global _of_run  # noqa: PLW0603  a process has one run
     _of_run = name or SIMULATED
 
 
 def register(robot: str, environment: str, modules: Modules) -> None:
-    """Register the process modules of a robot in an environment, in place of those registered before.
+    """Register the process modules of a robot in an environment; they replace earlier registered modules.
 
     Args:
         robot: The robot's name in its URDF.
@@ -155,19 +163,17 @@ def register(robot: str, environment: str, modules: Modules) -> None:
     Raises:
         BadArgument: They aren't process modules.
     """
-    if not isinstance(modules, Mapping) or not all(_serves(cmd, module) for cmd, module in modules.items()):
+    if not isinstance(modules, Mapping) or not all(
+        isinstance(cmd, str) and isinstance(module, Module) and not isinstance(module, type)
+        for cmd, module in modules.items()
+    ):
         raise BadArgument("modules", modules, "process modules by cmd, such as {'looking': Looking()}")
     with _modules_lock:
         _registered[checks.text("robot", robot), checks.text("environment", environment)] = dict(modules)
 
 
-def _serves(cmd: object, module: object) -> bool:
-    """Whether this is a process module for a ``cmd``; a class of modules has the same methods, and is none."""
-    return isinstance(cmd, str) and isinstance(module, Module) and not isinstance(module, type)
-
-
 def register_default(environment: str, modules: Callable[[], Modules]) -> None:
-    """Register the process modules, in an environment, of each robot that has a description and no modules of its own.
+    """Register process modules, in an environment, for robots that have a description and no modules of their own.
 
     Args:
         environment: The execution environment.
@@ -179,121 +185,107 @@ def register_default(environment: str, modules: Callable[[], Modules]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """A process module, and why it is that one.
-
-    Attributes:
-        module: the module.
-        environment: the execution environment.
-        chooser: qualified name of the function that chose it; "" if it is a registered one.
-        registered_for: name of the robot that it was registered for; "" if the environment has it for any robot.
-    """
+    """A process module, and the reason for its choice."""
 
     module: Module
     environment: str
-    chooser: str = ""
-    registered_for: str = ""
+    chooser: str = ""  # qualified name of the function that chose it; "" if it is registered
+    registered_for: str = ""  # name of the robot that it is registered for; "" if the environment has it for any robot
 
 
-def current_environment() -> str:
-    """Return the name of the current execution environment."""
-    return _environment.get() or _of_run
-
-
-def module_for(cmd: str, world: BulletWorld) -> Chosen:
-    """Return the module for a ``cmd`` of a world's robot in the current environment.
+def choose(designator: Designator, solution: Solution) -> Chosen:
+    """Return the process module for a designator and its solution (thesis 4.8).
 
     Raises:
         NoProcessModule: There is none.
-        NoWorld: The world has no robot.
+        NoWorld: There is no current world, or it has no robot.
+        BadArgument: A user's function returned something else.
     """
-    if world.robot is None:
+    environment = current_environment()
+    for chooser in ProcessModule.resolvers:
+        module = chooser(designator)
+        if module is not None and not isinstance(module, ProcessModule):
+            raise BadArgument(f"what {qualified_name(chooser)} chose", module, "a process module, or None")
+        if module is not None:
+            return Chosen(module, environment, chooser=qualified_name(chooser))
+    world, cmd = _current_world(), str(solution.get("cmd", ""))
+    robot = world.robot
+    if robot is None:
         raise NoWorld("robot")
-    modules, registered_for = _modules_of(world, world.robot)
-    if cmd not in modules:
-        why = "" if world.robot.description else _undescribed(world.robot)
-        raise NoProcessModule(cmd, world.robot.urdf.name, current_environment(), sorted(modules), why)
-    return Chosen(modules[cmd], current_environment(), registered_for=registered_for)
+    with _modules_lock:
+        modules = _registered.get((robot.urdf.name, environment))
+        registered_for = "" if modules is None else robot.urdf.name
+        make = _defaults.get(environment)
+        if modules is None and make is not None and robot.description is not None:
+            sets = _of_world.setdefault(world, {})
+            key = robot.name, environment
+            if key not in sets:
+                sets[key] = make()
+            modules = sets[key]
+    if modules is None or cmd not in modules:
+        raise NoProcessModule(cmd, robot.urdf.name, environment, sorted(modules or ()), _undescribed(robot))
+    return Chosen(modules[cmd], environment, registered_for=registered_for)
+
+
+def _current_world() -> BulletWorld:
+    world = BulletWorld.current_bullet_world
+    if world is None:
+        raise NoWorld
+    return world
 
 
 def _undescribed(robot: Object) -> str:
-    """Return why a robot has no description, and what to do."""
+    """Return why a robot has no description, and the remedy; "" if it has a description."""
+    if robot.description:
+        return ""
     misfit = why_none(robot.urdf)
     but = f" (PyCRAM's own description of {robot.urdf.name} doesn't fit it: {misfit})" if misfit else ""
     return f"it has no description{but}: pycram describe writes one for Object(..., description=...); else "
 
 
-def _modules_of(world: BulletWorld, robot: Object) -> tuple[Modules, str]:
-    """Return the modules of a robot, and its name if they were registered for it."""
-    environment = current_environment()
-    with _modules_lock:
-        registered = _registered.get((robot.urdf.name, environment))
-        if registered is not None:
-            return registered, robot.urdf.name
-        make = _defaults.get(environment)
-        if make is None or robot.description is None:
-            return {}, ""
-        sets = _of_world.setdefault(world, {})
-        key = robot.name, environment
-        if key not in sets:
-            sets[key] = make()
-        return sets[key], ""
+# --- motions ---------------------------------------------------------------------------------------------------------
 
 
 class Motion:
-    """A designator to be carried out in a world.
+    """A motion from its request to its end: it queues for resources, is resolved, and is carried out in a world.
 
-    Args:
-        choose: Returns the process module of a designator that can be resolved.
-
-    Attributes:
-        name: The designator's type.
-        span: Its node of the task tree.
+    Motions that are parts of a motion queue among themselves, for the resources that it holds. So no motion waits for
+    one that waits for it. A motion in another world, performed to look ahead, queues there like any other motion.
     """
 
-    def __init__(self, designator: Designator, world: BulletWorld, choose: Callable[[Designator], Chosen]) -> None:
+    def __init__(self, designator: Designator, world: BulletWorld) -> None:
         self.name = str(dict(designator.description).get("type", type(designator).__name__))
         slots = {key: value for key, value in designator.description if key != "type"}
         self._designator = designator
-        self._choose = choose
         self._world = world
         with performing(designator):
             resources = designator.resources()
-        self._ticket = Ticket(_parts.get().get(world) or _queue_of(world), resources, self.name)
+        with _queues_lock:
+            queue = _parts.get().get(world) or _queues.setdefault(world, ResourceQueue())
+        self.ticket = Ticket(queue, resources, self.name)
         self.span = Span("motion", self.name, parameters=slots)
-
-    def enqueue(self) -> None:
-        """Take its place in the queue for resources."""
-        self._ticket.enqueue()
-
-    def leave(self) -> None:
-        """Give its place up, if it has one."""
-        self._ticket.leave()
 
     def carry_out(self) -> Any:
         """Wait for its turn, resolve it, run its process module within the span, and return the module's result."""
         try:
-            self._await_slots()
-            with self._ticket.turn():
+            for branch in self._designator.branches():  # it holds no resources yet: these branches may need some
+                branch.result()
+            with self.ticket.turn():
                 checkpoint()
                 with performing(self._designator):
                     module = self._resolve()
                     with self._holding(), Binding(_decided, (self._designator, self.span.decision)):
                         return module.execute(self._designator)
         finally:
-            self.leave()
-
-    def _await_slots(self) -> None:
-        """Wait for futures among its slots while it holds no resources: their branches may need some."""
-        for branch in self._designator.branches():
-            branch.result()
+            self.ticket.leave()
 
     def _resolve(self) -> Module:
         """Find solution and process module, and request the resources that these need."""
         with self._holding():  # resolvers may perform motions
             self.span.decision = decision = Decision(environment=current_environment())
             try:
-                self.span.solution = self._designator.reference()
-                chosen = self._choose(self._designator)
+                self.span.solution = solution = self._designator.reference()
+                chosen = choose(self._designator, solution)
             finally:
                 found = self._designator.resolution()
                 decision.resolver, decision.solution = found.resolver, found.index
@@ -302,65 +294,67 @@ class Motion:
             decision.module, decision.chooser = qualified_name(type(module)), chosen.chooser
             decision.registered_for = chosen.registered_for
             resources = module.resources(self._designator)
-        self._ticket.correct(resources)
+        self.ticket.correct(resources)
         return module
 
     def _holding(self) -> Binding[Mapping[BulletWorld, ResourceQueue]]:
-        """Make motions performed in this world in the ``with`` block parts of this one, within its resources."""
-        return Binding(_parts, {**_parts.get(), self._world: ResourceQueue(self._ticket.resources)})
+        """Make motions performed in this world in the ``with`` block parts of this motion, within its resources."""
+        return Binding(_parts, {**_parts.get(), self._world: ResourceQueue(self.ticket.resources)})
 
 
-def decision_of(designator: Designator) -> Decision | None:
-    """Return how the motion was decided that carries a designator out in this context; None if none does."""
-    carried_out, decision = _decided.get()
-    return decision if carried_out is designator else None
+@refusing(name="perform")
+def _motion(designator: Designator) -> Motion:
+    if not isinstance(designator, Designator):
+        raise DesignatorError(f"perform takes a designator, not {designator!r}", value=designator)
+    if designator.performed_by:
+        kind = type(designator).__name__
+        problem = f"a {kind} is performed by {designator.performed_by}, not by ProcessModule.perform"
+        raise DesignatorError(problem, value=designator)
+    return Motion(designator, _current_world())
 
 
-def forget_motions() -> None:
-    """Forget all motions that run or wait, in a forked child; what this context does is part of none."""
+def forget_claims() -> None:
+    """Forget all motions that run or wait: in a forked child, only this branch goes on, and holds nothing."""
     _queues.clear()
     _parts.set(MappingProxyType({}))
     forget_tickets()
+    _inner_queues.set({})
 
 
-def _queue_of(world: BulletWorld) -> ResourceQueue:
-    with _queues_lock:
-        return _queues.setdefault(world, ResourceQueue())
+# --- process modules -------------------------------------------------------------------------------------------------
 
 
 class ProcessModule(ABC):
     """Carries out one kind of motion, one designator at a time, in order of arrival.
 
     Motions that it performs are parts of that motion, within its resources.
-
-    Attributes:
-        one_at_a_time: False for one that keeps nothing of a designator: two arms may move by the same module.
     """
 
     one_at_a_time = True
+    """False for a module without state: two arms may move by the same module."""
 
     failures: ClassVar[tuple[type[PlanFailure], ...]] = ()
-    """What it may raise, in any environment; of PyCRAM's modules the reference lists them."""
+    """The failures that it may raise in any environment; the reference lists those of PyCRAM's modules."""
 
     failures_in_time: ClassVar[tuple[type[PlanFailure], ...]] = ()
-    """What else it may raise where motions take simulated time."""
+    """Further failures that it may raise where motions take simulated time."""
 
     resolvers: ClassVar[Resolvers[Chooser]] = Resolvers("process modules")
     """Functions that return a module for a designator, or None; called before the registered modules are looked up.
 
-    Like resolvers, they are called when the motion's turn has come; motions that they perform are part of it."""
+    Like resolvers, they are called when it is the motion's turn; motions that they perform are part of it."""
 
     _queue: ResourceQueue
 
     def __new__(cls, *_: object, **__: object) -> Self:
-        """Make one; not in ``__init__``, which subclasses may have without calling this class's."""
+        """Make one; not in ``__init__``, as subclasses may not call it."""
         made = super().__new__(cls)
         made._queue = ResourceQueue()
         return made
 
     @abstractmethod
     def _execute(self, designator: Designator) -> Result:
-        """Carry a designator out, with the parameters of its ``reference()``; return what the plan gets.
+        """Carry a designator out, with the parameters of its ``reference()``; return the result for the plan.
 
         Raises:
             PlanFailure: The world said no; the world is consistent then.
@@ -370,7 +364,7 @@ class ProcessModule(ABC):
         """Return what carrying a designator out needs of the robot; None for the whole robot.
 
         Called when it is resolved, before anything moves. The resources of PyCRAM's own motions are known by the
-        solution's ``cmd``. A module for another ``cmd`` gets the whole robot, unless it returns here what it needs, for
+        solution's ``cmd``. A module for another ``cmd`` gets the whole robot, unless it returns its needs here, for
         itself and for all motions that it performs::
 
             def resources(self, designator):
@@ -387,7 +381,8 @@ class ProcessModule(ABC):
             checkpoint()
             solution: Mapping[str, object] = designator.reference()
             task = span("process-module", type(self).__name__, solution)
-            task.decision = decision_of(designator)
+            carried_out, decision = _decided.get()
+            task.decision = decision if carried_out is designator else None
             with task, uninterruptible():
                 task.solution = solution
                 task.result = result = run(self._execute, designator)
@@ -412,79 +407,22 @@ class ProcessModule(ABC):
                 return result
         # queued already here if it can wait only for earlier motions
         ordered = block.immediate and not unfinished(designator)
+        leave = motion.ticket.leave
         try:
             if ordered:
-                motion.enqueue()
-            return block.start(motion.name, motion.carry_out, ordered=ordered, dropped=motion.leave, span=motion.span)
+                motion.ticket.enqueue()
+            return block.start(motion.name, motion.carry_out, ordered=ordered, dropped=leave, span=motion.span)
         except BaseException:
-            motion.leave()
+            leave()
             raise
-
-
-def forget_claims() -> None:
-    """Claim nothing of any robot or module any more: in a forked child, no motion but this branch's goes on."""
-    forget_motions()
-    _inner_queues.set({})
-
-
-@refusing(name="perform")
-def _motion(designator: Designator) -> Motion:
-    if not isinstance(designator, Designator):
-        raise DesignatorError(f"perform takes a designator, not {designator!r}", value=designator)
-    if designator.performed_by:
-        kind = type(designator).__name__
-        problem = f"a {kind} is performed by {designator.performed_by}, not by ProcessModule.perform"
-        raise DesignatorError(problem, value=designator)
-    return Motion(designator, _world(), choose)
-
-
-def choose(designator: Designator) -> Chosen:
-    """Return the process module for a designator that can be resolved (thesis 4.8).
-
-    Raises:
-        NoProcessModule: There is none.
-        NoWorld: The current world has no robot.
-        BadArgument: A user's function returned something else.
-    """
-    for chooser in ProcessModule.resolvers:
-        module = chooser(designator)
-        if module is not None and not isinstance(module, ProcessModule):
-            raise BadArgument(f"what {qualified_name(chooser)} chose", module, "a process module, or None")
-        if module is not None:
-            return Chosen(module, current_environment(), chooser=qualified_name(chooser))
-    return module_for(str(designator.reference().get("cmd", "")), _world())
-
-
-def _world() -> BulletWorld:
-    world = BulletWorld.current_bullet_world
-    if world is None:
-        raise NoWorld
-    return world
-
-
-class NoDescription(UsageError):
-    """The robot has no description, so that process modules can't know its arms.
-
-    Attributes:
-        robot: its name.
-    """
-
-    def __init__(self, robot: str) -> None:
-        super().__init__(f"nothing is known of the robot {robot}; give Object(..., description=...) its TOML file")
-        self.robot = robot
-
-
-export("pycram.process_module", NoDescription)
 
 
 class SimulatedModule(ProcessModule):
     """A process module that works on the current world's robot.
 
     Args:
-        execution: how what it decides is done; at once by default.
+        execution: How its decisions are carried out; instantaneously by default.
     """
-
-    execution: Execution = INSTANT
 
     def __init__(self, execution: Execution = INSTANT) -> None:
         self.execution = execution
@@ -495,13 +433,13 @@ class SimulatedModule(ProcessModule):
         """Return the robot.
 
         Raises:
-            NoWorld: there is none.
+            NoWorld: There is none.
         """
         return BulletWorld.current_robot()
 
     @staticmethod
     def held(robot: Object, arm: Arm) -> Object | None:
-        """Return what a robot holds with the gripper of an arm; None if nothing."""
+        """Return the object in the gripper of an arm; None if it is empty."""
         return attachment.attached_to(robot, arm.tool_frame)
 
     @staticmethod
@@ -509,7 +447,7 @@ class SimulatedModule(ProcessModule):
         """Return a robot's description.
 
         Raises:
-            NoDescription: it has none.
+            NoDescription: It has none.
         """
         if robot.description is None:
             raise NoDescription(robot.name)

@@ -1,59 +1,62 @@
-"""Slots of designators: (name, value) pairs that don't change once a designator is made."""
+"""Slots of designators: (name, value) pairs, and the tables by which they are checked.
+
+The slots of a designator never change: lists and other containers are copied on their way in and out.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
+from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.foundation.names import export
+from pycram.reasoning.grasping.grasps import GRASPS
 from pycram.scheduling.future import unwrap
+from pycram.world.world import BulletWorld, Object
 from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
-    from pycram.motions.slot_checks import Check
+    from pycram.models.robots.description import Arm
+    from pycram.motions.designator import ResolvedDesignator
 
 #: Slots as plans write them; also constraints and properties.
 Description: TypeAlias = Iterable[tuple[str, object]] | Mapping[str, object]
-#: Whatever the plan put into a slot, or made a designator stand for.
+#: Any value of a slot.
 Value: TypeAlias = Any
 T = TypeVar("T")
-Type = TypeVar("Type", bound="Slotted")
+Type = TypeVar("Type", bound="SlotTable")
 
 
 class DesignatorError(UsageError):
-    """A designator that can't be resolved: a slot is missing, unknown or wrong.
-
-    Attributes:
-        type: The designator's type, "" if it has none.
-        slot: Name of the slot, "" for none.
-        value: Its value.
-        takes: Description of the slots of that type.
-    """
+    """A designator that can't be resolved: a slot is missing, unknown or wrong."""
 
     def __init__(self, problem: str, *, type: str = "", slot: str = "", value: object = None, takes: str = "") -> None:  # noqa: A002  the slot's name
         super().__init__(f"{problem}\n{takes}" if takes else problem)
-        self.type = type
-        self.slot = slot
+        self.type = type  # of the designator, "" if it has none
+        self.slot = slot  # name of the slot, "" for none
         self.value = value
-        self.takes = takes
+        self.takes = takes  # description of the slots of that type
 
 
 export("pycram.designator", DesignatorError)
 
 
+# --- pairs -----------------------------------------------------------------------------------------------------------
+
+
 def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
-    """Return a description's slots, with copies of its containers.
+    """Return the slots of a description, with copies of its containers.
 
     Raises:
         DesignatorError: It isn't a list of pairs.
     """
     try:
         if isinstance(description, str):
-            raise TypeError  # noqa: TRY301  pairs of letters, by chance
+            raise TypeError  # noqa: TRY301  a string of pairs of letters would pass
         items = tuple(description.items() if isinstance(description, Mapping) else map(tuple, description))
         slots = tuple((name, own(value)) for name, value in items)
     except (TypeError, ValueError):
@@ -79,7 +82,7 @@ def own(value: T) -> T:
 
 
 def _own(value: Value, known: dict[int, Value]) -> Value:
-    if id(value) in known:  # a container that holds itself
+    if id(value) in known:  # a container that contains itself
         return known[id(value)]
     if type(value) is list:
         items: list[Value] = []
@@ -97,94 +100,114 @@ def _own(value: Value, known: dict[int, Value]) -> Value:
 
 
 def same(left: Value, right: Value) -> bool:
-    """Whether two values are equal, arrays too."""
+    """Return whether two values are equal; they may be arrays."""
     arrays = isinstance(left, np.ndarray) or isinstance(right, np.ndarray)
     return bool(np.array_equal(left, right) if arrays else left == right)
 
 
-class Described(Protocol):
-    """A designator, as this module uses it."""
+# --- tables of slots -------------------------------------------------------------------------------------------------
 
-    @property
-    def type(self) -> str:
-        """Its slot ``type``; empty if that isn't a string."""
+#: Returns a slot's value in the form that process modules use; raises BadArgument if it is wrong.
+Check: TypeAlias = Callable[[str, Value], Value]
 
-    @property
-    def description(self) -> Iterable[tuple[str, Value]]:
-        """Its slots."""
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of slot values, with its check."""
+
+    text: str  # the possible values, with units and frames
+    check: Check
+
+    def __call__(self, name: str, value: Value) -> Value:
+        """Return the value of a slot, checked."""
+        return self.check(name, value)
 
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A slot of a motion type.
-
-    Attributes:
-        check: Check of its value.
-        default: Infers a missing value from the given ones, and says in its docstring which; None leaves it out of the
-            solution.
-        otherwise: What is done then.
-        aliases: Other names for it.
-        text: What it is; that of the check by default.
-    """
+    """A slot of a type of designators."""
 
     name: str
     check: Check
     required: bool = False
-    default: Callable[[dict[str, Value]], Value] | None = None
+    default: Callable[[dict[str, Value]], Value] | None = None  # infers a missing value from the given slots
     aliases: tuple[str, ...] = ()
-    text: str = ""
-    otherwise: str = ""
-
-    def describe(self) -> str:
-        """Describe it, for messages."""
-        names = " or ".join((self.name, *self.aliases))
-        need = "required" if self.required else "optional"
-        return f"{names} ({need}): {self.values}"
+    text: str = ""  # description of its values; that of its kind by default
+    otherwise: str = ""  # the effect of leaving it out
 
     @property
     def values(self) -> str:
-        """What it may hold, with units and frames."""
-        return self.text or (self.check.__doc__ or "").strip().rstrip(".")
-
-    @property
-    def missing(self) -> str:
-        """What is meant where it is left out; empty if that isn't said."""
-        return self.otherwise or ((self.default and self.default.__doc__) or "").strip().rstrip(".")
+        """Its possible values, with units and frames."""
+        return self.text or (self.check.text if isinstance(self.check, Kind) else "")
 
 
-class Slotted(Protocol):
-    """A type of designators, with its slots; see :class:`MotionType`."""
+@dataclass(frozen=True)
+class SlotTable:
+    """The slots of a type of designators."""
 
-    @property
-    def type(self) -> str:
-        """Its name."""
-
-    @property
-    def slots(self) -> tuple[Slot, ...]:
-        """Its slots beside ``type``."""
-
-    @property
-    def one_of(self) -> tuple[str, ...]:
-        """Slots of which at least one is required."""
-
-    @property
-    def only_one(self) -> bool:
-        """Whether exactly one is."""
+    type: str
+    slots: tuple[Slot, ...]  # without ``type``
+    one_of: tuple[str, ...] = ()  # slots of which at least one is required
+    only_one: bool = False  # whether exactly one of these is required
+    designator: str = ""  # the class, if it has no slot ``type``: "an ObjectDesignator"
 
     def describe(self) -> str:
-        """Describe its slots, for messages."""
+        """Return a description of the slots, for messages."""
+        typed = [f"a {self.type} designator takes", f"  type (required): {self.type!r}"]
+        lines = [f"{self.designator} takes"] if self.designator else typed
+        for slot in self.slots:
+            names = " or ".join((slot.name, *slot.aliases))
+            lines.append(f"  {names} ({'required' if slot.required else 'optional'}): {slot.values}")
+        if self.one_of:
+            how = "exactly one" if self.only_one else "at least one"
+            lines.append(f"  {how} of {', '.join(self.one_of)} has to be there")
+        return "\n".join(lines)
+
+    def error(self, problem: str, slot: str, value: Value = None) -> DesignatorError:
+        """Return the error for a slot."""
+        return DesignatorError(problem, type=self.type, slot=slot, value=value, takes=self.describe())
+
+    def checked(self, given: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the checked values of slots, by the slots' names.
+
+        Raises:
+            DesignatorError: A slot is missing, unknown or wrong.
+        """
+        names = {name: slot for slot in self.slots for name in (slot.name, *slot.aliases)}
+        checked: dict[str, Value] = {}
+        for key, value in given.items():
+            slot = names.get(key)
+            if slot is None:
+                raise self.error(f"unknown slot {key}{did_you_mean(key, names)}", key, value)
+            if slot.name in checked:
+                raise self.error(f"slot {slot.name} is given twice", key, value)
+            try:
+                checked[slot.name] = slot.check(key, value)
+            except BadArgument as error:
+                raise self.error(f"wrong value in slot {error}", key, value) from error
+        missing = [slot.name for slot in self.slots if slot.required and slot.name not in checked]
+        if missing:
+            raise self.error(f"missing slot {', '.join(missing)}", missing[0])
+        present = [name for name in self.one_of if name in checked]
+        if self.one_of and not present:
+            raise self.error(f"missing slot {' or '.join(self.one_of)}", self.one_of[0])
+        if self.only_one and len(present) > 1:
+            raise self.error(f"slots {' and '.join(present)} exclude each other", self.one_of[0])
+        return checked
 
 
-def given_slots(designator: Described, types: Mapping[str, Type], kind: str = "") -> tuple[Type, dict[str, Value]]:
-    """Return a designator's type, and its other slots with values other than None, waiting for futures.
+def given_slots(
+    designator: ResolvedDesignator, types: Mapping[str, Type], kind: str = ""
+) -> tuple[Type, dict[str, Value]]:
+    """Return the table of a designator's type, and its other slots with values other than None; wait for futures.
 
     Args:
         designator: The designator.
-        types: The types that there are, by name.
-        kind: Of what, for messages.
+        types: The known types, by name.
+        kind: Of the types, for messages: "action ", or "".
 
     Raises:
-        DesignatorError: Its type is none of these, or a slot is given twice.
+        DesignatorError: Its type is unknown, or a slot is given twice.
     """
     given: dict[str, Value] = {}
     for key, value in designator.description:
@@ -202,47 +225,93 @@ def given_slots(designator: Described, types: Mapping[str, Type], kind: str = ""
     return types[name], given
 
 
-def described(kind: Slotted, name: str = "") -> str:
-    """Return a description of a type's slots, for messages; of designators with a type of their own by their name."""
-    lines = [f"{name} takes"] if name else [f"a {kind.type} designator takes", f"  type (required): {kind.type!r}"]
-    lines += [f"  {slot.describe()}" for slot in kind.slots]
-    if kind.one_of:
-        how = "exactly one" if kind.only_one else "at least one"
-        lines.append(f"  {how} of {', '.join(kind.one_of)} has to be there")
-    return "\n".join(lines)
+# --- kinds of values -------------------------------------------------------------------------------------------------
 
 
-def checked_slots(motion: Slotted, given: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the checked values of slots, by the slots' names.
+def arm_names() -> tuple[str, ...]:
+    """Return the names of the current robot's arms; "left" and "right" if none is known."""
+    return tuple(_arms()) or ("left", "right")
+
+
+def default_arm() -> str:
+    """Return the arm for a plan that names none: the only arm, or the left one as in the thesis.
 
     Raises:
-        DesignatorError: A slot is missing, unknown or wrong.
+        BadArgument: The robot has several arms, and none is called "left".
     """
-    names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
-    takes = motion.describe()
-    checked: dict[str, Value] = {}
-    for key, value in given.items():
-        slot = names.get(key)
-        if slot is None:
-            problem = f"unknown slot {key}{did_you_mean(key, names)}"
-            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes)
-        if slot.name in checked:
-            problem = f"slot {slot.name} is given twice"
-            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes)
-        try:
-            checked[slot.name] = slot.check(key, value)
-        except BadArgument as error:
-            problem = f"wrong value in slot {error}"
-            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes) from error
-    missing = [slot.name for slot in motion.slots if slot.required and slot.name not in checked]
-    if missing:
-        raise DesignatorError(f"missing slot {', '.join(missing)}", type=motion.type, slot=missing[0], takes=takes)
-    present = [name for name in motion.one_of if name in checked]
-    if motion.one_of and (not present or (motion.only_one and len(present) > 1)):
-        problem = (
-            f"slots {' and '.join(present)} exclude each other"
-            if present
-            else f"missing slot {' or '.join(motion.one_of)}"
-        )
-        raise DesignatorError(problem, type=motion.type, slot=motion.one_of[0], takes=takes)
-    return checked
+    arms = arm_names()
+    return "left" if len(arms) > 1 and "left" in arms else only_arm()
+
+
+def only_arm() -> str:
+    """Return the arm of a robot that has one.
+
+    Raises:
+        BadArgument: It has several.
+    """
+    arms = arm_names()
+    if len(arms) != 1:
+        raise BadArgument("arm", None, f"one of {', '.join(arms)}, as the robot has several")
+    return arms[0]
+
+
+def _arms() -> Mapping[str, Arm]:
+    """Return the arms of the current robot; none if it has no description."""
+    world = BulletWorld.current_bullet_world
+    robot = world.robot if world is not None else None
+    return robot.description.arms if robot is not None and robot.description is not None else {}
+
+
+def _body(name: str, value: Value) -> Value:
+    world = BulletWorld.current_bullet_world
+    if not isinstance(value, Object):
+        raise BadArgument(name, value, "an Object of a world")
+    if world is not None and value.world is not world:
+        raise BadArgument(name, value, f"an Object of the current world {world.name}, not of {value.world.name}")
+    return value
+
+
+def _arm(name: str, value: Value) -> Value:
+    arms = arm_names()
+    if checks.text(name, value) not in arms:
+        raise BadArgument(name, value, f"one of {', '.join(arms)}")
+    return value
+
+
+def _grasp(name: str, value: Value) -> Value:
+    if value not in GRASPS:
+        raise BadArgument(name, value, f"one of {', '.join(GRASPS)}")
+    return value
+
+
+def _posture(name: str, value: Value) -> Value:
+    described = _arms().get(name.removesuffix("-arm"))
+    if isinstance(value, str):
+        if described is not None and checks.text(name, value) not in described.poses:
+            raise BadArgument(name, value, f"one of {', '.join(described.poses)}, or a list of joint values")
+        return value
+    if isinstance(value, Mapping) or not isinstance(value, Iterable | np.ndarray):
+        raise BadArgument(name, value, '"park", or a list of the values of all its joints')
+    values = [checks.number(name, item) for item in value]
+    if described is not None and len(values) != len(described.joints):
+        raise BadArgument(name, value, f"{len(described.joints)} joint values, for {', '.join(described.joints)}")
+    return values
+
+
+POSITION: Final = Kind("[x, y, z] in m, world frame", lambda name, value: list(checks.vector(name, value)))
+ORIENTATION: Final = Kind(
+    "A quaternion [x, y, z, w], world frame", lambda name, value: list(checks.quaternion(name, value))
+)
+NAME: Final = Kind("A name", checks.text)
+BODY: Final = Kind("An Object of a world", _body)
+OBJECT_TYPE: Final = Kind(
+    "A type of objects, or an object of that type",
+    lambda name, value: checks.text(name, getattr(value, "type", value)),
+)
+ARM: Final = Kind('An arm\'s name: "left" or "right" on the PR2', _arm)
+GRASP: Final = Kind('The side from which the gripper comes: "front", "top", "left" or "right"', _grasp)
+DISTANCE: Final = Kind(
+    "A distance in m, or an angle in rad for what turns, from 0 up",
+    lambda name, value: checks.in_range(name, value, 0.0),
+)
+POSTURE: Final = Kind('A named posture such as "park", or a list of joint values in rad', _posture)

@@ -41,7 +41,7 @@ def test_each_motion_is_told_with_its_slots() -> None:
         for slot in motion.slots:
             assert f"| `{slot.name}`" in sections[motion.type]
             assert slot.values
-            assert slot.required or slot.missing or motion.one_of or slot.name == "from"
+            assert slot.required or slot.otherwise or motion.one_of or slot.name == "from"
 
 
 @pytest.mark.parametrize("cmd", MODULES)
