@@ -1,11 +1,11 @@
-"""Attachments: which object carries which, and with what relative pose.
+"""Attachments: which object carries which, with what relative pose, and which objects move along.
 
-The carrier is the object whose ``attach`` was called; of a thing and a robot or furniture, the latter. The attached
-body keeps its full pose relative to the carrier's link whenever the carrier, its joints or the carrier's own carrier
-move; no simulation is needed. In simulation a fixed constraint of the engine keeps it there.
+An attached body keeps its pose relative to the carrier's link whenever the carrier or its joints move, without
+simulation; in simulation a fixed constraint keeps it there. :func:`attach` and :func:`detach` are transactions;
+:func:`put_back`, :func:`renew` and :func:`end` are parts of other transactions.
 
-:func:`attach` and :func:`detach` are transactions; :func:`put_back`, :func:`renew` and :func:`end` are parts of other
-transactions.
+A body is supported by a link if it rests on it, hangs just above its floor after being put in, or rests on a supported
+body. Supported bodies move with drawers.
 """
 
 from __future__ import annotations
@@ -24,33 +24,27 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.urdf import Urdf
 
+_CONTACT_GAP: Final = 0.003  # m; a settled body stays about half a millimetre above its support
+_DROP_HEIGHT: Final = 0.03  # m; largest height of a body above the floor of the drawer into which it was put
+
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """One object carried by another.
-
-    Attributes:
-        carrier: The object that carries.
-        carrier_link: Its link, the base link if none was named.
-        body: The carried object.
-        body_link: The link by which it is held, its base link if none was named.
-        pose: Of the carried object's base in the carrier's link: position in m, orientation xyzw.
-        constraint: The engine's id of the constraint that holds it in simulation.
-    """
+    """One object carried by another."""
 
     carrier: Object
     carrier_link: str
     body: Object
-    body_link: str
-    pose: Pose
-    constraint: int
+    body_link: str  # the link by which the body is held
+    pose: Pose  # of the body's base link in the carrier's link: position in m, orientation xyzw
+    constraint: int  # the engine's id of the constraint that holds the body in simulation
 
     def other(self, side: Object) -> Object:
-        """Return the object at the other end."""
+        """Return the other one of the two objects."""
         return self.body if side is self.carrier else self.carrier
 
     def record(self) -> records.Attachment:
-        """Return the attachment as records have it."""
+        """Return the attachment's record."""
         return records.Attachment(
             carrier=self.carrier.name,
             carrier_link=self.carrier_link,
@@ -64,19 +58,17 @@ class Attachment:
 def attach(carrier: Object, body: Object, link: str | None, body_link: str | None, pose: Pose | None = None) -> None:
     """Make an object carry another; an existing attachment stays as it is.
 
-    What can move the other carries: a thing that is to carry a robot or furniture is carried by that instead.
+    If only the body has a fixed base, as robots and furniture do, it carries the other object instead.
 
     Args:
-        carrier: The object that carries.
-        body: The object to carry; it keeps its full relative pose.
-        link: The carrier's link; its base link for None.
-        body_link: The link by which the body is held; its base link for None.
-        pose: Of the body's base in the carrier's link; None for the present one.
+        link: The carrier's link; None for its base link.
+        body_link: The link by which the body is held; None for its base link.
+        pose: Pose of the body's base link in the carrier's link; None for the present one.
 
     Raises:
         UnknownName: There is no such link.
-        AttachmentError: The two are the same or in different worlds, both are fixed, the body is carried by another, or
-            the carrier is itself carried by the body.
+        AttachmentError: The two are the same or in different worlds, both are fixed, another object carries the body,
+            or the body carries the carrier.
     """
     if body in carrier.attachments:
         return
@@ -94,7 +86,7 @@ def detach(side: Object, other: Object) -> None:
     """End the attachment between two objects, from either side; both stay where they are.
 
     Raises:
-        AttachmentError: There is none.
+        AttachmentError: The two aren't attached to each other.
     """
     command = records.Mutation(detach_body=records.DetachBody())
     with side.world.transactions.begin(command) as transaction:
@@ -106,7 +98,7 @@ def detach(side: Object, other: Object) -> None:
 
 
 def put_back(carrier: Object, body: Object, saved: records.Attachment, transaction: Transaction) -> None:
-    """Let an object carry another one as it did before, both at their poses of then, as part of a transaction."""
+    """Restore an attachment as it was saved, as part of a transaction; both objects are at their saved poses."""
     held = carrier.attachments.get(body)
     if held is not None:
         carrier.world.engine.unfix(held.constraint)
@@ -118,7 +110,7 @@ def put_back(carrier: Object, body: Object, saved: records.Attachment, transacti
 
 
 def renew(body: Object, transaction: Transaction) -> None:
-    """Let an object that was moved on its own be carried on, if it is carried at all, with its new relative pose."""
+    """Give an object that was moved by itself its new relative pose, if another object carries it."""
     carrier = body.carrier
     if carrier is not None:
         old = carrier.attachments[body]
@@ -129,7 +121,7 @@ def renew(body: Object, transaction: Transaction) -> None:
 def end(attachment: Attachment, transaction: Transaction) -> None:
     """End an attachment as part of a transaction."""
     carrier, body = attachment.carrier, attachment.body
-    del carrier._attachments[body], body._attachments[carrier]  # noqa: SLF001  this module keeps both sides alike
+    del carrier._attachments[body], body._attachments[carrier]  # noqa: SLF001  this module keeps both sides equal
     world = carrier.world
     world.engine.unfix(attachment.constraint)
     world.engine.pass_through(
@@ -171,12 +163,8 @@ def _check(carrier: Object, body: Object) -> None:
         above = above.carrier
 
 
-_CONTACT_GAP: Final = 0.003  # m; a settled body keeps about half a millimetre to what it lies on
-_DROP_HEIGHT: Final = 0.03  # m that something put into a drawer may hang over its floor
-
-
 def move_attached(carrier: Object, transaction: Transaction) -> None:
-    """Put everything that an object carries to its relative pose, after the object or its joints have moved."""
+    """Move everything that an object carries to its relative pose, after the object or its joints have moved."""
     engine = carrier.world.engine
     for attachment in carrier.carried:
         body = attachment.body
@@ -187,19 +175,19 @@ def move_attached(carrier: Object, transaction: Transaction) -> None:
 
 
 def attached_to(carrier: Object, link: str) -> Object | None:
-    """Return what is attached to a link of an object; None if nothing is."""
+    """Return the object that is attached to a link of the carrier; None if there is none."""
     return next((attachment.body for attachment in carrier.carried if attachment.carrier_link == link), None)
 
 
 def root_of(body: Object) -> Object:
-    """Return what carries an object in the end, directly or through other things; itself if nothing does."""
+    """Return the last carrier in the chain of an object's carriers; the object itself if nothing carries it."""
     while body.carrier is not None:
         body = body.carrier
     return body
 
 
 def moved_links(urdf: Urdf, joints: Iterable[str]) -> list[str]:
-    """Return the links that move with joints: their child links and all below, in the URDF's order."""
+    """Return the links that move with joints: their child links and all links below, in the URDF's order."""
     moved = {urdf.joint(name).child for name in joints}
     for link in urdf.links:  # parents come before their children
         joint = urdf.parent_joint(link)
@@ -242,10 +230,8 @@ def move_supported(
     """Move supported bodies as their links have moved.
 
     Args:
-        container: The object whose links have moved.
-        before: Poses of these links before.
-        supported: What :func:`supported_bodies` returned before.
-        transaction: Marks what moved along.
+        before: Poses of the links before they moved.
+        supported: Result of :func:`supported_bodies` before the links moved.
     """
     engine = container.world.engine
     for body, link in supported.items():

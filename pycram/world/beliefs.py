@@ -1,7 +1,7 @@
-"""What the robots of one world believe of objects, while the plan runs; :mod:`recorder.records.beliefs` says what.
+"""Beliefs of the robots of one world about objects, while the plan runs; see :mod:`recorder.records.beliefs`.
 
-A part of the world's state: forked processes have it, saved states and keyframes, too. It is kept whether anything is
-recorded or not.
+They are a part of the world's state, so forked processes, saved states and keyframes have them. They are kept whether
+or not a recording runs.
 """
 
 from __future__ import annotations
@@ -20,47 +20,38 @@ if TYPE_CHECKING:
     from recorder.records.beliefs import Key
     from recorder.tracing.journal import Journal
 
-    #: Of a record: its step in each recording.
+    #: The step of a record in each recording.
     Steps: TypeAlias = Mapping[Journal, int]
 
 
 class WorldBeliefs:
-    """The beliefs of a world's robots; used with the world's lock held.
-
-    Args:
-        world: The world.
-    """
+    """The beliefs of a world's robots; used with the world's lock held."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
         self._beliefs: dict[Key, Belief] = {}
-        self._steps: dict[Key, Steps] = {}  # of the records by which they were learned
+        self._steps: dict[Key, Steps] = {}  # of the records by which the beliefs were learned
 
     def of(self, robot: str) -> list[tuple[Belief, int]]:
-        """Return what a robot believes, what it learned last first, each with the step of the record that taught it.
+        """Return a robot's beliefs, the latest first, each with the step of the record from which it was learned.
 
-        The step is -1 if that is in no recording that runs.
+        The step is -1 if no running recording has that record.
         """
         own = [belief for (name, _), belief in self._beliefs.items() if name == robot]
         return [(belief, self._step(belief)) for belief in reversed(own)]
 
     def look(self, evidence: Mapping[str, object], steps: Steps = MappingProxyType({})) -> None:
-        """Take note of what a look has taught.
+        """Update the beliefs by a perception.
 
         Args:
-            evidence: As :func:`recorder.records.beliefs.sightings` has it.
-            steps: Of the look's record.
+            evidence: The perceived objects, in the form of :func:`recorder.records.beliefs.sightings`.
+            steps: Steps of the perception's record.
         """
         learned = fold.look(self._beliefs, evidence, self._world.sim_step)
         self._steps.update(dict.fromkeys(learned, steps))
 
     def follow(self, transaction: Transaction, steps: Steps) -> None:
-        """Take note of what a transaction changes of it.
-
-        Args:
-            transaction: When it is made.
-            steps: Of its record.
-        """
+        """Update the beliefs by a transaction, given the steps of its record."""
         world = self._world
         carriers: dict[str, str] | None = None
         if transaction.attached or transaction.detached:
@@ -77,20 +68,20 @@ class WorldBeliefs:
         self._steps.update(dict.fromkeys(learned, steps))
 
     def saved(self) -> dict[Key, Steps]:
-        """Return the steps of what is believed now, for :meth:`restored`."""
+        """Return the steps of the present beliefs, for :meth:`restored`."""
         return {key: self._steps.get(key, {}) for key in self._beliefs}
 
     def restored(self, steps: Mapping[Key, Steps]) -> None:
-        """Take note of the steps of what has come back with a saved state."""
+        """Set the steps of the beliefs that a saved state has restored."""
         self._steps = dict(steps)
 
     def rebuild(self, recorded: Iterable[Belief]) -> None:
-        """Believe what a recording has, in a world that is made of it."""
+        """Set the beliefs to recorded ones, in a world that is built from a recording."""
         fold.restore(self._beliefs, recorded)
         self._steps.clear()
 
     def records(self, journal: Journal | None = None) -> list[Belief]:
-        """Return what is believed as a record has it, with steps of a recording."""
+        """Return copies of the beliefs for a record, with the steps of a recording."""
         copies = []
         for key, belief in self._beliefs.items():
             copy = Belief()

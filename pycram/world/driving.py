@@ -1,12 +1,9 @@
-"""Trajectories that bodies follow: in each step of a simulation the motors of their joints get where to be next.
+"""Driving: bodies follow trajectories in simulated time, and plans wait until the trajectories have ended.
 
-A motor's target is where its joint is to be before the step, its velocity what brings the joint from there to where it
-is to be after it; so motors of any gain follow without lagging. The base of a body is fixed to the world for the
-engine: it is put to its pose step by step, and what is attached goes along. All else is physics: what is pushed moves,
-and what doesn't give way keeps joints from following.
-
-A trajectory that is stopped slows down along its path (:mod:`recorder.records.motion`), so nothing is touched that
-wouldn't have been anyway, and trajectories that are stopped together stay together.
+Before each step, a motor gets the joint's planned position as its target, and the velocity to the position planned
+after the step; so motors of any gain follow without lag. A base is moved to its pose step by step, with everything
+attached to it. Everything else is physics: objects that are pushed move, and an obstacle keeps joints from following.
+A stopped trajectory slows down along its path (:mod:`recorder.records.motion`).
 """
 
 from __future__ import annotations
@@ -35,41 +32,33 @@ if TYPE_CHECKING:
 
 
 LOST: Final = {"revolute": 0.1, "prismatic": 0.05}
-"""rad or m that a joint may be off its trajectory; without contacts it is less than 1e-3."""
+"""Largest deviation of a joint from its trajectory, rad or m; without contacts it is less than 1e-3."""
+_MAX_SECONDS: Final = 3600.0
+_MAX_NUMBERS: Final = 200_000  # a minute of 100 rows a second for 30 joints
+_FARTHEST: Final = 1e6  # m or rad, as of any pose
+_FASTEST: Final = 1e3  # m/s or rad/s
+_START: Final = 0.2  # share of LOST by which a joint may be away from the start of its trajectory
+_BASE_START: Final = (0.01, 0.01, 0.02)  # m of x and y, and rad of yaw, by which a base may be away from the start
 
 
 class Followed:
     """A trajectory that a body follows, or has followed.
 
-    Args:
-        body: The body.
-        following: Its record.
-        sim_step: That of the world now.
-
     Raises:
         UnknownName: The body lacks one of its joints.
-        BadArgument: Its numbers aren't a trajectory's, or positions of joints that mimic others contradict each other.
+        BadArgument: The record is no trajectory, or positions of joints that mimic others contradict each other.
         JointLimitError: A position is outside of its joint's limits.
-
-    Attributes:
-        body: The body.
-        following: Its record; ``stopped`` is set when it is.
-        trajectory: Of all joints that move: those that mimic others, too.
-        joints: These joints; empty for the base.
-        time: Of the trajectory in s, up to which it was driven.
-        error: The largest distance in rad or m that a joint had from where it was to be, in this transaction.
-        worst: That joint; "" for the base.
-        lost: The joint that was first further off than LOST, and how far; None if none was.
-        ended: Whether it isn't followed any more.
     """
 
     def __init__(self, body: Object, following: records.Following, sim_step: int) -> None:
         self.body = body
-        self.following = following
+        self.following = following  # its record; ``stopped`` is set when the trajectory is stopped
+        #: The trajectory of all joints that move, with those that mimic others.
         self.trajectory = with_followers(body, Trajectory.of_record(following.begin.trajectory))
+        #: The joints that move; empty for the base.
         self.joints: tuple[Joint, ...] = tuple(body.handle.joints[name] for name in self.trajectory.joints)
-        self.time = time_of(following, sim_step)
-        self.lost: tuple[str, float] | None = None
+        self.time = time_of(following, sim_step)  # s of the trajectory up to which it was driven
+        self.lost: tuple[str, float] | None = None  # the first joint that deviated by more than LOST, and its deviation
         self.ended = False
         self._targets: Sequence[float] = self.trajectory.at(self.time)[0]
         self._base = BaseFrame.of(body.world.engine.pose(body.handle))
@@ -77,15 +66,16 @@ class Followed:
 
     @property
     def number(self) -> int:
-        """Its number in its world."""
+        """Number of the trajectory in its world."""
         return self.following.begin.number
 
     def begin_stretch(self) -> None:
-        """Forget the largest error."""
-        self.error, self.worst = 0.0, ""
+        """Reset the largest deviation, at the start of a transaction."""
+        self.error = 0.0  # largest deviation of a joint, rad or m
+        self.worst = ""  # the joint that deviated most; "" for the base
 
     def drive(self, sim_step: int, transaction: Transaction) -> None:
-        """Have the engine bring the body to where it is to be at a simulated step, which is the next."""
+        """Have the engine move the body to its target at the next simulated step."""
         self.time = min(time_of(self.following, sim_step), self.trajectory.duration)
         before, self._targets = self._targets, self.trajectory.at(self.time)[0]
         engine = self.body.world.engine
@@ -96,7 +86,7 @@ class Followed:
         attachment.move_attached(self.body, transaction)
 
     def measure(self) -> None:
-        """Take note of how far the joints are from where they are to be."""
+        """Measure how far the joints are from their targets."""
         if not self.joints:
             return
         positions = self.body.world.engine.positions(self.body.handle, self.joints)
@@ -108,14 +98,14 @@ class Followed:
                 self.lost = joint.name, error
 
     def hold(self) -> None:
-        """Have the motors keep where the joints are to be; where they are, if that is far from there."""
+        """Have the motors hold the joints at their targets, or at their positions if the track is lost."""
         if self.joints and self.body.alive:
             engine, handle = self.body.world.engine, self.body.handle
             targets = engine.positions(handle, self.joints) if self.lost else self._targets
             engine.set_targets(handle, {joint.name: at for joint, at in zip(self.joints, targets, strict=True)})
 
     def driven(self) -> records.Driven:
-        """Return its part of the record of a simulation."""
+        """Return the trajectory's part of the record of a simulation."""
         return records.Driven(
             number=self.number,
             body=self.body.name,
@@ -127,25 +117,20 @@ class Followed:
 
 
 class Trajectories:
-    """The trajectories that bodies of one world follow.
-
-    Attributes:
-        active: By number, in the order in which they began.
-        last: The number of the latest.
-    """
+    """The trajectories that bodies of one world follow."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
-        self.active: dict[int, Followed] = {}
-        self.last = 0
+        self.active: dict[int, Followed] = {}  # by number, in the order in which they began
+        self.last = 0  # number of the latest trajectory
 
     def add(self, followed: Followed) -> None:
-        """Have a body follow a trajectory from the next step on; part of a transaction, or of building a world."""
+        """Let a body follow a trajectory from the next step on; part of a transaction, or of building a world."""
         self.active[followed.number] = followed
         self.last = followed.number
 
     def step(self, steps: int, transaction: Transaction) -> None:
-        """Simulate steps of 1/240 s in which bodies follow their trajectories; how near is seen at their end."""
+        """Simulate steps of 1/240 s in which bodies follow their trajectories, then measure their deviations."""
         engine, start = self._world.engine, self._world.sim_step
         for sim_step in range(start + 1, start + steps + 1):
             for followed in self.active.values():
@@ -158,23 +143,19 @@ class Trajectories:
             followed.measure()
 
     def end(self, followed: Followed) -> None:
-        """Have a body follow a trajectory no more; its motors keep where it has got."""
+        """End a trajectory; the body's motors hold it there."""
         del self.active[followed.number]
         followed.ended = True
         followed.hold()
 
     def end_all(self, body: Object | None = None) -> None:
-        """End those of a body, or all, in a transaction that puts it elsewhere or removes it."""
+        """End the trajectories of a body, or all, in a transaction that moves or removes the body."""
         for followed in list(self.active.values()):
             if body in (None, followed.body):
                 self.end(followed)
 
     def refuse(self, action: str, body: Object, joints: Collection[str] = ()) -> None:
-        """Refuse to set what follows a trajectory: joints by name, or the base.
-
-        Raises:
-            FollowsTrajectory: One of them does.
-        """
+        """Raise FollowsTrajectory if one of the joints follows a trajectory; without joints, if the base does."""
         for number, followed in self.active.items():
             moved = followed.trajectory.joints
             both = [name for name in moved if name in joints]
@@ -182,21 +163,9 @@ class Trajectories:
                 raise FollowsTrajectory(action, body.name, number, both)
 
     def refuse_any(self, action: str) -> None:
-        """Refuse what can't be done while anything follows a trajectory.
-
-        Raises:
-            FollowsTrajectory: Something does.
-        """
+        """Raise FollowsTrajectory if any body follows a trajectory."""
         for number, followed in self.active.items():
             raise FollowsTrajectory(action, followed.body.name, number, followed.trajectory.joints)
-
-
-_MAX_SECONDS: Final = 3600.0
-_MAX_NUMBERS: Final = 200_000  # a minute of 100 rows a second for 30 joints
-_FARTHEST: Final = 1e6  # m or rad, as of any pose
-_FASTEST: Final = 1e3  # m/s or rad/s
-_START: Final = 0.2  # of what loses the track: how far from its begin a body may be
-_BASE_START: Final = (0.01, 0.01, 0.02)  # the same of x and y in m, and of yaw in rad
 
 
 class Planned(Protocol):
@@ -204,35 +173,34 @@ class Planned(Protocol):
 
     @property
     def trajectory(self) -> Trajectory:
-        """What is to be followed."""
+        """The trajectory to follow."""
 
     @property
     def search(self) -> records.PathSearch | None:
-        """How its path was found; None if it was given."""
+        """The search for its path; None if the path was given."""
 
 
 @refusing(name="follow")
 def follow(world: BulletWorld, motions: Sequence[tuple[Object, Planned]]) -> None:
-    """Have bodies follow trajectories, all from this moment on, and wait in simulated time until all have ended.
+    """Let bodies follow trajectories that start together, and wait in simulated time until all have ended.
 
-    What ends the wait early stops them: they slow down along their paths, at most 0.2 s of simulated time, and stand
-    when the error is raised.
+    An error that ends the wait early stops all of them: they slow down along their paths for at most 0.2 s of
+    simulated time, and have stopped when the error is raised.
 
     Args:
-        world: Their world.
-        motions: Bodies, each with what it is to follow.
+        motions: Bodies, each with its planned motion.
 
     Raises:
-        TrackingLost: A joint got too far from its trajectory.
-        TrajectoryEnded: Somebody else stopped one, or the world was reset or restored.
-        BadArgument: A body can't follow its trajectory, or isn't where that begins; none has moved then.
-        FollowsTrajectory: A body follows another trajectory with the same joints; none has moved then.
+        TrackingLost: A joint deviated too far from its trajectory.
+        TrajectoryEnded: A trajectory was stopped elsewhere, or the world was reset or restored.
+        BadArgument: A body can't follow its trajectory, or isn't at its start; no body has moved.
+        FollowsTrajectory: A body follows another trajectory with the same joints; no body has moved.
         Cancelled: The branch is cancelled.
     """
     raise_if_cancelled()
     begun: list[Followed] = []
     try:
-        with uninterruptible(), Uninterrupted():  # what belongs together begins together
+        with uninterruptible(), Uninterrupted():  # all motions start, or none
             for body, planned in motions:
                 begun.append(begin(world, body, planned.trajectory, planned.search))
         simulation.wait(world, lambda: all(each.ended for each in begun) or any(each.lost for each in begun))
@@ -246,7 +214,7 @@ def follow(world: BulletWorld, motions: Sequence[tuple[Object, Planned]]) -> Non
 
 
 def _stop_all(world: BulletWorld, begun: Sequence[Followed]) -> None:
-    """Stop trajectories together, and let time pass until they stand, whatever is cancelled."""
+    """Stop trajectories together, and let time pass until they have stopped, even if the branch is cancelled."""
     with shielded(), uninterruptible():
         with world.lock:
             for each in begun:
@@ -263,9 +231,10 @@ def begin(
     search: records.PathSearch | None = None,
     number: int | None = None,
 ) -> Followed:
-    """Have a body follow a trajectory; see :meth:`pycram.world.world.BulletWorld.begin_trajectory`.
+    """Let a body follow a trajectory; see :meth:`pycram.world.world.BulletWorld.begin_trajectory`.
 
-    Its number is that of its record where it is begun again.
+    Args:
+        number: The recorded number, if a recorded trajectory begins again.
     """
     if not isinstance(trajectory, Trajectory):
         raise BadArgument("trajectory", trajectory, "a Trajectory")
@@ -281,7 +250,10 @@ def begin(
         mutation.begin_trajectory.number = command.number = last + 1 if number is None else number
         followed = Followed(body, records.Following(begin=command, began=world.sim_step), world.sim_step)
         world.trajectories.refuse("follow a trajectory", body, followed.trajectory.joints)
-        _check_start(body, trajectory)
+        displaced = displacement(body, trajectory)
+        if displaced is not None:
+            name, start, at = displaced
+            raise BadArgument(f"start of {name}", start, f"about {at:.4f}, where {name} of {body.name} is")
         world.trajectories.add(followed)
     return followed
 
@@ -294,19 +266,19 @@ def stop(world: BulletWorld, number: int) -> None:
         if followed is None:
             raise UnknownName("trajectory", number, world.name, map(str, world.trajectories.active))
         mutation.stop_trajectory.body = followed.body.name
-        if followed.following.began == world.sim_step:  # it hasn't moved yet
+        if followed.following.began == world.sim_step:  # nothing has moved yet
             world.trajectories.end(followed)
         elif not followed.following.stopped:
             followed.following.stopped = world.sim_step
 
 
 def resume(body: Object, following: records.Following) -> None:
-    """Have a body go on with a trajectory that it followed when the recorded state was taken.
+    """Let a body continue a trajectory that it followed in a recorded state.
 
-    This is no transaction and leaves no record: it serves to build worlds in isolation from recordings.
+    This is no transaction and leaves no record: it builds worlds from recordings.
 
     Raises:
-        BadArgument: The body can't follow it, or it doesn't fit the world's clock.
+        BadArgument: The body can't follow the trajectory, or its steps contradict the world's time.
     """
     world = body.world
     if not following.began <= world.sim_step >= following.stopped >= 0 or has_ended(following, world.sim_step):
@@ -316,11 +288,7 @@ def resume(body: Object, following: records.Following) -> None:
 
 
 def _check(body: Object, trajectory: Trajectory) -> None:
-    """Refuse a trajectory that no such body could follow; one that was recorded may say anything.
-
-    Raises:
-        BadArgument: It is too long, or for a base that physics moves, or leads too far away, or too fast.
-    """
+    """Raise BadArgument for a trajectory that the body could never follow; a recorded one may hold any numbers."""
     if trajectory.duration > _MAX_SECONDS:
         raise BadArgument("times", trajectory.duration, f"an end after at most {_MAX_SECONDS:g} s")
     if len(trajectory.times) * len(trajectory.coordinates) > _MAX_NUMBERS:
@@ -338,9 +306,9 @@ def _check(body: Object, trajectory: Trajectory) -> None:
 
 
 def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, float] | None:
-    """Return a coordinate of a body that isn't where a trajectory begins, where it is to be and where it is (rad or m).
+    """Return the first coordinate of a body that isn't at the start of a trajectory, its start and its position.
 
-    None if all are there, near enough for motors to follow.
+    Start and position are in rad or m. None if all coordinates are near enough for motors to follow.
     """
     engine, joints = body.world.engine, body.handle.joints
     if trajectory.joints:
@@ -360,15 +328,7 @@ def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, floa
     return None
 
 
-def _check_start(body: Object, trajectory: Trajectory) -> None:
-    displaced = displacement(body, trajectory)
-    if displaced is not None:
-        name, start, at = displaced
-        raise BadArgument(f"start of {name}", start, f"about {at:.4f}, where {name} of {body.name} is")
-
-
 def _raise_lost(begun: Sequence[Followed]) -> None:
-    """Raise the failure of a trajectory whose track is lost."""
     for each in begun:
         if each.lost is not None and each.body.alive:
             joint, error = each.lost
@@ -376,7 +336,7 @@ def _raise_lost(begun: Sequence[Followed]) -> None:
 
 
 def _touching(body: Object, joint: str) -> list[CollisionPair]:
-    """Return what the links that a joint moves, and what they carry, touched in the last step, hardest first."""
+    """Return the contacts of the last step of the links that a joint moves and of their load, hardest first."""
     moved = set(attachment.moved_links(body.urdf, [joint]))
     movers: dict[Object, set[str]] = {body: moved}
     for mover in movers.copy():

@@ -1,8 +1,8 @@
-"""Events, and the handlers that are called when they happen (thesis 4.2.3).
+"""Events, and the handlers that are called when they fire (thesis 4.2.3).
 
-Firing an event has two phases. ``prepare`` records it and returns a call of the handlers that are registered now. A
-world prepares under its lock, so that events are recorded in the order of its transactions, and calls when the lock is
-released, so that a handler may do anything to any world. ``fire`` does both at once.
+Firing an event has two phases. ``prepare`` records the event and returns a function that calls the present handlers.
+A world prepares with its lock held, so events are recorded in the order of its transactions. It calls the handlers
+after releasing the lock, so handlers may change any world. ``fire`` does both.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 
 class Event:
-    """Something that can happen, with handlers that are called when it does.
+    """An event with handlers.
 
-    ``event += handler`` registers, ``event -= handler`` removes, ``event(...)`` or ``event.fire(...)`` calls all. A
-    handler that is registered twice is called once. Handlers are called in the order of their registration, in the
-    thread that fires, without any lock held. All are called even if one raises; then the first error is raised with
-    the others in its context.
+    ``event += handler`` registers a handler, ``event -= handler`` removes it, and ``event(...)`` or ``event.fire(...)``
+    calls all handlers. A handler that is registered twice is called once. Handlers are called in the order of their
+    registration, in the thread that fires, without any lock held. All are called even if one raises; then the first
+    error is raised with the others in its context.
     """
 
     def __init__(
@@ -48,10 +48,10 @@ class Event:
         """Make an event without handlers.
 
         Args:
-            name: What happens ("attachment", ...), for recordings.
-            sender: Name of the world or object to which it happens, for recordings.
+            name: Name of the event ("attachment", ...) in recordings.
+            sender: Name of the world or object that fires it, in recordings.
             envelope: Returns the world's name and simulated steps when the event fires; None for no world.
-            parameters: Names of the positional arguments, for recordings; further ones are recorded by their index.
+            parameters: Names of the positional arguments in recordings; further arguments are recorded by their index.
         """
         self.name = name
         self.sender = sender
@@ -73,8 +73,8 @@ class Event:
         """Register a handler, once; it is called with the event's arguments.
 
         Raises:
-            BadArgument: It isn't callable.
-            RecordingError: It can't be recorded; it isn't registered then.
+            BadArgument: The handler isn't callable.
+            RecordingError: The registration can't be recorded, and isn't made.
         """
         if not callable(handler):
             raise BadArgument(f"handler of {self}", handler, "something that can be called")
@@ -90,8 +90,8 @@ class Event:
         """Remove a registered handler.
 
         Raises:
-            UnknownName: It isn't registered.
-            RecordingError: It can't be recorded; it stays registered then.
+            UnknownName: The handler isn't registered.
+            RecordingError: The removal can't be recorded, and isn't made.
         """
         name = qualified_name(handler)
         with Uninterrupted(), self._lock:
@@ -109,10 +109,10 @@ class Event:
             span.emit(record, world=world, sim_step=sim_step)
 
     def prepare(self, *args: object, **kwargs: object) -> Callable[[], None]:
-        """Record the event, and return the call of the present handlers with these arguments.
+        """Record the event, and return a function that calls the present handlers with these arguments.
 
         Raises:
-            RecordingError: It can't be recorded.
+            RecordingError: The event can't be recorded.
         """
         handlers = self._handlers
         steps: Mapping[Journal, int] = {}
@@ -133,28 +133,27 @@ class Event:
             if errors:
                 raise chained(errors[0], errors[1:])
 
-        return call if handlers else _nothing
+        return call if handlers else lambda: None
 
     def _call(self, handler: Handler, args: tuple[object, ...], kwargs: Mapping[str, object]) -> None:
-        """Call a handler, as a task."""
         with span.span("handler", qualified_name(handler), {"event": self.name, "sender": self.sender}):
             try:
                 handler(*args, **kwargs)
-            except Exception as error:
-                mark_recorded(error)  # its task has it; what fired the event was not refused
+            except Exception as error:  # any error of a handler: its task records it, so it isn't a refusal
+                mark_recorded(error)
                 raise
 
     def fire(self, *args: object, **kwargs: object) -> None:
         """Record the event, then call the handlers with these arguments.
 
         Raises:
-            RecordingError: It can't be recorded; no handler is called then.
-            Exception: The first error that a handler raised, when all have been called.
+            RecordingError: The event can't be recorded; no handler is called.
+            Exception: The first error that a handler raised, after all have been called.
         """
         self.prepare(*args, **kwargs)()
 
     def __call__(self, *args: object, **kwargs: object) -> None:
-        """Do the same as :meth:`fire`."""
+        """Fire the event."""
         self.fire(*args, **kwargs)
 
     def __record__(self) -> object:
@@ -164,7 +163,3 @@ class Event:
     def __repr__(self) -> str:
         text = f"event {self.name or 'without name'}"
         return f"{text} of {self.sender}" if self.sender else text
-
-
-def _nothing() -> None:
-    """Call no handler."""

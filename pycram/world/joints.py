@@ -1,4 +1,4 @@
-"""Joints of an object: checked positions, and movements together with attached and supported bodies."""
+"""Joints of an object: checked positions, joints that mimic others, and bodies that move along."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.urdf import Urdf
 
-_LIMIT_TOLERANCE: Final = 1e-3  # rad or m that positions may leave limits, as simulated motors and splines do a little
-_MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which given positions may miss each other's: files and descriptions round
+_LIMIT_TOLERANCE: Final = 1e-3  # rad or m by which positions may exceed limits, as with simulated motors and splines
+_MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which positions of a mimic group may differ: files contain rounded values
 
 
 def set_positions(body: Object, positions: Mapping[str, float]) -> None:
-    """Put joints to positions (rad or m, by name); see :meth:`pycram.world.object.Object.set_joint_positions`."""
+    """Set joints to positions (rad or m, by name); see :meth:`pycram.world.object.Object.set_joint_positions`."""
     checked = checked_positions(body, positions)
     command = records.MoveJoints(body=body.name, joints=list(checked), positions=list(checked.values()))
     checked = coupled(body, checked)
@@ -41,12 +41,12 @@ def set_positions(body: Object, positions: Mapping[str, float]) -> None:
 
 
 def checked_positions(body: Object, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return positions (rad or m, by name) that joints of an object can have.
+    """Return given positions (rad or m, by name) as floats.
 
     Raises:
         BadArgument: They aren't numbers by name.
-        UnknownName: It has no such joint.
-        JointLimitError: One is outside the joint's limits.
+        UnknownName: The object has no such joint.
+        JointLimitError: A position is outside the joint's limits.
     """
     if not isinstance(positions, Mapping):
         raise BadArgument("positions", positions, "values by joint name, such as {'torso_lift_joint': 0.2}")
@@ -54,10 +54,10 @@ def checked_positions(body: Object, positions: Mapping[str, float]) -> dict[str,
 
 
 def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
-    """Return given positions (rad or m, by name) with those of joints that mimic these, or that these mimic.
+    """Return given positions (rad or m, by name) with the positions of all joints in their mimic groups.
 
     Raises:
-        BadArgument: Given positions of a group contradict each other, or a joint's that can't be moved.
+        BadArgument: Given positions of a group contradict each other, or a joint in it that can't be moved.
         JointLimitError: The position of the joint that others mimic is outside its limits.
     """
     urdf = body.urdf
@@ -84,15 +84,15 @@ def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
 
 
 def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:
-    """Return a trajectory of all joints that move: with those that mimic its joints, or that these mimic.
+    """Return a trajectory with all joints in the mimic groups of its joints.
 
     Raises:
         UnknownName: The object has no such joint.
-        BadArgument: A joint is named twice, or positions of a group of mimics contradict each other.
+        BadArgument: A joint is named twice, or positions of a mimic group contradict each other.
         JointLimitError: A position is outside of its joint's limits.
     """
     names = trajectory.joints
-    if not names:  # the base's
+    if not names:  # a trajectory of the base
         return trajectory
     if len(set(names)) < len(names):
         raise BadArgument("joints", names, "each joint once")
@@ -112,7 +112,7 @@ def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:
 
 
 def _speeds(urdf: Urdf, given: Mapping[str, float], moved: Iterable[str]) -> tuple[float, ...]:
-    """Return the speeds of joints (rad/s or m/s), which are given, or follow from those that they mimic."""
+    """Return the speeds of joints (rad/s or m/s), as given or as they follow from the joints that they mimic."""
     speeds = dict(given)
     for name, speed in given.items():
         mimic = urdf.mimics.get(name)

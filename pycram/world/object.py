@@ -1,4 +1,4 @@
-"""Objects: everything in a world is one, robot, kitchen or spoon (thesis 4.3, table 4.2)."""
+"""Objects: robots, kitchens, spoons and everything else in a world (thesis 4.3, table 4.2)."""
 
 from __future__ import annotations
 
@@ -37,36 +37,32 @@ ROBOT = "robot"
 
 @refusing_methods("object")
 class Object(ReadOnlyAttributes):
-    """A thing in a world.
+    """An object in a world.
 
     Positions are [x, y, z] in m, orientations quaternions [x, y, z, w], both of the base link in the world frame,
     unless a link is named. Positions of joints are in rad or m. Setting poses and joints is exact and runs no physics.
+    Attributes are read-only; methods change them, each with a record.
 
-    All methods raise BadArgument for impossible values, UnknownName for a link or movable joint that it doesn't have,
-    and WorldClosed when it was removed or its world has ended; methods that change it raise ChangeRefused while a
-    reasoning query runs.
+    All methods raise BadArgument for impossible values, UnknownName for a link or movable joint that the object lacks,
+    and WorldClosed when the object was removed or its world has ended. Methods that change the object raise
+    ChangeRefused while a reasoning query runs.
 
     Args:
         name: Unique in its world.
-        type: "environment" and "robot" have a fixed base, anything else ("milk") is free.
+        type: "environment" and "robot" have a fixed base; objects of any other type ("milk") are free.
         path: .urdf, .stl, .obj or .dae file; a bare name also finds PyCRAM's own resources and ``pr2.urdf``.
-        position: Of its base link, m.
-        orientation: Of its base link, xyzw.
+        position: Position of the base link, m.
+        orientation: Orientation of the base link, xyzw.
         world: The current world by default.
-        color: RGBA 0..1 for a mesh; None keeps its own colours.
-        description: Of a robot; by default found by the name in its URDF.
-        packages: Folders of ROS packages that the URDF's meshes are in (``package://``), or folders that hold these;
-            others are looked for as :mod:`pycram.models.files` says.
-        model: The loaded model, where it doesn't come from the path but from a recording.
-
-    Attributes:
-        overlaps: With what it overlapped when it was loaded; a warning said so (:mod:`pycram.world.overlaps`).
-
-    Its attributes are read-only: methods change them, each with a record.
+        color: RGBA 0..1 for a mesh; None keeps the mesh's own colours.
+        description: Description of a robot; by default found by the name in its URDF.
+        packages: Folders of ROS packages with the URDF's meshes (``package://``), or parents of such folders. Other
+            packages are searched for as in :mod:`pycram.models.files`.
+        model: A model that was loaded from a recording, not from the path.
 
     Raises:
         NoWorld: No world is given and none is current.
-        BadArgument: An impossible value, or a name that another object has.
+        BadArgument: A value is impossible, or another object has the name.
         AssetError: The file is missing or broken.
     """
 
@@ -124,10 +120,11 @@ class Object(ReadOnlyAttributes):
         self.original_joints: Mapping[str, float] = MappingProxyType({})
         self._attachments: dict[Object, Attachment] = {}
         self._handle: Body | None = None
+        #: Objects that this one overlapped when it was loaded; :class:`Overlapping` warned of them.
         self.overlaps: Sequence[records.Overlap] = ()
         self._seal(Object)
         self.world.add(self)
-        if self.overlaps and model is None:  # a recorded one has been warned of
+        if self.overlaps and model is None:  # a recorded object had its warning when it was recorded
             warnings.warn_explicit(overlaps.warning(self.name, self.overlaps), overlaps.Overlapping, *call_site())
 
     def __repr__(self) -> str:
@@ -137,29 +134,29 @@ class Object(ReadOnlyAttributes):
         return self.world._envelope()  # noqa: SLF001  for the same records
 
     def __record__(self) -> object:
-        """Return its reference in records."""
+        """Return the object's reference in records."""
         return {"object": self.name, "world": self.world.name}
 
     # --- properties --------------------------------------------------------------------------------------------------
 
     @property
     def is_environment(self) -> bool:
-        """Whether it is part of the environment (thesis 4.3)."""
+        """Whether the object is part of the environment (thesis 4.3)."""
         return self.type == ENVIRONMENT
 
     @property
     def is_robot(self) -> bool:
-        """Whether it is a robot."""
+        """Whether the object is a robot."""
         return self.type == ROBOT
 
     @property
     def fixed(self) -> bool:
-        """Whether its base is fixed to the world."""
+        """Whether the base is fixed to the world."""
         return self.is_environment or self.is_robot
 
     @property
     def handle(self) -> Body:
-        """The body in the engine."""
+        """The object's body in the engine."""
         if self._handle is None:
             gone = "the world" if self.world.closed else f"object {self.name}"
             raise WorldClosed(self.world.name, f"use {self.name}", gone)
@@ -167,13 +164,13 @@ class Object(ReadOnlyAttributes):
 
     @property
     def alive(self) -> bool:
-        """Whether it is still in its world."""
+        """Whether the object is still in its world."""
         return self._handle is not None
 
     @property
     @refusing("object")
     def id(self) -> int:
-        """PyBullet's id, which another body may get after its removal."""
+        """PyBullet's id; another body may get it after the object's removal."""
         return self.handle.id
 
     @property
@@ -196,7 +193,7 @@ class Object(ReadOnlyAttributes):
 
     @property
     def load_record(self) -> records.LoadBody:
-        """The record from which it can be loaded again."""
+        """The record from which the object can be loaded again."""
         model = self.model
         return records.LoadBody(
             body=self.name,
@@ -248,29 +245,29 @@ class Object(ReadOnlyAttributes):
     @property
     @refusing("object")
     def surfaces(self) -> Mapping[str, Surface]:
-        """Where things can stand on it or in it, by name; a robot has none (:mod:`pycram.models.furniture`)."""
+        """Surfaces on which objects can stand, by name; a robot has none (:mod:`pycram.models.furniture`)."""
         return NONE.surfaces if self.is_robot else furniture_of(self.model).surfaces
 
     @property
     @refusing("object")
     def containers(self) -> Mapping[str, Container]:
-        """Its drawers and doors, by name; a robot has none."""
+        """Drawers and doors by name; a robot has none."""
         return NONE.containers if self.is_robot else furniture_of(self.model).containers
 
     def surface(self, name: str) -> Surface:
-        """Return a surface by its name."""
+        """Return the surface with a name."""
         if checks.text("surface", name) not in self.surfaces:
             raise UnknownName("surface", name, self.name, self.surfaces)
         return self.surfaces[name]
 
     def container(self, name: str) -> Container:
-        """Return a container by its name."""
+        """Return the container with a name."""
         if checks.text("container", name) not in self.containers:
             raise UnknownName("container", name, self.name, self.containers)
         return self.containers[name]
 
     def surface_pose(self, surface: Surface | str) -> Pose:
-        """Return where the middle of a surface is in the world now, with the joints as they are; z points up."""
+        """Return the pose of a surface's centre in the world, at the present joint positions; z points up."""
         of = surface if isinstance(surface, Surface) else self.surface(surface)
         return geometry.multiply(self.get_link_position_and_orientation(of.link), of.pose)
 
@@ -319,9 +316,9 @@ class Object(ReadOnlyAttributes):
             return dict(zip(self.joints, self.world.engine.joints(self.handle)[0], strict=True))
 
     def get_AABB(self, name: str | None = None) -> tuple[list[float], list[float]]:  # noqa: N802  the original's name
-        """Return lowest and highest corner of the axis-aligned box around it, or around one of its links.
+        """Return lowest and highest corner of the axis-aligned box around the object, or around one of its links.
 
-        The engine pads shapes: the box is up to 3 mm larger on each side.
+        The engine pads shapes, so the box is up to 3 mm too large on each side.
         """
         with self.world.lock:
             engine = self.world.engine
@@ -335,20 +332,20 @@ class Object(ReadOnlyAttributes):
     # --- changes -----------------------------------------------------------------------------------------------------
 
     def set_position_and_orientation(self, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """Put it at a pose, with all that it carries; if it is carried itself, it gets a new relative pose."""
+        """Set the pose; attached objects move along, and a carried object gets a new pose relative to its carrier."""
         self._move(checks.vector("position", position), checks.quaternion("orientation", orientation))
 
     def set_position(self, position: Sequence[float], orientation: Sequence[float] | None = None) -> None:
-        """Put it at a position, with its present orientation unless one is given."""
+        """Set the position; without an orientation, the present orientation stays."""
         turned = None if orientation is None else checks.quaternion("orientation", orientation)
         self._move(checks.vector("position", position), turned)
 
     def set_orientation(self, orientation: Sequence[float]) -> None:
-        """Turn it about its base link's origin."""
+        """Set the orientation; the base link's origin stays."""
         self._move(None, checks.quaternion("orientation", orientation))
 
     def _move(self, position: Vector | None, orientation: Quaternion | None) -> None:
-        """Put it at a pose; None is what it has when its turn has come: other branches may move it before."""
+        """Set the pose; None is the present value inside the transaction: other branches may move the object before."""
         with self.world.transactions.begin(records.Mutation(move_body=records.MoveBody(body=self.name))) as transaction:
             self.world.trajectories.refuse("set its pose", self)
             now = self.world.engine.pose(self.handle)
@@ -363,71 +360,71 @@ class Object(ReadOnlyAttributes):
                 transaction.fire(self.world.get_manipulation_event(), self)
 
     def set_joint_position(self, name: str, position: float) -> None:
-        """Put one joint to a position; see :meth:`set_joint_positions`."""
+        """Set the position of one joint; see :meth:`set_joint_positions`."""
         self.set_joint_positions({name: position})
 
     def set_joint_positions(self, positions: Mapping[str, float]) -> None:
-        """Put joints to positions, with all that is attached to their links or lies in a drawer.
+        """Set positions of joints; objects that are attached to their links or lie in a drawer move along.
 
         Args:
             positions: In rad or m by joint name.
 
         Raises:
-            JointLimitError: Outside the joint's limits.
+            JointLimitError: A position is outside the joint's limits.
         """
         joints.set_positions(self, positions)
 
     def remove(self) -> None:
-        """Remove it from its world; its attachments end."""
+        """Remove the object from its world; its attachments end."""
         self.world.remove(self)
 
     # --- attachments -------------------------------------------------------------------------------------------------
 
     @property
     def attachments(self) -> Mapping[Object, Attachment]:
-        """All attachments that it is part of, by the other object; both sides list them."""
+        """All attachments of the object, as carrier or carried, by the other object."""
         return MappingProxyType(self._attachments)
 
     @property
     def carried(self) -> list[Attachment]:
-        """Attachments in which it is the carrier."""
+        """Attachments in which the object is the carrier."""
         return [held for held in self._attachments.values() if held.carrier is self]
 
     @property
     def carrier(self) -> Object | None:
-        """The object that carries it, if any."""
+        """The object that carries this one; None if there is none."""
         return next((held.carrier for held in self._attachments.values() if held.body is self), None)
 
     def attach(self, other: Object, link: str | None = None, other_link: str | None = None) -> None:
-        """Carry another object with one of its links from now on (thesis 4.3.1); an existing attachment stays.
+        """Carry another object with a link, at its present relative pose (thesis 4.3.1); an existing attachment stays.
 
-        A thing may be attached to a robot or furniture from either side: what can move the other carries it.
+        If only the other object has a fixed base, as robots and furniture do, it carries this one instead.
 
         Args:
-            other: The object to carry; it keeps its full relative pose.
+            other: The object to carry.
             link: The link that carries; the base link by default.
-            other_link: The link of the other that is held; its base link by default.
+            other_link: The link of the other object that is held; its base link by default.
 
         Raises:
-            AttachmentError: It is impossible (cycle, two fixed bases, carried by another, another world).
+            AttachmentError: Cycle, two fixed bases, another carrier, or another world.
         """
         attachment.attach(self, _object("other", other), link, other_link)
 
     def detach(self, other: Object) -> None:
-        """End an attachment, from either side (thesis 4.3.2); both stay where they are.
+        """End an attachment, from either side (thesis 4.3.2); both objects stay where they are.
 
         Raises:
-            AttachmentError: There is none between the two.
+            AttachmentError: The two aren't attached to each other.
         """
         attachment.detach(self, _object("other", other))
 
     def detach_all(self) -> None:
-        """End all attachments that it is part of."""
+        """End all attachments of the object, as carrier or carried."""
         for other in list(self._attachments):
             self.detach(other)
 
     def set_color(self, color: Sequence[float]) -> None:
-        """Paint all of it, RGBA 0..1."""
+        """Set the colour of all links, RGBA 0..1."""
         rgba = checks.color("color", color)
         command = records.SetColor(body=self.name, color=rgba)
         with self.world.transactions.begin(records.Mutation(set_color=command)):
@@ -436,7 +433,7 @@ class Object(ReadOnlyAttributes):
 
 
 def _object(argument: str, value: object) -> Object:
-    """Return an object, given directly or as the result of a branch."""
+    """Return an object that is given directly or as a branch's future."""
     result = unwrap(value)
     if not isinstance(result, Object):
         raise BadArgument(argument, result, "an Object")

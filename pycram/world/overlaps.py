@@ -1,4 +1,4 @@
-"""Overlaps: objects that are inside of each other, as no real ones can be."""
+"""Overlaps: objects that are inside of each other."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 DEEP: Final = 5e-3
-"""m of overlap that doesn't come from how solvers let things rest on each other."""
+"""Depth in m above which an overlap isn't caused by the solver, which lets resting objects overlap a little."""
 
 
 class Overlapping(UserWarning):
-    """An object was loaded inside of others; when time runs, the engine throws them apart, or jams them."""
+    """An object was loaded inside of others; in simulation the engine throws them apart, or jams them."""
 
 
 def depth(body: Object, other: Object) -> float:
-    """Return how deep an object is in another, m; 0 if not at all."""
+    """Return how deep an object is in another, in m; 0 if they don't overlap."""
     deepest = _deepest(body, other)
     return -deepest.distance if deepest is not None else 0.0
 
 
 def overlaps(body: Object) -> list[records.Overlap]:
-    """Return where an object is deep in others, once for each; what is fixed may be built into each other."""
+    """Return the deepest overlap of an object with each other one; two fixed objects may be built into each other."""
     found = []
     for other in body.world.objects:
         if other is body or (body.fixed and other.fixed):
@@ -45,6 +45,6 @@ def _deepest(body: Object, other: Object) -> ClosestPoint | None:
 
 
 def warning(body: str, found: Sequence[records.Overlap]) -> str:
-    """Return in words that an object was loaded inside of others."""
+    """Return the message of the warning that an object was loaded inside of others."""
     others = ", ".join(f"{overlap.depth * 1e3:.0f} mm inside of {overlap.body}" for overlap in found)
     return f"{body} is {others}; world.settle() lifts free objects apart before it simulates"

@@ -1,10 +1,10 @@
-"""Saved states: what a world's objects were like at one moment, and how a world gets that back.
+"""Saved states of a world, and how they are restored.
 
-A state has the pose and velocity of each object, the positions and velocities of its joints and what their motors keep,
-the attachments, gravity, which object is the robot, and what robots believed of objects: all to the last bit, but for
-orientations of what has moved, which the engine normalises again (2e-16 at most). While a body follows a trajectory no
-state is saved, and restoring one ends all trajectories. What the solver knows of contacts isn't in it, so the future
-after it is a likely one. Simulated time never goes back, and colours stay, as in a reset.
+A state has pose and velocity of each object, positions, velocities and motor targets of its joints, the attachments,
+gravity, the robot, and the robots' beliefs. All values are restored bit for bit, except orientations, which the engine
+normalises again (error at most 2e-16). A state can't be saved while a body follows a trajectory, and restoring one ends
+all trajectories. The solver's cached contacts aren't part of a state, so a restored world may develop differently.
+Simulated time never goes back, and colours stay, as in a reset.
 """
 
 from __future__ import annotations
@@ -28,23 +28,17 @@ if TYPE_CHECKING:
     from recorder.records.beliefs import Key
     from recorder.tracing.journal import Journal
 
-_AT_REST: Final = (0.0,) * 6
+_AT_REST: Final = (0.0,) * 6  # m/s and rad/s
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SavedState:
-    """The state of a world at one moment, for ``world.restore(saved)``.
-
-    Attributes:
-        world: The world.
-        objects: Those that it had.
-        command: The record of its restoring.
-        steps: Of the records by which its beliefs were learned; not of those of another process.
-    """
+    """The state of a world at one moment, for ``world.restore(saved)``."""
 
     world: BulletWorld
-    objects: tuple[Object, ...]
-    command: records.Restore
+    objects: tuple[Object, ...]  # all objects of the world at that moment
+    command: records.Restore  # the record that restores the state
+    #: Steps of the records by which the beliefs were learned, if this process made these records.
     steps: Mapping[Key, Steps] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -52,11 +46,7 @@ class SavedState:
 
 
 def save(world: BulletWorld) -> SavedState:
-    """Return the present state of a world.
-
-    Raises:
-        WorldClosed: It has ended.
-    """
+    """Return the present state of a world; raises WorldClosed if the world has ended."""
     with world.lock:
         if world.closed:
             raise WorldClosed(world.name, "save its state")
@@ -73,11 +63,11 @@ def save(world: BulletWorld) -> SavedState:
 
 
 def restore(world: BulletWorld, saved: SavedState) -> None:
-    """Give a world a saved state back, as one transaction.
+    """Restore a saved state of a world, as one transaction.
 
     Raises:
-        BadArgument: It is none of this world.
-        ObjectsChanged: Objects were loaded or removed since.
+        BadArgument: The state is of another world.
+        ObjectsChanged: Objects were loaded or removed since the state was saved.
     """
     if not isinstance(saved, SavedState) or saved.world is not world:
         raise BadArgument("saved", saved, f"what save() of {world.name} has returned")
@@ -90,13 +80,11 @@ def put_back(
     objects: Collection[Object] | None = None,
     steps: Mapping[Key, Steps] | None = None,
 ) -> None:
-    """Give a world a recorded state.
+    """Restore a recorded state of a world.
 
     Args:
-        world: The world.
-        command: The state.
-        objects: Those of then: one that was loaded again is another one. None: those of their names will do.
-        steps: Of the records by which its beliefs were learned; None: the command has them.
+        objects: The objects of the state, by identity; None to match the world's objects by name.
+        steps: Steps of the records by which the beliefs were learned; None if the command has them.
     """
     with world.transactions.begin(records.Mutation(restore=command)) as transaction:
         present = world.objects if objects is None else [body for body in world.objects if body in objects]
@@ -114,8 +102,10 @@ def put_back(
         for body in world.objects:
             for held in body.carried:
                 pair = held.carrier.name, held.body.name
-                if pair in saved and _has_same_links(held.record(), saved[pair]):
-                    kept[pair] = held.record()
+                known, wanted = held.record(), saved.get(pair)
+                links = known.carrier_link, known.body_link
+                if wanted is not None and links == (wanted.carrier_link, wanted.body_link):
+                    kept[pair] = known
                 else:
                     attachment.end(held, transaction)
         for state in command.bodies:
@@ -133,7 +123,7 @@ def put_back(
 
 
 def _check(command: records.Restore, bodies: Mapping[str, Object]) -> None:
-    """Refuse a command that isn't one for these objects: one that was recorded may say anything."""
+    """Raise BadArgument if a command doesn't fit these objects; a recorded command may hold any numbers."""
     for state in command.bodies:
         joints = len(bodies[state.body].handle.joints)
         numbers = (state.joint_positions, state.joint_velocities, state.joint_targets)
@@ -149,13 +139,9 @@ def _check(command: records.Restore, bodies: Mapping[str, Object]) -> None:
 
 
 def _number(command: records.Restore, steps: Mapping[Key, Steps], journal: Journal) -> None:
-    """Give what was believed the steps that it has in a recording."""
+    """Set the steps of beliefs in a command to those of a recording."""
     for belief in command.beliefs:
         belief.step = steps.get((belief.robot, belief.object), {}).get(journal, -1)
-
-
-def _has_same_links(one: records.Attachment, other: records.Attachment) -> bool:
-    return (one.carrier_link, one.body_link) == (other.carrier_link, other.body_link)
 
 
 def _state_of(body: Object) -> records.SavedBody:
@@ -174,7 +160,7 @@ def _state_of(body: Object) -> records.SavedBody:
 
 
 def _put(body: Object, state: records.SavedBody, transaction: Transaction) -> None:
-    """Put an object to a state, unless it has it: then the solver keeps what it knows of its contacts."""
+    """Restore an object's state; an object that has the state already keeps the contacts that the solver has cached."""
     if _state_of(body) == state:
         return
     engine, handle = body.world.engine, body.handle

@@ -1,4 +1,7 @@
-"""Simulation of a world: steps of 1/240 s, with samples for the recording 30 times a simulated second."""
+"""Simulated time of a world: steps of 1/240 s, waiting, coming to rest, and real time.
+
+Every simulation is one transaction, with samples for the recording 30 times a simulated second.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +31,25 @@ if TYPE_CHECKING:
     from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
 
+SLOW: Final = 2e-3
+"""Speed in m/s below which an object may be at rest."""
+SLOW_TURN: Final = 2e-2
+"""Angular speed in rad/s below which an object may be at rest."""
+INTERVALS: Final = 4
+"""Number of consecutive intervals in which an object at rest is slow."""
+_GAIN: Final = 1.15  # from the first to the last interval: a 2 m high shelf that begins to tip gains more, creep less
+_NOISE: Final = 0.1  # share of the slow speed: the speeds of solver noise go up and down
 
 _SAMPLE_STEPS: Final = records.STEPS_PER_SECOND // 30
 _SAMPLE_TOLERANCE: Final = 1e-5  # m, rad: smaller movements between two samples aren't visible
 _MANIPULATION_TOLERANCE: Final = 1e-4  # rad or m by which a joint of the environment has to move to fire the event
+_MAX_WAIT_STEPS: Final = 10 * records.STEPS_PER_SECOND  # of one record
+
+_PERIOD: Final = 1 / 30  # s of real time in one record
+_MAX_LAG: Final = 0.1  # s that real time catches up; a slow machine could never catch up more
+
+
+# --- steps -----------------------------------------------------------------------------------------------------------
 
 
 def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Callable[[], bool] | None = None) -> bool:
@@ -40,13 +58,10 @@ def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Ca
     Ctrl-C or the world's exit end it early, between two samples; the record then has the steps that were done.
 
     Args:
-        world: The world.
-        steps: How many.
-        transaction: The transaction.
-        until: Called after each 1/30 s of simulated time, and at the end; ends it when true.
+        until: Called after each 1/30 s of simulated time, and at the end; the simulation ends when it returns True.
 
     Returns:
-        Whether all steps were done, or those that were needed.
+        Whether all steps were done, or ``until`` ended the simulation.
     """
     engine = world.engine
     joints = {body: engine.joints(body.handle)[0] for body in world.objects if body.is_environment}
@@ -68,7 +83,7 @@ def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Ca
 def _step(
     world: BulletWorld, steps: int, transaction: Transaction, until: Callable[[], bool] | None
 ) -> tuple[int, bool]:
-    """Return how many steps were done, and whether no more were needed."""
+    """Return the number of steps that were done, and whether ``until`` ended them."""
     recording = journal.recording()
     last = {body.name: take_snapshot(body) for body in world.objects} if recording else {}
     observer = world.transactions.observer
@@ -79,9 +94,9 @@ def _step(
             world.trajectories.step(chunk, transaction)
         else:
             world.engine.step(chunk)
-        _note_drags(world, transaction)
+        _record_drags(world, transaction)
         for body in world.objects:
-            if body.fixed:  # solvers let what is attached to it in chains give way a little
+            if body.fixed:  # the solver lets chains of attached objects give way a little
                 attachment.move_attached(body, transaction)
         update(world, sim_step=world.sim_step + chunk)
         done += chunk
@@ -99,8 +114,8 @@ def _step(
     return done, ended
 
 
-def _note_drags(world: BulletWorld, transaction: Transaction) -> None:
-    """Record what somebody drags in the window meanwhile: no command did it."""
+def _record_drags(world: BulletWorld, transaction: Transaction) -> None:
+    """Record the objects that somebody drags in the window: no command moves them."""
     drags = transaction.command.drags
     bodies = {body.handle: body.name for body in world.objects}
     for handle, link in world.engine.dragged(bodies):
@@ -120,141 +135,44 @@ def _sample(world: BulletWorld, last: dict[str, Snapshot]) -> records.Sample:
     return sample
 
 
-SLOW: Final = 2e-3
-"""m/s below which something may be at rest."""
-SLOW_TURN: Final = 2e-2
-"""rad/s of the same."""
-INTERVALS: Final = 4
-"""In a row, in which it has to be slow."""
-_GAIN: Final = 1.15  # from the first to the last of them: a 2 m high shelf that begins to tip gains more, creep less
-_NOISE: Final = 0.1  # of what is slow: speeds of solvers' noise go up and down
-
-
-def at_rest(speeds: Sequence[float]) -> bool:
-    """Return whether something is at rest that was so fast, as shares of what is slow, in consecutive intervals."""
-    return speeds[-1] <= max(speeds[0] * _GAIN, _NOISE) and max(speeds) < 1.0
-
-
-def settle(world: BulletWorld, steps: int) -> tuple[list[Object], bool]:
-    """Simulate until everything is at rest, as one transaction.
-
-    Args:
-        world: The world.
-        steps: After how many it gives up.
-
-    Returns:
-        What isn't at rest, and whether the simulation was carried out: another thread may end the world meanwhile.
-    """
-    command = records.Simulate(steps=steps, settled=False)
-    with world.transactions.begin(records.Mutation(simulate=command)) as transaction:
-        detector = RestDetector(world)
-        completed = simulate(world, steps, transaction, detector.sample)
-        transaction.command.simulate.settled = not detector.restless
-    return detector.restless, completed
-
-
-def separate(world: BulletWorld) -> None:
-    """Lift free objects out of each other, what was loaded later up: engines jam or throw them."""
-    free = [body for body in world.objects if not body.fixed and not body.attachments]
-    for _ in free:
-        pair = next((pair for pair in itertools.combinations(free, 2) if depth(*pair) > DEEP), None)
-        if pair is None:
-            return
-        earlier, later = pair
-        x, y, z = later.get_position()
-        later.set_position([x, y, z + earlier.get_AABB()[1][2] - later.get_AABB()[0][2]])
-
-
-class RestDetector:
-    """Tells when everything in a world has come to rest.
-
-    Attributes:
-        restless: what hasn't, at the last sample.
-    """
-
-    def __init__(self, world: BulletWorld) -> None:
-        self._world = world
-        self._last: tuple[int, Mapping[Object, Snapshot]] = self._look()
-        self._speeds: deque[Mapping[Object, float]] = deque(maxlen=INTERVALS)
-        self.restless = list(self._last[1])
-
-    def sample(self) -> bool:
-        """Look where everything is, after each 1/30 s of simulation, and return whether all is at rest."""
-        step, before = self._last
-        self._last = now, after = self._look()
-        if now > step:
-            seconds = (now - step) / records.STEPS_PER_SECOND
-            known = [body for body in after if body in before]  # others take and load things while somebody waits
-            self._speeds.append({body: _moved(body, before[body], after[body]) / seconds for body in known})
-        self.restless = [body for body in after if not self._rests(body)]
-        return len(self._speeds) == INTERVALS and not self.restless
-
-    def _rests(self, body: Object) -> bool:
-        speeds = [known[body] for known in self._speeds if body in known]
-        return len(speeds) == INTERVALS and at_rest(speeds)
-
-    def _look(self) -> tuple[int, Mapping[Object, Snapshot]]:
-        return self._world.sim_step, {body: take_snapshot(body) for body in self._world.objects if _counts(body)}
-
-
-def _counts(body: Object) -> bool:
-    """Return whether an object has to come to rest by itself."""
-    root = attachment.root_of(body)
-    return not root.is_robot and (not root.fixed or (root is body and bool(body.joints)))
-
-
-def _moved(body: Object, before: Snapshot, after: Snapshot) -> float:
-    """Return how far an object, or the fastest of its joints, has moved: 1 is what is slow in a second."""
-    moved = math.dist(before.pose[0], after.pose[0]) / SLOW
-    turned = geometry.angle(before.pose[1], after.pose[1]) / SLOW_TURN
-    joints = zip(body.handle.joints.values(), before.positions, after.positions, strict=True)
-    slid = (abs(b - a) / (SLOW if joint.kind == "prismatic" else SLOW_TURN) for joint, a, b in joints)
-    return max(moved, turned, *slid)
+# --- waiting in simulated time ---------------------------------------------------------------------------------------
 
 
 class Wait:
-    """One wait.
-
-    Args:
-        predicate: What is waited for.
-
-    Attributes:
-        held: Whether it held at one of the moments at which it was called, or raised an error.
-        waiter: The branch that waits; None before it does.
-    """
+    """A wait for a predicate in a world's simulated time."""
 
     def __init__(self, predicate: Callable[[], bool]) -> None:
         self._predicate = predicate
         self._error: Exception | None = None
-        self.held = False
-        self.waiter: Waiter | None = None
+        self.held = False  # whether the predicate was true in a sample, or raised an error
+        self.waiter: Waiter | None = None  # the branch that waits; None before it does
 
     def sample(self) -> bool:
         """Call the predicate, and return whether the wait is over."""
         try:
             self.held = self.held or self._predicate()
-        except Exception as error:  # noqa: BLE001  it is raised where somebody waits, not in the simulation
+        except Exception as error:  # noqa: BLE001  any error of a predicate is raised in its branch, not in the simulation
             self.held, self._error = True, error
         return self.held
 
     def raise_error(self) -> None:
-        """Raise what the predicate has raised, if it has."""
+        """Raise the predicate's error, if there is one."""
         if self._error is not None:
             raise self._error
 
 
 class Waits:
-    """Those in one world, of all threads, in order of arrival."""
+    """The waits in one world, of all threads, in order of arrival."""
 
     def __init__(self) -> None:
         self._waits: dict[Wait, None] = {}
 
     def add(self, wait: Wait) -> None:
-        """Sample it from now on."""
+        """Sample a wait from now on."""
         self._waits[wait] = None
 
     def remove(self, wait: Wait) -> None:
-        """Sample it no more."""
+        """Stop sampling a wait."""
         self._waits.pop(wait, None)
 
     def sample(self) -> None:
@@ -265,30 +183,31 @@ class Waits:
 
     @property
     def held(self) -> bool:
-        """Whether one of them is over."""
+        """Whether one of the waits is over."""
         return any(wait.held for wait in list(self._waits))
 
     def wake(self) -> None:
-        """Have all look who simulates."""
+        """Wake all branches that wait: another thread or branch simulates from now on."""
         for wait in list(self._waits):
             if wait.waiter is not None:
                 wait.waiter.wake()
 
     def forget(self) -> None:
-        """Forget all, in a forked child that goes on without those branches."""
+        """Remove all waits, in a forked child that continues without those branches."""
         self._waits.clear()
-
-
-_MAX_STEPS: Final = 10 * records.STEPS_PER_SECOND  # of one record
 
 
 def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
     """Wait until a predicate holds, while simulated time passes; a checkpoint, also in uninterruptible code.
 
+    Time stands still as long as a branch of the thread is ready to run. When all branches wait, the first one that
+    waits for simulated time simulates in one transaction, until one of these happens at a sample: a wait for time is
+    over, a followed fluent changes, a time listener is registered, or another branch is ready. So branches of ``par``
+    move at the same time, in an order that the run's seed decides. In real time the world's clock simulates.
+
     Args:
-        world: The world whose time passes.
-        predicate: Called once now, and then once each 1/30 s of simulated time with the world's lock held: it reads
-            the world, and neither changes it nor waits.
+        predicate: Called once now, and then each 1/30 s of simulated time with the world's lock held. It reads the
+            world; it must neither change the world nor wait.
 
     Raises:
         Cancelled: The branch is cancelled, and the predicate doesn't hold.
@@ -299,11 +218,11 @@ def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
     with world.lock:
         over = waiting.sample()
     if not over:
-        _pass(world, waiting)
+        _pass_time(world, waiting)
     waiting.raise_error()
 
 
-def _pass(world: BulletWorld, waiting: Wait) -> None:
+def _pass_time(world: BulletWorld, waiting: Wait) -> None:
     scope = current_scope()
     sources = () if scope is None else scope.sources
     with Waiter(sources, patience=lambda: not world.realtime) as waiter:
@@ -315,21 +234,20 @@ def _pass(world: BulletWorld, waiting: Wait) -> None:
                 if world.closed:
                     raise WorldClosed(world.name, "wait in its time")
                 if waiter.sleep():
-                    _simulate(world, scope)
+                    _simulate_until_needed(world, scope)
         finally:
             world.waits.remove(waiting)
 
 
 @uninterruptible()
-def _simulate(world: BulletWorld, scope: CancelScope | None) -> None:
-    """Simulate until somebody has something to do."""
-    command = records.Simulate(steps=_MAX_STEPS)
+def _simulate_until_needed(world: BulletWorld, scope: CancelScope | None) -> None:
+    command = records.Simulate(steps=_MAX_WAIT_STEPS)
     with world.transactions.begin(records.Mutation(simulate=command)) as transaction:
-        simulate(world, _MAX_STEPS, transaction, partial(_is_enough, world, scope))
+        simulate(world, _MAX_WAIT_STEPS, transaction, partial(_is_needed, world, scope))
 
 
-def _is_enough(world: BulletWorld, scope: CancelScope | None) -> bool:
-    """Whether somebody has something to do now, or may have."""
+def _is_needed(world: BulletWorld, scope: CancelScope | None) -> bool:
+    """Return whether a branch or another thread has something to do now."""
     observer = world.transactions.observer
     return (
         world.waits.held
@@ -341,12 +259,93 @@ def _is_enough(world: BulletWorld, scope: CancelScope | None) -> bool:
     )
 
 
-_PERIOD: Final = 1 / 30  # s; each period's simulation is one record
-_MAX_LAG: Final = 0.1  # s that are caught up; more is dropped, as a slow machine can never catch up
+# --- coming to rest --------------------------------------------------------------------------------------------------
+
+
+def settle(world: BulletWorld, steps: int) -> tuple[list[Object], bool]:
+    """Simulate until everything is at rest or all steps are done, as one transaction.
+
+    Returns:
+        The objects that aren't at rest, and whether the simulation was completed: another thread may end the world.
+    """
+    command = records.Simulate(steps=steps, settled=False)
+    with world.transactions.begin(records.Mutation(simulate=command)) as transaction:
+        detector = RestDetector(world)
+        completed = simulate(world, steps, transaction, detector.sample)
+        transaction.command.simulate.settled = not detector.restless
+    return detector.restless, completed
+
+
+def separate(world: BulletWorld) -> None:
+    """Lift free objects out of each other, the one that was loaded later: the engine would jam or throw them."""
+    free = [body for body in world.objects if not body.fixed and not body.attachments]
+    for _ in free:
+        pair = next((pair for pair in itertools.combinations(free, 2) if depth(*pair) > DEEP), None)
+        if pair is None:
+            return
+        earlier, later = pair
+        x, y, z = later.get_position()
+        later.set_position([x, y, z + earlier.get_AABB()[1][2] - later.get_AABB()[0][2]])
+
+
+def at_rest(speeds: Sequence[float]) -> bool:
+    """Return whether an object is at rest, by its speeds in consecutive intervals, as multiples of the slow speed."""
+    return speeds[-1] <= max(speeds[0] * _GAIN, _NOISE) and max(speeds) < 1.0
+
+
+class RestDetector:
+    """Detects when everything in a world has come to rest.
+
+    An object is at rest if it moved by less than 2 mm/s and 0.02 rad/s in each of the last four intervals of 1/30 s,
+    and didn't gain speed: a tall object that begins to tip is slow at first. Poses are compared, not velocities, as
+    solvers let some resting objects tremble. Robots don't count, nor what they hold, nor what is attached to a fixed
+    base; joints of furniture do.
+    """
+
+    def __init__(self, world: BulletWorld) -> None:
+        self._world = world
+        self._last: tuple[int, Mapping[Object, Snapshot]] = self._snapshots()
+        self._speeds: deque[Mapping[Object, float]] = deque(maxlen=INTERVALS)
+        self.restless = list(self._last[1])  # the objects that weren't at rest at the last sample
+
+    def sample(self) -> bool:
+        """Compare all poses after 1/30 s of simulation, and return whether everything is at rest."""
+        step, before = self._last
+        self._last = now, after = self._snapshots()
+        if now > step:
+            seconds = (now - step) / records.STEPS_PER_SECOND
+            known = [body for body in after if body in before]  # other branches take and load objects meanwhile
+            self._speeds.append({body: _distance(body, before[body], after[body]) / seconds for body in known})
+        self.restless = [body for body in after if not self._rests(body)]
+        return len(self._speeds) == INTERVALS and not self.restless
+
+    def _rests(self, body: Object) -> bool:
+        speeds = [known[body] for known in self._speeds if body in known]
+        return len(speeds) == INTERVALS and at_rest(speeds)
+
+    def _snapshots(self) -> tuple[int, Mapping[Object, Snapshot]]:
+        return self._world.sim_step, {body: take_snapshot(body) for body in self._world.objects if _must_rest(body)}
+
+
+def _must_rest(body: Object) -> bool:
+    root = attachment.root_of(body)
+    return not root.is_robot and (not root.fixed or (root is body and bool(body.joints)))
+
+
+def _distance(body: Object, before: Snapshot, after: Snapshot) -> float:
+    """Return how far an object, or the fastest of its joints, has moved, as a multiple of the slow speed times 1 s."""
+    moved = math.dist(before.pose[0], after.pose[0]) / SLOW
+    turned = geometry.angle(before.pose[1], after.pose[1]) / SLOW_TURN
+    joints = zip(body.handle.joints.values(), before.positions, after.positions, strict=True)
+    slid = (abs(b - a) / (SLOW if joint.kind == "prismatic" else SLOW_TURN) for joint, a, b in joints)
+    return max(moved, turned, *slid)
+
+
+# --- real time -------------------------------------------------------------------------------------------------------
 
 
 class RealtimeClock:
-    """A thread that simulates one world."""
+    """A thread that simulates a world at the pace of the clock until it is stopped."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
@@ -354,7 +353,7 @@ class RealtimeClock:
         self._error: BaseException | None = None
         self._over = False
         self._ended = Condition()
-        # the world's exit() ends it; it is a daemon for plans that don't call exit()
+        # The world's exit() ends it; it is a daemon for plans that don't call exit().
         self._thread = threading.Thread(target=self._run, name=f"{world.name} realtime", daemon=True)
 
     def start(self) -> None:
@@ -362,7 +361,7 @@ class RealtimeClock:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop and wait for the present simulation to end; never call it with the world's lock held.
+        """Stop, and wait for the present simulation to end; never call it with the world's lock held.
 
         Raises:
             Exception: The first error that a handler of an event raised in the clock's thread.
@@ -391,11 +390,8 @@ class RealtimeClock:
                 return
             except ChangeRefused:  # a query runs at the moment
                 continue
-            except Exception as error:  # noqa: BLE001  of a handler: time goes on
-                self._keep(error)
-
-    def _keep(self, error: Exception) -> None:
-        """Report the first error at once, and keep it for the caller of :meth:`stop`."""
-        if self._error is None:
-            self._error = error
-            threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, self._thread)))
+            except Exception as error:  # noqa: BLE001  any error of a handler: it is reported, and time goes on
+                if self._error is None:
+                    self._error = error
+                    arguments = (type(error), error, error.__traceback__, self._thread)
+                    threading.excepthook(threading.ExceptHookArgs(arguments))

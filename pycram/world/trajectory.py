@@ -1,8 +1,7 @@
-"""Trajectories: where joints of a body, or its base, are to be at each moment of a motion.
+"""Trajectories: target positions of a body's joints, or of its base, at each moment of a motion.
 
-Between its times a trajectory is cubic (Hermite), so positions and velocities are continuous. It is evaluated in plain
-floats, operation by operation, so that a recorded one gives the same targets to the last bit wherever it is followed
-again.
+Between its times a trajectory is a cubic Hermite spline, so positions and velocities are continuous. Plain floats are
+used, one operation at a time: a recorded trajectory gives the same targets, bit for bit, when it is followed again.
 """
 
 from __future__ import annotations
@@ -27,20 +26,14 @@ if TYPE_CHECKING:
 class Trajectory:
     """A timed motion of some joints of a body, or of its base.
 
-    Attributes:
-        joints: names of the joints; none for the base, whose coordinates are x and y in m and yaw in rad, world frame.
-        times: n times in s since it began: from 0, strictly increasing; n is at least 1.
-        positions: n rows of positions in rad or m, one a coordinate.
-        velocities: n rows of velocities in rad/s or m/s.
-
     Raises:
-        BadArgument: The numbers aren't finite, or don't fit each other.
+        BadArgument: The numbers aren't finite, or the lengths of the rows differ.
     """
 
-    joints: tuple[str, ...]
-    times: tuple[float, ...]
-    positions: tuple[tuple[float, ...], ...]
-    velocities: tuple[tuple[float, ...], ...]
+    joints: tuple[str, ...]  # empty for the base, whose coordinates are x and y in m and yaw in rad, world frame
+    times: tuple[float, ...]  # n times in s, from 0, strictly increasing; n is at least 1
+    positions: tuple[tuple[float, ...], ...]  # n rows, a position in rad or m for each coordinate
+    velocities: tuple[tuple[float, ...], ...]  # n rows, a velocity in rad/s or m/s for each coordinate
 
     def __post_init__(self) -> None:
         width = len(self.coordinates)
@@ -54,16 +47,16 @@ class Trajectory:
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the columns: joints, or x, y and yaw of the base."""
+        """Names of the columns: the joints, or x, y and yaw of the base."""
         return self.joints or BASE_COORDINATES
 
     @property
     def duration(self) -> float:
-        """How long it takes, in s."""
+        """Duration in s."""
         return self.times[-1]
 
     def at(self, time: float) -> tuple[Sequence[float], Sequence[float]]:
-        """Return positions and velocities at a time in s; before its begin and after its end it stands."""
+        """Return positions and velocities at a time in s; before the start and after the end nothing moves."""
         if time <= 0 or time >= self.duration:
             return self.positions[0 if time <= 0 else -1], (0.0,) * len(self.coordinates)
         after = bisect_right(self.times, time)
@@ -83,7 +76,7 @@ class Trajectory:
         return positions, velocities
 
     def record(self) -> records.Trajectory:
-        """Return it as records have it."""
+        """Return the trajectory's record."""
         return records.Trajectory(
             joints=self.joints,
             times=self.times,
@@ -93,11 +86,7 @@ class Trajectory:
 
     @classmethod
     def of_record(cls, record: records.Trajectory) -> Trajectory:
-        """Return the trajectory of a record.
-
-        Raises:
-            BadArgument: Its numbers don't fit each other.
-        """
+        """Return the trajectory of a record."""
         joints = tuple(record.joints)
         width = len(joints or BASE_COORDINATES)
 
@@ -109,19 +98,14 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class BaseFrame:
-    """What a trajectory of a base leaves as it is.
+    """The parts of a base's pose that a trajectory doesn't change."""
 
-    Attributes:
-        height: of the base in m.
-        lean: its orientation, turned about the vertical to yaw 0.
-    """
-
-    height: float
-    lean: Quaternion
+    height: float  # m
+    lean: Quaternion  # the orientation, turned about the vertical to yaw 0
 
     @classmethod
     def of(cls, pose: Pose) -> BaseFrame:
-        """Return that of a base at a pose in the world frame."""
+        """Return the frame of a base at a pose in the world."""
         position, orientation = pose
         back = geometry.from_rpy(0.0, 0.0, -geometry.to_rpy(orientation)[2])
         return cls(position[2], geometry.product(back, orientation))

@@ -1,9 +1,8 @@
-"""World transactions: the one way in which a world changes.
+"""World transactions: the only way in which a world changes.
 
-Validate, act in the engine, read the state back, emit one record, notify the observer, fire events. The world's lock is
-held from validating to notifying the observer, so the order of records is the order of changes. Handlers of events are
-user code: they are called when the lock is free again (:mod:`pycram.world.transaction`). One change, as in
-``Object.set_position``::
+A transaction validates, acts in the engine, reads the state back, emits one record, notifies the observer and fires
+events. It holds the world's lock from validating to notifying, so the order of records is the order of changes. Event
+handlers are user code: they run when the lock is free again. One change, as in ``Object.set_position``::
 
     with world.transactions.begin(records.Mutation(move_body=command)) as transaction:
         world.engine.set_pose(body.handle, pose)
@@ -38,35 +37,25 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.tracing.journal import Journal
 
-
-#: A keyframe costs 0.3 ms and 3 kB; with one each 100 transactions any step is folded from at most 100 records.
+#: A keyframe costs 0.3 ms and 3 kB; with this distance any step is folded from at most 100 records.
 TRANSACTIONS_PER_KEYFRAME: Final = 100
+_AT_REST: Final = (0.0,) * 6
 
 
 @dataclass(slots=True)
 class Transaction:
-    """A change of a world that isn't recorded yet, and all that it has changed so far.
+    """A change of a world that isn't recorded yet, and everything that it has changed so far."""
 
-    Attributes:
-        command: The record, at first with its command only.
-        interrupts: Holds Ctrl-C back until the transaction is recorded.
-        modified: Objects whose state may have changed, by name.
-        removed: Names of removed objects.
-        attached: Attachments that are new or have a new relative pose, by the names of carrier and body.
-        detached: Attachments that ended.
-        samples: States within a simulation.
-        number: Sets what the command says of other steps, before a recording takes it.
-        callbacks: Called with the lock held when the transaction is recorded; each gives a call to make after that.
-    """
-
-    command: records.Mutation
-    interrupts: Uninterrupted
-    modified: dict[str, Object] = field(default_factory=dict)
-    removed: list[str] = field(default_factory=list)
+    command: records.Mutation  # the record, at first with its command only
+    interrupts: Uninterrupted  # holds Ctrl-C back until the transaction is recorded
+    modified: dict[str, Object] = field(default_factory=dict)  # objects whose state may have changed, by name
+    removed: list[str] = field(default_factory=list)  # names of removed objects
+    #: Attachments that are new or have a new relative pose, by the names of carrier and body.
     attached: dict[tuple[str, str], Attachment] = field(default_factory=dict)
-    detached: list[Attachment] = field(default_factory=list)
-    samples: list[records.Sample] = field(default_factory=list)
-    number: Callable[[Journal], None] | None = None
+    detached: list[Attachment] = field(default_factory=list)  # attachments that ended
+    samples: list[records.Sample] = field(default_factory=list)  # states within a simulation
+    number: Callable[[Journal], None] | None = None  # sets step numbers in the command, for each recording
+    #: Called with the lock held when the transaction is recorded; the calls that they return are made after that.
     callbacks: list[Callable[[], Callable[[], None]]] = field(default_factory=list)
 
     def mark_modified(self, *bodies: Object) -> None:
@@ -83,7 +72,7 @@ class Transaction:
         self.callbacks.append(partial(event.prepare, *arguments))
 
     def affected(self) -> set[str]:
-        """Return the names of all objects of which anything may have changed."""
+        """Return the names of all objects that may have changed."""
         ends = (*self.attached.values(), *self.detached)
         return {*self.modified, *self.removed, *(body.name for end in ends for body in (end.carrier, end.body))}
 
@@ -98,32 +87,26 @@ class Observer(Protocol):
         """Notice that simulated time has passed, within a transaction."""
 
     def has_news(self) -> bool:
-        """Whether simulated time has changed what somebody waits for."""
+        """Return whether simulated time has changed a value that somebody waits for."""
 
     def committed(self, transaction: Transaction) -> None:
         """Notice that a transaction was made and is recorded."""
 
 
 class TransactionManager:
-    """The lock, the refusals and the records of one world.
-
-    Attributes:
-        lock: Held from validating a change to emitting its record.
-        query: The reasoning query that runs, during which changes are refused; "" for none.
-        observer: The follower of the world.
-    """
+    """The lock, the refusals and the records of one world."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
-        self.lock = WorldLock()
-        self.query = ""
+        self.lock = WorldLock()  # held from validating a change to emitting its record
+        self.query = ""  # the reasoning query that runs, during which changes are refused; "" for none
         self.observer: Observer | None = None
         self._recorded: dict[str, Snapshot] = {}
         self._since_keyframe = 0
 
     @contextmanager
     def begin(self, command: records.Mutation) -> Iterator[Transaction]:
-        """Make one transaction: the block validates, acts in the engine, and marks what it modified.
+        """Make one transaction: the block validates, acts in the engine, and marks the objects that it modified.
 
         Args:
             command: A record with its command only.
@@ -132,9 +115,9 @@ class TransactionManager:
             WorldClosed: The world has ended.
             ChangeRefused: A reasoning query runs in this world.
             RecordingError: The record can't be written.
-            Cancelled: The branch of the plan that asks for it is cancelled.
-            RunsEarly: Actions of the plan that come before it have not run.
-            RecursionError: There is no room on the stack for making and recording it.
+            Cancelled: The branch that makes the change is cancelled.
+            RunsEarly: Earlier actions of the plan have not run yet.
+            RecursionError: The stack has no room for making and recording the change.
         """
         context.require_stack_room(context.FOR_TASK)
         change = str(command.WhichOneof("command")).replace("_", " ")
@@ -154,14 +137,10 @@ class TransactionManager:
             self.lock.defer(callback() for callback in transaction.callbacks)
 
     def check(self, action: str) -> None:
-        """Refuse an action that is impossible now.
+        """Raise WorldClosed if the world has ended, or ChangeRefused while a reasoning query runs in it.
 
         Args:
-            action: What is tried, for the error.
-
-        Raises:
-            WorldClosed: The world has ended.
-            ChangeRefused: A reasoning query runs in this world.
+            action: The action that is tried, for the message.
         """
         if self._world.closed:
             raise WorldClosed(self._world.name, action)
@@ -194,7 +173,7 @@ class TransactionManager:
         journal.emit(frame, world=world.name, sim_step=world.sim_step, number=number)
 
     def keyframe(self) -> records.Keyframe:
-        """Return the world's whole state as a record; the steps in what is believed are none of any recording."""
+        """Return the world's whole state as a record; beliefs in it have no step numbers."""
         world = self._world
         frame = records.Keyframe(
             mode=world.mode,
@@ -216,104 +195,7 @@ class TransactionManager:
         return frame
 
 
-class WorldLock(Lock):
-    """The lock, as a context manager."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._depth = 0
-        self._contenders: dict[int, None] = {}
-        self._deferred: list[Callable[[], None]] = []
-
-    def defer(self, calls: Iterable[Callable[[], None]]) -> None:
-        """Have the holder's thread make calls, in order, when it has released the lock."""
-        self._deferred.extend(calls)
-
-    @property
-    def is_contended(self) -> bool:
-        """Whether another thread waits for it."""
-        return bool(self._contenders)
-
-    def __enter__(self) -> None:
-        if not self._try():
-            thread = threading.get_ident()
-            self._contenders[thread] = None
-            try:
-                super().__enter__()
-            finally:
-                del self._contenders[thread]
-        self._depth += 1
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """Release it and make the deferred calls.
-
-        Raises:
-            Exception: The first error of a call, when all are made. An error that ends the block already propagates,
-                with those of the calls in its context.
-        """
-        deferred: list[Callable[[], None]] = []
-        self._depth -= 1
-        if not self._depth:
-            deferred, self._deferred = self._deferred, []
-        super().__exit__(kind, error, traceback)
-        errors = call_all(deferred)
-        if error is not None:
-            chained(error, errors)
-        elif errors:
-            raise chained(errors[0], errors[1:])
-
-
-_NOTHING: frozenset[str] = frozenset()
-
-
-class ReadOnlyAttributes:
-    """Refuses assignments to its public attributes and methods from :meth:`_seal` on; setters go on working.
-
-    Attributes of a plan's own, and of subclasses, may be added and assigned.
-    """
-
-    _SUBJECT: ClassVar[str]  # what records call it
-    _CHANGED_BY: ClassVar[Mapping[str, str]]  # what to do instead, by attribute; "" for the others
-    _sealed: frozenset[str] = _NOTHING
-
-    def _seal(self, kind: type) -> None:
-        """Make what its constructor has set read-only, and what the class defines."""
-        settable = {name for name, member in vars(kind).items() if isinstance(member, property) and member.fset}
-        self._sealed = frozenset(name for name in (vars(self).keys() | vars(kind).keys()) - settable if name[0] != "_")
-
-    def __setattr__(self, name: str, value: object) -> None:
-        """Set an attribute.
-
-        Raises:
-            ReadOnly: Only transactions change it.
-        """
-        if name in self._sealed:
-            raise self._refused(name, f"{name} = ...", {"value": value})
-        super().__setattr__(name, value)
-
-    def __delattr__(self, name: str) -> None:
-        """Delete an attribute.
-
-        Raises:
-            ReadOnly: Only transactions change it.
-        """
-        if name in self._sealed:
-            raise self._refused(name, f"del {name}", {})
-        super().__delattr__(name)
-
-    def _refused(self, name: str, called: str, arguments: Mapping[str, object]) -> ReadOnly:
-        instead = self._CHANGED_BY.get(name) or self._CHANGED_BY[""]
-        return refused(ReadOnly(repr(self), name, instead), called, {self._SUBJECT: self, **arguments})
-
-
-def update(owner: ReadOnlyAttributes, **values: object) -> None:
-    """Set read-only attributes: for transactions, which also record what they change."""
-    vars(owner).update(values)
-
-
-_AT_REST: Final = (0.0,) * 6
+# --- states of objects -----------------------------------------------------------------------------------------------
 
 
 def take_snapshot(body: Object) -> Snapshot:
@@ -322,9 +204,9 @@ def take_snapshot(body: Object) -> Snapshot:
 
 
 def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
-    """Set the state of an object to a snapshot of it, or of the same model elsewhere; motors hold its joints there.
+    """Set the state of an object to a snapshot of it, or of the same model in another world; motors hold its joints.
 
-    This is no world transaction and leaves no record: it serves to build worlds in isolation from recordings.
+    This is no transaction and leaves no record: it builds worlds from recordings.
 
     Raises:
         RuntimeError: A recording runs, which would miss the change.
@@ -340,18 +222,17 @@ def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
 
 
 def state_delta(body: Object, now: Snapshot, last: Snapshot | None, tolerance: float = 0.0) -> records.BodyState | None:
-    """Return what has changed of an object since its last record; None if nothing has.
+    """Return the changes of an object's state since its last record; None if there are none.
 
     Args:
-        body: The object.
-        now: Its state.
-        last: The state of its last record; None for a record of the whole state.
-        tolerance: Differences of poses and joints (m, rad, parts of a quaternion) up to this one don't count, nor do
-            those of velocities alone if it isn't 0.
+        last: The state in its last record; None for a record of the whole state.
+        tolerance: Smaller differences of poses and joints (m, rad, quaternion components) are ignored. If it isn't 0,
+            a change of velocities alone is ignored, too.
     """
     state = records.BodyState(body=body.name)
     changed = False
-    if last is None or _differs((*now.pose[0], *now.pose[1]), (*last.pose[0], *last.pose[1]), tolerance):
+    numbers = () if last is None else zip((*now.pose[0], *now.pose[1]), (*last.pose[0], *last.pose[1]), strict=True)
+    if last is None or any(abs(a - b) > tolerance for a, b in numbers):
         state.position[:], state.orientation[:] = now.pose
         changed = True
     moving = now.velocity != _AT_REST
@@ -379,5 +260,96 @@ def _changed_joints(now: Snapshot, last: Snapshot | None, tolerance: float) -> S
     return [i for i, (old, new) in enumerate(zip(before, after, strict=True)) if old != new]
 
 
-def _differs(a: Iterable[float], b: Iterable[float], tolerance: float) -> bool:
-    return any(abs(x - y) > tolerance for x, y in zip(a, b, strict=True))
+# --- the lock --------------------------------------------------------------------------------------------------------
+
+
+class WorldLock(Lock):
+    """A world's lock: re-entrant, and never held while event handlers run or while another branch runs.
+
+    Its holder may make any number of transactions. Calls of event handlers are deferred until the thread has released
+    the lock completely: a handler is user code, which may wait for another thread that needs this world.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = 0
+        self._contenders: dict[int, None] = {}
+        self._deferred: list[Callable[[], None]] = []
+
+    def defer(self, calls: Iterable[Callable[[], None]]) -> None:
+        """Make calls in order when the thread that holds the lock has released it."""
+        self._deferred.extend(calls)
+
+    @property
+    def is_contended(self) -> bool:
+        """Whether another thread waits for the lock."""
+        return bool(self._contenders)
+
+    def __enter__(self) -> None:
+        if not self._try():
+            thread = threading.get_ident()
+            self._contenders[thread] = None
+            try:
+                super().__enter__()
+            finally:
+                del self._contenders[thread]
+        self._depth += 1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Release the lock and make the deferred calls.
+
+        Raises:
+            Exception: The first error of a call, after all calls. If an error ended the block, that error propagates
+                with the calls' errors in its context.
+        """
+        deferred: list[Callable[[], None]] = []
+        self._depth -= 1
+        if not self._depth:
+            deferred, self._deferred = self._deferred, []
+        super().__exit__(kind, error, traceback)
+        errors = call_all(deferred)
+        if error is not None:
+            chained(error, errors)
+        elif errors:
+            raise chained(errors[0], errors[1:])
+
+
+# --- read-only attributes --------------------------------------------------------------------------------------------
+
+
+class ReadOnlyAttributes:
+    """Base of classes whose public attributes only transactions change; setters still work.
+
+    After :meth:`_seal`, assigning or deleting one raises ReadOnly, which names the method to use instead. Plans and
+    subclasses may add attributes of their own.
+    """
+
+    _SUBJECT: ClassVar[str]  # name of the object in records of refusals
+    _CHANGED_BY: ClassVar[Mapping[str, str]]  # what to do instead, by attribute; "" for all others
+    _sealed: frozenset[str] = frozenset()
+
+    def _seal(self, kind: type) -> None:
+        """Make the present attributes read-only, and those that the class defines."""
+        settable = {name for name, member in vars(kind).items() if isinstance(member, property) and member.fset}
+        self._sealed = frozenset(name for name in (vars(self).keys() | vars(kind).keys()) - settable if name[0] != "_")
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in self._sealed:
+            raise self._refused(name, f"{name} = ...", {"value": value})
+        super().__setattr__(name, value)
+
+    def __delattr__(self, name: str) -> None:
+        if name in self._sealed:
+            raise self._refused(name, f"del {name}", {})
+        super().__delattr__(name)
+
+    def _refused(self, name: str, called: str, arguments: Mapping[str, object]) -> ReadOnly:
+        instead = self._CHANGED_BY.get(name) or self._CHANGED_BY[""]
+        return refused(ReadOnly(repr(self), name, instead), called, {self._SUBJECT: self, **arguments})
+
+
+def update(owner: ReadOnlyAttributes, **values: object) -> None:
+    """Set read-only attributes, inside a transaction that records the change."""
+    vars(owner).update(values)

@@ -1,8 +1,8 @@
-"""Worlds: a physics simulation, the objects in it, and its events (thesis 4.2, table 4.1).
+"""Worlds: a physics simulation, its objects and its events (thesis 4.2, table 4.1).
 
-Any number of worlds may be open. The one that was opened last is current; when it ends, the one before it is current
-again. Physics runs in :meth:`BulletWorld.simulate`, :meth:`BulletWorld.settle` and in real time only, 240 steps a
-second.
+Any number of worlds may be open, each with a name of its own, as records refer to worlds by name. The world that was
+opened last is current; when it ends, the one before it is current again. Physics runs only in
+:meth:`BulletWorld.simulate`, in :meth:`BulletWorld.settle` and in real time, 240 steps a second.
 """
 
 from __future__ import annotations
@@ -53,17 +53,13 @@ _names: set[str] = set()
 
 
 def number_anew() -> None:
-    """Name worlds from "world_1" on again: from here on this process runs a program from its start."""
+    """Name worlds from "world_1" on again, in a process that runs another program from its start."""
     global _numbers  # noqa: PLW0603  the process's
     _numbers = itertools.count(1)
 
 
 def _reserve_name(name: str | None) -> str:
-    """Reserve the name of a world that is going to open, until it has ended; "world_1", "world_2", ... for None.
-
-    Raises:
-        BadArgument: It isn't a name, or an open world has it.
-    """
+    """Reserve the name of a world until the world has ended; None for "world_1", "world_2", ..."""
     with _lock:
         if name is None:
             name = next(free for number in _numbers if (free := f"world_{number}") not in _names)
@@ -74,11 +70,7 @@ def _reserve_name(name: str | None) -> str:
 
 
 def make_current(world: BulletWorld) -> None:
-    """Make an open world current, also one that has just been opened.
-
-    Raises:
-        WorldClosed: It has ended.
-    """
+    """Make a world current; raises WorldClosed if the world has ended."""
     with _lock:
         if world.closed:
             raise WorldClosed(world.name, "become current")
@@ -86,28 +78,28 @@ def make_current(world: BulletWorld) -> None:
 
 
 def _remove(world: BulletWorld) -> None:
-    """Remove a world that has ended or could not open."""
+    """Remove a world that has ended or couldn't open."""
     with _lock:
         _names.discard(world.name)
         context.remove_world(world)
 
 
 def open_worlds() -> tuple[BulletWorld, ...]:
-    """Return the open worlds, the one that was made current last at the end."""
+    """Return the open worlds, in the order in which they were last made current."""
     return cast("tuple[BulletWorld, ...]", context.open_worlds())
 
 
 def current_world() -> BulletWorld | None:
-    """Return the current world of this branch or thread; None if it has none."""
+    """Return the current world of this branch or thread; None if there is none."""
     return cast("BulletWorld | None", context.current_world())
 
 
 class CurrentWorld(type):
-    """Makes the current world and its robot attributes of the class, as in the thesis' listings."""
+    """Metaclass with the current world and its robot as attributes of the class, as in the listings of the thesis."""
 
     @property
     def current_bullet_world(cls) -> BulletWorld | None:
-        """The current world, which is the default wherever one is needed; None if none is open."""
+        """The current world, which is the default wherever a world is needed; None if no world is open."""
         return current_world()
 
     @current_bullet_world.setter
@@ -136,17 +128,17 @@ class CurrentWorld(type):
 
 @refusing_methods("world")
 class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
-    """A world, as a context manager that exits it.
+    """A world; as a context manager, it ends with the ``with`` block.
 
-    All methods raise BadArgument for impossible values; those that change it raise WorldClosed when it has ended, and
-    ChangeRefused while a reasoning query runs.
+    All methods raise BadArgument for impossible values. Methods that change the world raise WorldClosed when it has
+    ended, and ChangeRefused while a reasoning query runs.
 
     Args:
         type: "DIRECT" (headless) or "GUI" (a window).
-        name: Of the world in records; "world_1", "world_2", ... by default.
+        name: Name of the world in records; "world_1", "world_2", ... by default.
 
     Raises:
-        DisplayError: No window can open, or one is open already.
+        DisplayError: No window can open, or another window is open.
     """
 
     mode: str
@@ -182,7 +174,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
         self._closers: list[Callable[[], None]] = []
-        # called in this order, without a lock, when simulated time has passed; a set's order would be that of addresses
+        # Called in this order, without a lock, when simulated time has passed; the order of a set would be random.
         self.time_listeners: dict[Callable[[], None], None] = {}
         self._attachment = Event("attachment", self.name, self._envelope, ("carrier", "body"))
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
@@ -224,7 +216,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
 
     @property
     def lock(self) -> WorldLock:
-        """Held while something reads or changes this world consistently; event handlers run when it is released."""
+        """Held to read or change the world consistently; event handlers run when it is released."""
         return self.transactions.lock
 
     @property
@@ -234,11 +226,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
 
     @staticmethod
     def current_robot() -> Object:
-        """Return the robot of the current world.
-
-        Raises:
-            NoWorld: There is no world, or no robot in it.
-        """
+        """Return the robot of the current world; raises NoWorld if there is none."""
         world = BulletWorld.current_bullet_world
         if world is None:
             raise NoWorld
@@ -265,7 +253,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             self._robot = robot
 
     def get_objects_by_name(self, name: str) -> list[Object]:
-        """Return the objects of a name: one, or none."""
+        """Return the objects with a name: one or none."""
         return [body for body in self.objects if body.name == name]
 
     def get_objects_by_type(self, type: str) -> list[Object]:  # noqa: A002  the original's name
@@ -273,28 +261,20 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return [body for body in self.objects if body.type == type]
 
     def get_object_by_id(self, id: int) -> Object:  # noqa: A002  the original's name
-        """Return the object with a PyBullet id.
-
-        Raises:
-            UnknownName: There is none.
-        """
+        """Return the object with a PyBullet id; raises UnknownName if there is none."""
         for body in self.objects:
             if body.id == id:
                 return body
         raise UnknownName("object with id", id, self.name, (f"{body.id} ({body.name})" for body in self.objects))
 
     def get_object(self, name: str) -> Object:
-        """Return the object of a name.
-
-        Raises:
-            UnknownName: There is none.
-        """
+        """Return the object with a name; raises UnknownName if there is none."""
         if checks.text("name", name) not in self._objects:
             raise UnknownName("object", name, self.name, self._objects)
         return self._objects[name]
 
     def add(self, body: Object) -> None:
-        """Load an object's model; called by its constructor."""
+        """Load an object's model; called by the object's constructor."""
         command = records.Mutation(load_body=records.LoadBody(body=body.name))
         with self.transactions.begin(command) as transaction:
             if body.name in self._objects:
@@ -325,11 +305,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             transaction.mark_modified(body)
 
     def remove(self, body: Object) -> None:
-        """Remove an object; called by its ``remove``.
-
-        Raises:
-            WorldClosed: It was removed before.
-        """
+        """Remove an object; raises WorldClosed if it was removed before."""
         command = records.Mutation(remove_body=records.RemoveBody(body=body.name))
         with self.transactions.begin(command) as transaction:
             handle = body.handle
@@ -361,11 +337,11 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
 
     @property
     def realtime(self) -> bool:
-        """Whether it is simulated at the pace of the clock."""
+        """Whether the world is simulated at the pace of the clock."""
         return self._clock is not None
 
     def set_gravity(self, gravity: Sequence[float]) -> None:
-        """Set the gravity [x, y, z] in m/s^2."""
+        """Set gravity to [x, y, z] in m/s^2."""
         vector = checks.vector("gravity", gravity)
         with self.transactions.begin(records.Mutation(set_gravity=records.SetGravity(gravity=vector))):
             self.engine.set_gravity(vector)
@@ -375,7 +351,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         """Start or stop simulating at the pace of the clock, in a thread of its own.
 
         Raises:
-            Exception: When it stops, the first error that a handler of an event raised in that thread.
+            Exception: When real time stops, the first error that an event handler raised in that thread.
         """
         enabled = checks.switch("real_time", real_time)
         stopped = None
@@ -385,7 +361,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                 self._clock.start()
             elif not enabled:
                 stopped, self._clock = self._clock, None
-        self.waits.wake()  # another one drives them on
+        self.waits.wake()  # another thread simulates from now on
         if stopped is not None:
             stopped.stop()  # without the lock, which its last simulation may be waiting for
 
@@ -394,11 +370,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self.simulate_steps(round(checks.in_range("seconds", seconds, 0, _MAX_SECONDS) * records.STEPS_PER_SECOND))
 
     def simulate_steps(self, steps: int) -> None:
-        """Simulate steps of 1/240 s each.
-
-        Raises:
-            WorldClosed: Another thread has ended the world meanwhile.
-        """
+        """Simulate steps of 1/240 s each; raises WorldClosed if another thread ends the world meanwhile."""
         steps = checks.count("steps", steps)
         with self.transactions.begin(records.Mutation(simulate=records.Simulate(steps=steps))) as transaction:
             completed = simulation.simulate(self, steps, transaction)
@@ -406,18 +378,15 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             raise WorldClosed(self.name, "simulate on")
 
     def settle(self, timeout: float = 5.0) -> bool:
-        """Simulate until everything is at rest; see :mod:`pycram.world.simulation` for what that means.
+        """Simulate until everything is at rest (:class:`~pycram.world.simulation.RestDetector`); return whether it is.
 
-        Free objects that are more than 5 mm inside of each other are lifted apart before.
+        Free objects that are more than 5 mm inside of each other are lifted apart first.
 
         Args:
-            timeout: Simulated seconds after which it gives up, at most a year.
-
-        Returns:
-            Whether everything is at rest.
+            timeout: Limit in simulated seconds, at most a year.
 
         Raises:
-            WorldClosed: Another thread has ended the world meanwhile.
+            WorldClosed: Another thread ends the world meanwhile.
         """
         steps = round(checks.in_range("timeout", timeout, 0, _MAX_SECONDS) * records.STEPS_PER_SECOND)
         with self.lock:
@@ -428,31 +397,31 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return not restless
 
     def begin_trajectory(self, body: Object, trajectory: Trajectory, search: records.PathSearch | None = None) -> int:
-        """Have a body follow a trajectory in every simulation from now on; return its number.
+        """Let a body follow a trajectory in every simulation from now on; return the trajectory's number.
 
-        Plans wait for its end by :func:`pycram.world.driving.follow`, which begins it, too.
+        :func:`pycram.world.driving.follow` does the same, and waits for its end.
 
         Args:
-            body: An object of this world; for its base, a robot or one of the environment.
-            trajectory: Where it is to be; it begins where the body is.
-            search: How its path was found, for the record.
+            body: An object of this world; a base moves only if it is a robot's or of the environment.
+            trajectory: Starts at the body's present position.
+            search: The search for its path, for the record.
 
         Raises:
-            BadArgument: The body can't follow it, or isn't where it begins.
-            FollowsTrajectory: One of its joints, or its base, follows another one.
+            BadArgument: The body can't follow the trajectory, or isn't at its start.
+            FollowsTrajectory: One of its joints, or its base, follows another trajectory.
         """
         return driving.begin(self, body, trajectory, search).number
 
     def stop_trajectory(self, number: int) -> None:
-        """Have a trajectory slow down along its path from now on; 0.15 s of simulated time later it has ended.
+        """Slow a trajectory down along its path; it ends within 0.15 s of simulated time.
 
         Raises:
-            UnknownName: No trajectory of that number is followed.
+            UnknownName: No body follows a trajectory with that number.
         """
         driving.stop(self, checks.count("number", number))
 
     def prepare_time_listeners(self) -> Callable[[], None]:
-        """Return the call of all present time listeners."""
+        """Return a function that calls the present time listeners."""
         listeners = tuple(self.time_listeners)
 
         def notify() -> None:
@@ -462,9 +431,9 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return notify
 
     def reset(self) -> None:
-        """Put every object back to its pose and joints after loading; attachments and trajectories end.
+        """Set every object to the pose and joints that it was loaded with; attachments and trajectories end.
 
-        Time and colours stay.
+        Simulated time and colours stay.
         """
         with self.transactions.begin(records.Mutation(reset=records.Reset())) as transaction:
             self.trajectories.end_all()
@@ -479,21 +448,21 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                     transaction.fire(self._manipulation, body)
 
     def save(self) -> SavedState:
-        """Return the state of all objects as it is now, for :meth:`restore`; :mod:`pycram.world.saved_state`."""
+        """Return the present state of all objects, for :meth:`restore` (:mod:`pycram.world.saved_state`)."""
         return saved_state.save(self)
 
     def restore(self, saved: SavedState) -> None:
-        """Put everything back to a saved state: one change, and one record. Time and colours stay.
+        """Restore a saved state, as one change with one record. Simulated time and colours stay.
 
         Raises:
-            ObjectsChanged: Objects were loaded or removed since.
+            ObjectsChanged: Objects were loaded or removed since the state was saved.
         """
         saved_state.restore(self, saved)
 
     # --- recording and end -------------------------------------------------------------------------------------------
 
     def record_keyframe(self, journal: Journal) -> None:
-        """Append a keyframe to a journal, for recordings that start when the world exists already."""
+        """Append a keyframe to a journal, for a recording that starts after the world was opened."""
         with self.lock:
             if self.closed:
                 return
@@ -507,23 +476,23 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             journal.append(frame)
 
     def at_exit(self, close: Callable[[], None]) -> None:
-        """Have a function called once, with the world's lock held, when the world ends."""
+        """Register a function that is called when the world ends, with its lock held."""
         if not callable(close):
             raise BadArgument("close", close, "something that can be called")
         self._closers.append(close)
 
     @uninterruptible()
     def exit(self) -> None:
-        """End the world at once, with its window and its threads; a second call does nothing.
+        """End the world immediately, with its window and its threads; a second call does nothing.
 
         Raises:
-            Exception: The first error of :meth:`at_exit`'s functions or of handlers in real time; all has ended then.
+            Exception: The first error of a function of :meth:`at_exit`, or of a handler in real time, after the end.
         """
         update(self, exiting=True)  # a simulation in another thread ends early
         with self.lock:
             if self.closed:
                 return
-            self.transactions.query = ""  # a query that failed with an exception can't keep its world from ending
+            self.transactions.query = ""  # a query that failed must not prevent the end of its world
         with ExitStack() as ending:
             ending.callback(self._close)
             if self._clock is not None:
@@ -539,7 +508,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                 self._end()
 
     def _end(self) -> None:
-        """End everything but the record of it, once."""
+        """End the world, without a record; a second call does nothing."""
         if self.closed:
             return
         update(self, closed=True)
