@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.shapes import Each, Shapes, shapes_of
+from pycram.models.shapes import LazySequence, Shapes, shapes_of
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -91,8 +91,8 @@ def drawable_link(
     """Return the n-th link with shapes of a model, alone, at a pose in the world; its mesh is read when it is seen."""
     one = Shapes(
         (shapes.links[at],),
-        Each([lambda: shapes.triangles[at]]),
-        Each([lambda: shapes.colors[at]]),
+        LazySequence([lambda: shapes.triangles[at]]),
+        LazySequence([lambda: shapes.colors[at]]),
         shapes.low[at : at + 1],
         shapes.high[at : at + 1],
     )

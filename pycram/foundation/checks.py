@@ -9,14 +9,17 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Set as AbstractSet
-from typing import TYPE_CHECKING, SupportsFloat, cast
+from typing import TYPE_CHECKING, SupportsFloat, TypeAlias, cast
 
 import numpy as np
 
 from pycram.foundation.failures import BadArgument
+from recorder import geometry
 
 if TYPE_CHECKING:
-    from recorder.geometry import Quaternion, Vector
+    from recorder.geometry import Pose, Quaternion, Vector
+
+Table: TypeAlias = dict[str, object]
 
 _MAX_COUNT = 2**53  # JSON has no larger whole numbers
 _MAX_COORDINATE = 1e6  # m; beyond it the engine's arithmetic has no millimetres left
@@ -93,6 +96,36 @@ def text(argument: str, value: object) -> str:
     if not isinstance(value, str) or not value.strip() or any("\ud800" <= letter <= "\udfff" for letter in value):
         raise BadArgument(argument, value, "a string that isn't empty")
     return value
+
+
+def texts(argument: str, value: object) -> tuple[str, ...]:
+    """Return a list of texts."""
+    if not isinstance(value, list):
+        raise BadArgument(argument, value, "a list of names")
+    return tuple(text(argument, item) for item in value)
+
+
+def table(parent: Table, key: str) -> Table:
+    """Return a TOML table within a table."""
+    value = parent[key]
+    if not isinstance(value, dict):
+        raise BadArgument(key, value, "a table")
+    return value
+
+
+def only(table: Table, *keys: str) -> None:
+    """Reject a TOML table with entries other than these."""
+    for key in table:
+        if key not in keys:
+            raise BadArgument(key, table[key], f"only {', '.join(keys)} here")
+
+
+def pose_entry(parent: Table, key: str) -> Pose:
+    """Return a pose from a TOML table with xyz in m and roll, pitch, yaw in rad; both are zero by default."""
+    offset = table(parent, key) if key in parent else {}
+    only(offset, "xyz", "rpy")
+    position = vector(f"{key}.xyz", offset.get("xyz", (0.0, 0.0, 0.0)))
+    return position, geometry.from_rpy(*vector(f"{key}.rpy", offset.get("rpy", (0.0, 0.0, 0.0))))
 
 
 def _numbers(argument: str, value: object, length: int, expected: str) -> tuple[float, ...]:

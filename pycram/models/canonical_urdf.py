@@ -1,8 +1,9 @@
-"""Canonical URDF: the one form that the engine, viewers and recordings read, whatever a file was like.
+"""Canonical URDF: the single form of URDF that the engine, viewers and recordings read.
 
-Only what URDF defines is kept: elements of Gazebo, of sensors and of others' namespaces go, with all that is in them,
-before anything is read. Planar and floating joints become chains of joints that the engine knows. Each element begins a
-line, for PyBullet breaks lines after 8,191 characters, also within a number. Numbers keep their digits.
+Only elements that URDF defines are kept; elements of Gazebo, of sensors and of other namespaces are removed first.
+PyBullet refuses an invalid link without a reason, or loads it silently; here an AssetError names it. Planar and
+floating joints become chains of joints that the engine supports. Each element starts a line, because PyBullet breaks
+lines after 8,191 characters, even inside a number. Numbers keep their digits.
 """
 
 from __future__ import annotations
@@ -32,18 +33,18 @@ _OWN_CHILDREN: Final[dict[str, tuple[str, ...]]] = {
 }
 _ANY_CHILD: Final = ("geometry", "contact")  # shapes are checked by name; contact is PyBullet's
 _XACRO: Final = "ros.org/wiki/xacro}"
-_MAX_JOINTS: Final = 127  # of PyBullet, fixed ones too; with one more it returns no states
-_MAX_MOVABLE: Final = 121  # 128 numbers of state less 7 of the base
-_MAX_NAME: Final = 1000  # bytes of a name; from about 1,024 on PyBullet crashes, and the process with it
-_FAR: Final = "10000"  # m: planar and floating joints have no limits
+_MAX_JOINTS: Final = 127  # fixed joints included; with more, PyBullet returns no states
+_MAX_MOVABLE: Final = 121  # PyBullet's 128 numbers of state minus 7 of the base
+_MAX_NAME: Final = 1000  # bytes; PyBullet crashes the process at about 1,024
+_FAR: Final = "10000"  # m, for planar and floating joints, which have no limits
 _SLIDE: Final = f'<limit lower="-{_FAR}" upper="{_FAR}" effort="0" velocity="0"/>'
 LARGEST: Final = 1e9
-"""m, kg or kg m^2, of anything in a link: of larger ones the engine makes infinite ones."""
-DENSITY: Final = 700.0  # kg/m^3, of household objects of unknown mass
-_FRAME_MASS: Final = 1e-3  # kg, of links that are only frames
+"""Largest number in a link (m, kg or kg m^2): the engine turns larger numbers into infinity."""
+DENSITY: Final = 700.0  # kg/m^3 of household objects of unknown mass
+_FRAME_MASS: Final = 1e-3  # kg of links that are only frames
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
-_JOINT_INERTIA: Final = 0.05  # kg m^2, of frames between joints, as of rotors: motors in a row agree sooner
-_ROUNDING: Final = 1e-9  # kg m^2 below 0 that are a rounding error of a mesh tool
+_JOINT_INERTIA: Final = 0.05  # kg m^2 of frames between joints, like that of rotors: motors in a row converge sooner
+_ROUNDING: Final = 1e-9  # kg m^2 below 0 that count as a rounding error of a mesh tool
 _SHAPES: Final = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),
@@ -55,14 +56,10 @@ _MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def read(source: Path, content: str | bytes) -> ET.Element:
-    """Return the checked <robot> element of a URDF with nothing but URDF in it.
-
-    Args:
-        source: Its file, for errors.
-        content: Its text.
+    """Return the checked <robot> element of a URDF, without elements that URDF doesn't define.
 
     Raises:
-        AssetError: It isn't XML or no URDF, is xacro, or has a link that the engine can't use.
+        AssetError: The text isn't XML, isn't a URDF, is xacro, or has a link that the engine can't use.
     """
     try:
         root = ET.fromstring(content)  # noqa: S314  a model of the user's own, and expat limits entity expansion
@@ -92,7 +89,7 @@ def _expand_first(source: Path) -> AssetError:
 
 
 def _unqualify(root: ET.Element) -> None:
-    """Take from all names the namespace that a document declares for its own elements, as Drake's do."""
+    """Remove the namespace that a document declares for its own elements, as URDFs of Drake do."""
     namespace, end, tag = root.tag.rpartition("}")
     if tag == "robot" and end:
         for element in root.iter():
@@ -100,7 +97,7 @@ def _unqualify(root: ET.Element) -> None:
 
 
 def _strip(element: ET.Element) -> None:
-    """Remove what isn't URDF; no deeper than what is kept, however deep the rest is nested."""
+    """Remove elements that aren't URDF, without descending into them: they may be nested deeply."""
     own = _OWN_CHILDREN.get(element.tag, ())
     for child in list(element):
         if child.tag in own:
@@ -112,11 +109,11 @@ def _strip(element: ET.Element) -> None:
 
 
 def check_link(source: Path, link: ET.Element) -> None:
-    """Refuse a ``<link>`` element that the engine can't use; errors name its source.
+    """Reject a ``<link>`` element that the engine can't use.
 
     Raises:
-        AssetError: A shape is missing, unknown or of impossible size; an origin, a mass, an inertia or a colour isn't
-            made of finite numbers.
+        AssetError: A shape is missing, unknown or has an impossible size; or an origin, a mass, an inertia or a colour
+            has a number that isn't finite.
     """
     where = f"link {link.get('name', '')!r}"
     for role in ("visual", "collision"):
@@ -183,10 +180,10 @@ def _numbers(source: Path, where: str, element: ET.Element, attribute: str, coun
 
 
 def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
-    """Return the canonical text of what :func:`read` returned, which it changes, and its tree.
+    """Return the canonical text and the tree of a <robot> element from :func:`read`; the element is modified.
 
     Raises:
-        AssetError: Its links and joints are no tree, a joint is broken, or they are more than the engine takes.
+        AssetError: The links and joints aren't a tree, a joint is broken, or the engine can't take so many.
     """
     tree = parse_urdf(ET.tostring(root), source, chains=True)
     chains = [joint for joint in root.findall("joint") if joint.get("type") in ("planar", "floating")]
@@ -206,10 +203,10 @@ def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
 
 
 def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:
-    """Put single joints and frames between them in the place of a planar or floating joint.
+    """Replace a planar or floating joint with single joints and frames between them.
 
-    A planar joint NAME becomes NAME_x, NAME_y in its plane and NAME_yaw about its axis; a floating one NAME_x, NAME_y,
-    NAME_z, NAME_yaw, NAME_pitch and NAME_roll, about the axes of the joint's frame as these turn along.
+    A planar joint NAME becomes NAME_x and NAME_y in its plane, and NAME_yaw about its axis. A floating joint NAME
+    becomes NAME_x, NAME_y, NAME_z, NAME_yaw, NAME_pitch and NAME_roll; each turns about an axis of the frame before it.
     """
     name = element.get("name", "")
     if element.get("type") == "planar":
@@ -243,11 +240,11 @@ def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:
 
 
 def _normalize(element: ET.Element, tree: Urdf) -> None:
-    """Give an axis unit length, by which PyBullet would multiply joint values; take limits from a continuous joint."""
+    """Scale an axis to unit length (PyBullet multiplies joint values by it); remove limits of continuous joints."""
     joint = tree.joints[element.get("name", "")]
     axis, limit = element.find("axis"), element.find("limit")
     if joint.movable:
-        axis = ET.SubElement(element, "axis") if axis is None else axis  # PyBullet would print that there is none
+        axis = ET.SubElement(element, "axis") if axis is None else axis  # without an axis, PyBullet prints a warning
         axis.set("xyz", " ".join(map(repr, joint.axis)))
     if limit is not None and joint.type == "continuous":
         for bound in ("lower", "upper"):
@@ -255,14 +252,14 @@ def _normalize(element: ET.Element, tree: Urdf) -> None:
 
 
 def give_inertia(link: ET.Element, *, moved: bool) -> None:
-    """Give a checked ``<link>`` element without inertia that of a solid of household density.
+    """Add the inertia of a solid of household density to a checked ``<link>`` element without inertia.
 
-    One whose inertia no body can have, such as two moments that don't add up to the third, gets moments that are their
-    mean: the engine would make them 0.
+    A link without shapes gets a negligible inertia: PyBullet would make it 1 kg and print a warning. Moments that no
+    body can have (two of them add up to less than the third) are replaced by their mean; the engine would make them 0.
 
     Args:
         link: The element.
-        moved: Whether a joint moves it.
+        moved: Whether a joint moves the link.
     """
     inertia = link.find("inertial/inertia")
     if inertia is not None:
@@ -290,7 +287,7 @@ def _balance(inertia: ET.Element) -> None:
 
 
 def _box(collision: ET.Element) -> tuple[float, float, float] | None:
-    """Return the extents in m of a primitive shape; None for meshes."""
+    """Return the extents of a primitive shape in m; None for meshes."""
     shape = collision.find("geometry/*")
     if shape is None or shape.tag == "mesh":
         return None
@@ -302,10 +299,10 @@ def _box(collision: ET.Element) -> tuple[float, float, float] | None:
 
 
 def check_size(source: Path, tree: Urdf) -> None:
-    """Refuse a robot of more joints, with longer names, or with joints farther away, than the engine takes.
+    """Reject a robot with more joints, longer names or joints farther away than the engine takes.
 
     Raises:
-        AssetError: It is one.
+        AssetError: The robot has them.
     """
     for count, most, what in (
         (len(tree.joints), _MAX_JOINTS, "joints, fixed ones included"),

@@ -1,10 +1,10 @@
-"""Meshes that earlier processes converted: a folder of the user's, so that the text of large ones is read once.
+"""A cache of converted meshes in a folder of the user, shared by all processes.
 
-COLLADA and OBJ are text, and hulls of fine meshes take long: some robots took 1-3 s to load, each time. To make an
-object of a mesh takes a second: as long as the library loads that does it. An entry is named after the hash of all that
-its conversion reads: the mesh, what lies beside it and belongs to it, and the code that does it. So it is never
-out of date, and all may be deleted at any time. A folder that can't be written is done without, as is one that others
-can write into (:mod:`recorder.user_folders`).
+Without it some robots take 1 to 3 s to load each time: COLLADA and OBJ are text, hulls of fine meshes are slow, and
+trimesh alone takes a second to import. An entry is named after the hash of everything that the conversion reads: the
+mesh, the files next to it that it uses, and the converting code. So an entry is never out of date, and any entry may be
+deleted at any time. If the folder can't be written, or others can write to it (:mod:`recorder.user_folders`), meshes
+are converted each time.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     Piece = tuple[str, bytes, Sequence[float] | None]
 
-_WORTH: Final = 50_000  # bytes from which on a binary STL takes longer to convert than to be found again
-_LARGEST: Final = 1_000_000_000  # bytes of all entries; those that weren't used for longest go
+_WORTH: Final = 50_000  # bytes above which a binary STL takes longer to convert than to look up
+_LARGEST: Final = 1_000_000_000  # bytes of all entries; the least recently used entries are deleted
 _CODE: Final = ("canonical_urdf.py", "mesh.py", "object_urdf.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
 _IMAGE: Final = re.compile(rb"<image\b(?:(?!</image>).)*?<init_from>\s*([^<]+?)\s*</init_from>", re.DOTALL)
@@ -40,16 +40,16 @@ _MAP: Final = re.compile(rb"^\s*map_kd\s+(.+?)\s*$", re.MULTILINE | re.IGNORECAS
 def get(
     kind: str, file: Path, convert: Callable[[], Sequence[Piece]], beside: Iterable[Path] | None = None
 ) -> Sequence[Piece]:
-    """Return what a mesh is converted to: file name, content and colour RGBA 0..1 of each piece.
+    """Return the pieces of a converted mesh: file name, content and colour RGBA 0..1 of each.
 
     Args:
-        kind: Into what: one mesh has an entry for each.
+        kind: The kind of conversion: a mesh has an entry for each kind.
         file: The mesh.
-        convert: Converts it.
-        beside: Files that it reads besides, if they are there, to make an object of it.
+        convert: Converts the mesh.
+        beside: Further files that the conversion reads if they exist.
 
     Raises:
-        AssetError: It can't be read or, of ``convert``, converted.
+        AssetError: The mesh can't be read or converted.
     """
     content = read_bytes(file)
     for name in _textures(file, content):
@@ -60,7 +60,7 @@ def get(
     if where is None:
         return convert()
     entry = where / f"{_name(kind, file, content, beside or ())}.mesh"
-    with suppress(OSError, ValueError, LookupError, TypeError):  # there is none, or it is damaged
+    with suppress(OSError, ValueError, LookupError, TypeError):  # the entry is missing or damaged
         pieces = _read(entry.read_bytes())
         os.utime(entry)
         return pieces
@@ -80,7 +80,7 @@ def _name(kind: str, file: Path, content: bytes, beside: Iterable[Path]) -> str:
 
 @cache
 def _code() -> bytes:
-    """Return what tells conversions of this release, with these libraries, from others."""
+    """Return a hash of the converting code and of the versions of its libraries."""
     sources = [(Path(__file__).parent / name).read_bytes() for name in _CODE]
     return sha256(b"".join(sources) + " ".join(map(_version, _LIBRARIES)).encode()).digest()
 
@@ -88,12 +88,12 @@ def _code() -> bytes:
 def _version(library: str) -> str:
     try:
         return version(library)
-    except PackageNotFoundError:  # not all are needed for all
+    except PackageNotFoundError:  # not every conversion needs every library
         return "none"
 
 
 def _beside(file: Path, content: bytes) -> Iterator[bytes]:
-    """Yield the contents of materials and textures that a mesh names, empty where there are none."""
+    """Yield the contents of the materials and textures that a mesh names; a missing file is empty."""
     yield from _materials(file, content)
     for name in _textures(file, content):
         yield _content(file.parent / os.fsdecode(name))
@@ -108,7 +108,7 @@ def _materials(file: Path, content: bytes) -> list[bytes]:
 def _textures(file: Path, content: bytes) -> list[bytes]:
     """Return the file names of the textures that a mesh names."""
     if file.suffix.lower() == ".dae":
-        if b"<texture" not in content:  # pictures that no effect uses
+        if b"<texture" not in content:  # no effect uses the images
             return []
         return [name.removeprefix(b"file://").replace(b"%20", b" ") for name in _IMAGE.findall(content)]
     return [name for materials in _materials(file, content) for name in _MAP.findall(materials)]
@@ -125,7 +125,7 @@ def _read(entry: bytes) -> Sequence[Piece]:
     """Return the pieces of an entry.
 
     Raises:
-        ValueError: It isn't whole.
+        ValueError: The entry is incomplete.
     """
     head, _, contents = entry.partition(b"\n")
     table = json.loads(head)
@@ -140,7 +140,7 @@ def _read(entry: bytes) -> Sequence[Piece]:
 
 
 def _write(entry: Path, pieces: Sequence[Piece]) -> None:
-    """Write an entry, whole or not at all, and remove the oldest of too many."""
+    """Write an entry atomically, and delete the oldest entries if the cache is too large."""
     contents = b"".join(content for _, content, _ in pieces)
     table = [(name, len(content), None if rgba is None else list(rgba)) for name, content, rgba in pieces]
     head = json.dumps({"sha256": sha256(contents).hexdigest(), "pieces": table}).encode()

@@ -1,6 +1,6 @@
-"""Corrections of furniture that was found: a TOML beside the URDF, ``kitchen.furniture.toml`` of ``kitchen.urdf``.
+"""Corrections of found furniture: a TOML file next to the URDF, ``kitchen.furniture.toml`` for ``kitchen.urdf``.
 
-Each table has the name of something that was found, and what is right about it; a new name adds something::
+Each table corrects the found surface or container of that name; a table with a new name adds one::
 
     [surfaces."sink"]
     name = "counter"
@@ -15,7 +15,7 @@ Each table has the name of something that was found, and what is right about it;
     handle = "bin_lid"
     kind = "door"
 
-What names a link or joint is checked when the model is loaded; what names something found, when it is found.
+Names of links and joints are checked when the model is loaded; names of found furniture, when the furniture is found.
 """
 
 from __future__ import annotations
@@ -57,20 +57,19 @@ _NEW: Final = {_SURFACES: ("link", "position", "size or outline"), _CONTAINERS: 
 
 @dataclass(frozen=True)
 class Corrections:
-    """What a TOML says of furniture, its entries checked."""
+    """The checked entries of a TOML file."""
 
-    source: str  # the TOML's file, for errors
-    surfaces: Mapping[str, Mapping[str, Any]]  # by name, what is said of each
-    containers: Mapping[str, Mapping[str, Any]]  # likewise
+    source: str  # the file, for errors
+    surfaces: Mapping[str, Mapping[str, Any]]  # entries of each surface by its name
+    containers: Mapping[str, Mapping[str, Any]]  # entries of each container by its name
 
 
 def asset(name: str, content: bytes) -> AssetFile:
-    """Return a TOML as one of the files of a model."""
+    """Return a TOML file as one of the files of a model."""
     return AssetFile(name, content, "application/toml")
 
 
 def _polygon(argument: str, value: object) -> tuple[tuple[float, float], ...]:
-    """Return the corners of a convex polygon, counter-clockwise."""
     points: list[tuple[float, float]] = []
     for point in value if isinstance(value, list) else ():
         x, y, _ = checks.vector(argument, [*point, 0.0] if isinstance(point, list) else point)
@@ -84,8 +83,7 @@ def _polygon(argument: str, value: object) -> tuple[tuple[float, float], ...]:
     return tuple(points)
 
 
-def _size(argument: str, value: object) -> tuple[tuple[float, float], ...]:
-    """Return the corners of a rectangle around the origin."""
+def _rectangle(argument: str, value: object) -> tuple[tuple[float, float], ...]:
     x, y, _ = checks.vector(argument, [*value, 0.0] if isinstance(value, list) else value)
     if min(x, y) <= 0:
         raise BadArgument(argument, value, "two lengths [x, y] above 0 m")
@@ -114,7 +112,7 @@ ENTRIES: Final[Mapping[str, Mapping[str, Callable[[str, object], Any]]]] = {
         "link": checks.text,
         "position": checks.vector,
         "orientation": checks.quaternion,
-        "size": _size,
+        "size": _rectangle,
         "outline": _polygon,
         "clearance": _height,
         "container": _optional_text,
@@ -133,10 +131,10 @@ ENTRIES: Final[Mapping[str, Mapping[str, Callable[[str, object], Any]]]] = {
 
 @lru_cache(maxsize=_CACHED)
 def read(text: str, source: str | Path) -> Corrections:
-    """Return what a TOML says.
+    """Return the corrections of a TOML text.
 
     Raises:
-        AssetError: It isn't TOML, or an entry is unknown or impossible.
+        AssetError: The text isn't TOML, or an entry is unknown or impossible.
     """
     tables = parse_toml(text, source)
     for key in tables:
@@ -152,7 +150,6 @@ def read(text: str, source: str | Path) -> Corrections:
 
 
 def _checked(source: str | Path, kind: str, name: str, said: object) -> Mapping[str, Any]:
-    """Return what is said of one thing, its entries checked."""
     where, entries = f"{kind}.{name!r}", ENTRIES[kind]
     if not name or not isinstance(said, dict):
         raise AssetError(source, f"{where}: takes a table with a name, has {said!r}")
@@ -168,10 +165,10 @@ def _checked(source: str | Path, kind: str, name: str, said: object) -> Mapping[
 
 
 def check(corrections: Corrections, urdf: Urdf) -> None:
-    """Refuse corrections that don't fit a URDF.
+    """Reject corrections that don't fit a URDF.
 
     Raises:
-        AssetError: It has no such link or movable joint.
+        AssetError: The URDF has no such link or movable joint.
     """
     for name, said in corrections.surfaces.items():
         _known(corrections, f"{_SURFACES}.{name!r}", "link", said.get("link"), urdf.links)
@@ -188,10 +185,10 @@ def _known(corrections: Corrections, where: str, key: str, value: str | None, kn
 
 
 def correct(found: Furniture, corrections: Corrections, urdf: Urdf) -> Furniture:
-    """Return furniture as it was found, with corrections.
+    """Return found furniture with corrections applied.
 
     Raises:
-        AssetError: Something that is corrected wasn't found, or two things get one name.
+        AssetError: A corrected surface or container wasn't found, or two get the same name.
     """
     return _Correction(corrections, urdf).apply(found)
 
@@ -203,7 +200,7 @@ class _Correction:
 
     def apply(self, found: Furniture) -> Furniture:
         containers: dict[str, Container] = {}
-        names = {"": ""}  # of containers as they were found, what they are called
+        names = {"": ""}  # corrected names of containers by their found names
         for key, container in self._things(_CONTAINERS, found.containers, self._said.containers):
             said = self._said.containers.get(key, {})
             corrected = self._container(said, container, said.get("name", key))
@@ -222,7 +219,7 @@ class _Correction:
         return Furniture(MappingProxyType(surfaces), MappingProxyType(containers))
 
     def _things(self, kind: str, found: Mapping[str, Any], said: Mapping[str, Mapping[str, Any]]) -> list[Any]:
-        """Return the names and what was found, None of what is added; without what is removed."""
+        """Return names and found things (None for an added thing), without removed things."""
         for key, entries in said.items():
             needed = [part for part in _NEW[kind] if not any(name in entries for name in part.split(" or "))]
             if key not in found and (needed or "remove" in entries):

@@ -1,15 +1,14 @@
-"""Files of models: where they are, and their text. An invalid one raises an AssetError that names it.
+"""Finding and reading the files of models; an invalid file raises an AssetError that names it.
 
-Models are found among PyCRAM's resources and the robots of example-robot-data. Meshes are where their URDF says:
-relative to it, absolute, ``file://``, or in a ROS package, ``package://NAME/PATH``. A package is a folder of its name,
-or one with a ``package.xml`` that says so. It is looked for, in this order:
+Models are found among PyCRAM's resources and the robots of example-robot-data. A URDF names a mesh by a relative path,
+an absolute path, ``file://`` or a path in a ROS package, ``package://NAME/PATH``. A package is a folder of that name,
+or a folder whose ``package.xml`` has that name. Packages are searched for in this order:
 
-1. in the folders that a caller gives, and below them;
-2. in those of the environment variable ``PYCRAM_PACKAGES``, and below them;
-3. in all folders above the URDF;
-4. in those of ``ROS_PACKAGE_PATH``, and below them, as ROS does;
-5. last, its path alone in the folders above the URDF that aren't other packages: a package may lie in a folder of
-   another name.
+1. the folders that the caller gives, and below them;
+2. the folders of the environment variable ``PYCRAM_PACKAGES``, and below them;
+3. all folders above the URDF;
+4. the folders of ``ROS_PACKAGE_PATH``, and below them, as in ROS;
+5. the folders above the URDF without a ``package.xml``: the folder of a package may have another name.
 """
 
 from __future__ import annotations
@@ -40,23 +39,18 @@ _NAME: Final = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 _MANIFEST: Final = "package.xml"
 _DISTRIBUTION: Final = "example-robot-data"
 _FLANGE: Final = "tool0"
-#: Files of example-robot-data by the names that they have here.
-_FILES: Final = {
+_FILES: Final = {  # of example-robot-data
     "pr2.urdf": "pr2_description/urdf/pr2.urdf",
     "tiago_pro.urdf": "tiago_pro_description/robots/tiago_pro.urdf",
     "panda.urdf": "panda_description/urdf/panda.urdf",
     "ur5.urdf": "ur_description/urdf/ur5_robot.urdf",
 }
-#: Names of the robots' URDFs, as objects are loaded by.
 ROBOT_URDFS: Final = tuple(_FILES)
+"""Names under which the bundled robots are loaded."""
 
 
 def read_bytes(file: Path) -> bytes:
-    """Return the content of a file.
-
-    Raises:
-        AssetError: It can't be read.
-    """
+    """Return the content of a file; raise an AssetError if it can't be read."""
     try:
         return file.read_bytes()
     except OSError as error:
@@ -64,11 +58,7 @@ def read_bytes(file: Path) -> bytes:
 
 
 def read_text(file: Path) -> str:
-    """Return the content of a UTF-8 file.
-
-    Raises:
-        AssetError: It can't be read.
-    """
+    """Return the content of a UTF-8 file; raise an AssetError if it can't be read."""
     try:
         return file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -76,11 +66,7 @@ def read_text(file: Path) -> str:
 
 
 def parse_toml(text: str, source: str | Path) -> dict[str, object]:
-    """Return the tables of a TOML document; errors name its source.
-
-    Raises:
-        AssetError: It isn't TOML.
-    """
+    """Return the tables of a TOML document; raise an AssetError if it isn't TOML."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -88,19 +74,19 @@ def parse_toml(text: str, source: str | Path) -> dict[str, object]:
 
 
 def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -> Urdf:
-    """Return the tree of links and joints of a URDF; errors name its source.
+    """Return the tree of links and joints of a URDF.
 
     Args:
         text: The document.
-        source: Its file.
-        chains: Whether its planar and floating joints are yet to be made chains of others.
+        source: Its file, for errors.
+        chains: Whether planar and floating joints are still to be replaced with chains of single joints.
 
     Raises:
-        AssetError: It isn't a URDF, or not one tree, or a joint mimics itself.
+        AssetError: The text isn't a URDF, its links aren't one tree, or a joint mimics itself.
     """
     try:
         tree = Urdf.parse(text, chains=chains)
-        tree.mimics  # noqa: B018  computed once, when first asked for
+        tree.mimics  # noqa: B018  computed when first read; raises here if invalid
     except UrdfError as error:
         raise AssetError(source, str(error)) from error
     return tree
@@ -117,12 +103,12 @@ def find(path: str | Path) -> Path:
     """Return the absolute path of a model's file.
 
     Args:
-        path: A file; a bare name that isn't in the working directory is looked for among PyCRAM's resources, and
+        path: A file. A bare name that isn't in the working directory is looked up among PyCRAM's resources;
             ``pr2.urdf``, ``tiago_pro.urdf``, ``panda.urdf`` and ``ur5.urdf`` are robots of example-robot-data.
 
     Raises:
-        BadArgument: It isn't a path.
-        AssetError: There is no such file.
+        BadArgument: The argument isn't a path.
+        AssetError: The file doesn't exist.
     """
     if not isinstance(path, str | Path) or not str(path):
         raise BadArgument("path", path, "a file's path")
@@ -142,10 +128,10 @@ def find(path: str | Path) -> Path:
 
 
 def _robot_urdf(name: str) -> Path:
-    """Return the path of a robot's URDF, from which its meshes are found; the UR5 gets PyCRAM's own gripper.
+    """Return the URDF of a bundled robot; the UR5 gets PyCRAM's own gripper.
 
     Raises:
-        AssetError: example-robot-data isn't installed, or doesn't have it.
+        AssetError: example-robot-data isn't installed, or doesn't contain the robot.
     """
     file = _installed(name)
     return _with_gripper(name, file, resources() / "two_finger_gripper.urdf") if name == "ur5.urdf" else file
@@ -166,10 +152,10 @@ def _installed(name: str) -> Path:
 
 
 def _with_gripper(name: str, arm: Path, gripper: Path) -> Path:
-    """Write the URDF of an arm with a gripper at its flange, z of which is x of the gripper; return its path."""
+    """Store the URDF of an arm with a gripper: the z axis of the arm's flange is the gripper's x axis."""
     robot, hand = (ET.fromstring(read_text(file)) for file in (arm, gripper))  # noqa: S314  installed files
     robot.set("name", f"{robot.get('name')}_with_gripper")
-    for mesh in robot.iter("mesh"):  # it is moved away from the folders that its meshes are looked for in
+    for mesh in robot.iter("mesh"):  # in the store, relative names of meshes would not be found
         mesh.set("filename", os.fspath(find_mesh(arm, mesh.get("filename", ""))))
     children = {child.get("link") for child in hand.iter("child")}
     (base,) = (link.get("name", "") for link in hand.findall("link") if link.get("name") not in children)
@@ -184,10 +170,10 @@ def _with_gripper(name: str, arm: Path, gripper: Path) -> Path:
 
 
 def check_packages(packages: Sequence[str | Path]) -> tuple[Path, ...]:
-    """Return a caller's folders of packages.
+    """Return a caller's package folders as absolute paths.
 
     Raises:
-        BadArgument: It isn't a list of existing folders.
+        BadArgument: The argument isn't a list of existing folders.
     """
     expected = "a list of folders that exist"
     if isinstance(packages, str | bytes) or not all(isinstance(folder, str | Path) for folder in packages):
@@ -199,15 +185,15 @@ def check_packages(packages: Sequence[str | Path]) -> tuple[Path, ...]:
 
 
 def find_mesh(source: Path, name: str, packages: Sequence[Path] = ()) -> Path:
-    """Return the file of a mesh or texture as a URDF names it.
+    """Return the file of a mesh or texture.
 
     Args:
-        source: The URDF.
-        name: As it is written there.
-        packages: Folders to look for packages in before all others.
+        source: The URDF that names the mesh.
+        name: The name in the URDF.
+        packages: Folders in which packages are searched for first.
 
     Raises:
-        AssetError: There is none; it says where it was looked for.
+        AssetError: The file doesn't exist.
     """
     if not name:
         raise AssetError(source, "has a <mesh> without filename")
@@ -226,7 +212,7 @@ def _in_package(source: Path, name: str, packages: Sequence[Path]) -> Path:
     for folder in _candidates(source, package, packages):
         if (folder / path).is_file():
             return folder / path
-        if found is None and (folder.name == package or _is(folder, package)) and folder.is_dir():
+        if found is None and (folder.name == package or _is_package(folder, package)) and folder.is_dir():
             found = folder
     if found is not None:
         raise AssetError(source, f"its mesh {name} doesn't exist: the package is {found}, which has no {path}")
@@ -237,12 +223,12 @@ def _in_package(source: Path, name: str, packages: Sequence[Path]) -> Path:
 
 
 def _candidates(source: Path, package: str, packages: Sequence[Path]) -> Iterator[Path]:
-    """Yield folders that may be a package, likely ones first: only who asks on has folders searched."""
+    """Yield folders that may be a package, likely folders first; folders are walked only as far as needed."""
     for root in (*packages, *_variable(_VARIABLE)):
         yield from _below(root, package)
     for folder in source.parents:
         yield folder / package
-        if folder.name == package or _is(folder, package):
+        if folder.name == package or _is_package(folder, package):
             yield folder
     for root in _variable(_ROS_VARIABLE):
         yield from _below(root, package)
@@ -259,7 +245,7 @@ def _below(root: Path, package: str) -> Iterator[Path]:
     yield root / package
     for folder, inside, files in os.walk(root):
         if _MANIFEST in files:
-            if _is(Path(folder), package):
+            if _is_package(Path(folder), package):
                 yield Path(folder)
             inside.clear()  # packages don't contain others
         else:
@@ -268,8 +254,7 @@ def _below(root: Path, package: str) -> Iterator[Path]:
                 yield Path(folder, package)
 
 
-def _is(folder: Path, package: str) -> bool:
-    """Whether a folder's manifest has the package's name."""
+def _is_package(folder: Path, package: str) -> bool:
     try:
         found = _NAME.search((folder / _MANIFEST).read_bytes())
     except OSError:

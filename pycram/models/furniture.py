@@ -1,9 +1,9 @@
-"""Surfaces and containers of a model, found in its shapes and joints.
+"""Finding the surfaces and containers of a model in its shapes and joints.
 
-What a link's top offers (:mod:`pycram.models.level_faces`) is a surface if something gets there: from above, from
-a side, or because a joint opens the way. A drawer is what a horizontal prismatic joint moves, with a surface in it or a
-handle on it. A door is what hides a surface while it is closed: the first thing that rays from there meet, all of which
-end near by. What nothing opens is a hollow in which nothing can be put.
+A level face (:mod:`pycram.models.level_faces`) is a surface if it is accessible: from above, from a side, or because a
+joint opens the way. A drawer is a part on a horizontal prismatic joint, with a surface in it or a handle on it. A door
+is a moving part that hides a surface when closed: all rays from the surface end nearby, and the door is what they hit
+first. A face that nothing makes accessible is not a surface.
 """
 
 from __future__ import annotations
@@ -42,30 +42,30 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.urdf import Joint, Urdf
 
-_HIGHEST: Final = 1.8  # m above the lowest point: what is higher is out of reach and out of sight
-_GROUND: Final = 10.0  # m^2 of a surface that is a floor
-_NARROW: Final = 0.2  # m, width of the top of a wall at most
-_UPRIGHT: Final = 4.0  # times as high as it is wide, a wall at least
-_RAYS: Final = 24  # to the sides
-_NEAR: Final = 0.6  # m beyond its outline, that something hides a surface
-_HEIGHTS: Final = (0.3, 0.6, 0.9)  # of rays, shares of the free height above a surface: a hand needs all of it
-_HAND: Final = 0.2  # m of free height that a hand needs at most
-_LEVEL: Final = 0.5  # z of the axis of a joint that moves sideways
-_TRAVEL: Final = (0.05, 2.0)  # m of a drawer
-_HANDLE: Final = ("handle", "knob", "grip", "pull")  # in names of links
+_HIGHEST: Final = 1.8  # m above the lowest point; higher surfaces are out of reach and out of sight
+_GROUND: Final = 10.0  # m^2; larger surfaces are floors
+_NARROW: Final = 0.2  # m, maximum width of the top of a wall
+_UPRIGHT: Final = 4.0  # minimum ratio of height to width of a wall
+_RAYS: Final = 24  # horizontal directions
+_NEAR: Final = 0.6  # m beyond the outline of a surface, within which a part hides it
+_HEIGHTS: Final = (0.3, 0.6, 0.9)  # of rays, as shares of the free height above a surface: a hand needs all of it
+_HAND: Final = 0.2  # m, free height that a hand needs
+_LEVEL: Final = 0.5  # maximum |z| of the axis of a horizontal joint
+_TRAVEL: Final = (0.05, 2.0)  # m, range of the travel of a drawer
+_HANDLE: Final = ("handle", "knob", "grip", "pull")  # words in names of handles
 _ANGLES: Final = np.arange(_RAYS) * 2 * math.pi / _RAYS
 _DIRECTIONS: Final = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)])
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _CACHED_MODELS: Final = 128
 _WORDS: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-_EMPTY: Final = frozenset({"link", "main", "surface", "area", "frame", "body", "base", "part"})  # that say nothing
+_EMPTY: Final = frozenset({"link", "main", "surface", "area", "frame", "body", "base", "part"})  # meaningless words
 
 
 def furniture_of(model: Model) -> Furniture:
-    """Return the surfaces and containers of a model, with the corrections that lie beside it.
+    """Return the surfaces and containers of a model, with the corrections next to its file.
 
     Raises:
-        AssetError: These correct what isn't there.
+        AssetError: A corrected surface or container wasn't found.
     """
     beside = next((file for file in model.files if file.name.endswith(SUFFIX)), None)
     return _furniture(model.path, beside.content if beside else b"", beside.name if beside else "")
@@ -79,12 +79,7 @@ def _furniture(path: Path, corrections: bytes, source: str) -> Furniture:
 
 
 def find_furniture(path: Path, urdf: Urdf) -> Furniture:
-    """Return the furniture that a model is.
-
-    Args:
-        path: its canonical URDF.
-        urdf: its tree.
-    """
+    """Return the surfaces and containers of the model with a canonical URDF, without corrections."""
     closed = {name: closed_position(urdf.joints[name]) for name in urdf.movable}
     poses = urdf.link_poses(closed)
     every = pieces(path, poses) if _is_wide(path, poses) else []
@@ -94,7 +89,7 @@ def find_furniture(path: Path, urdf: Urdf) -> Furniture:
 
 
 def _is_wide(path: Path, poses: Mapping[str, Pose]) -> bool:
-    """Whether a link is wide enough to have a face; most things aren't that robots carry."""
+    """Return whether a link is wide enough for a face; most objects that robots carry have none."""
     boxes: dict[str, list[Ends]] = {}
     for link, ends in piece_bounds(path):
         boxes.setdefault(link, []).append(ends)
@@ -107,7 +102,7 @@ def _is_wide(path: Path, poses: Mapping[str, Pose]) -> bool:
 
 
 def _is_usable(face: Face, floor: float, every: Sequence[Piece]) -> bool:
-    """Whether a face is neither a floor, nor the top of a wall, nor out of reach."""
+    """Return whether a face is neither a floor, nor the top of a wall, nor out of reach."""
     if face.area > _GROUND or face.middle[2] - floor > _HIGHEST:
         return False
     width = float(np.ptp(face.outline, axis=0).min())
@@ -117,18 +112,18 @@ def _is_usable(face: Face, floor: float, every: Sequence[Piece]) -> bool:
 
 
 class _Search:
-    """Tells which faces are surfaces and what opens them; see :func:`find`.
+    """The search for accessible faces of a model, and for the joints that open the way to them.
 
     Args:
-        urdf: the model's tree.
-        poses: of its links in the root link, with everything closed.
-        every: its pieces.
-        offered: faces on which things could stand.
+        urdf: The model's tree.
+        poses: Poses of the links in the root link, with everything closed.
+        every: The model's convex pieces.
+        offered: Faces on which objects could stand.
     """
 
     def __init__(self, urdf: Urdf, poses: Mapping[str, Pose], every: Sequence[Piece], offered: Sequence[Face]) -> None:
         self._urdf, self._poses, self._every, self._offered = urdf, poses, every, offered
-        self._movers: dict[str, Joint | None] = {}  # the nearest joint above each link that moves it
+        self._movers: dict[str, Joint | None] = {}  # the nearest movable joint above each link
         for link in urdf.links:
             joint = urdf.parent_joint(link)
             if joint is None or joint.movable:
@@ -137,9 +132,9 @@ class _Search:
                 self._movers[link] = self._movers[joint.parent]
 
     def furniture(self) -> Furniture:
-        """Return the surfaces and containers."""
+
         drawers = {joint.name for face in self._offered if (joint := self._drawer(face.link)) is not None}
-        kept: list[tuple[Face, str]] = []  # with the joint that gives access; "" if none has to
+        kept: list[tuple[Face, str]] = []  # with the joint that gives access; "" if access is always free
         for face in self._offered:
             drawer = self._drawer(face.link)
             opened = drawer.name if drawer is not None else self._opened_by(face, drawers)
@@ -148,7 +143,7 @@ class _Search:
         doors = {opened for _, opened in kept} - drawers - {""}
         for number, (face, opened) in enumerate(kept):
             mover = self._movers[face.link]
-            if not opened and mover is not None and mover.name in doors:  # a rack on the inside of a door
+            if not opened and mover is not None and mover.name in doors:  # a rack on the inner side of a door
                 kept[number] = face, mover.name
         solid = {
             name
@@ -158,7 +153,7 @@ class _Search:
         return self._named(kept, drawers | solid)
 
     def _drawer(self, link: str) -> Joint | None:
-        """Return the joint that pulls a link out like a drawer, if one does."""
+        """Return the joint that moves a link like a drawer; None if there is none."""
         joint = self._movers[link]
         if joint is None or joint.type != "prismatic" or not _TRAVEL[0] <= joint.upper - joint.lower <= _TRAVEL[1]:
             return None
@@ -166,7 +161,7 @@ class _Search:
         return joint if abs(axis[2]) < _LEVEL else None
 
     def _opened_by(self, face: Face, drawers: set[str]) -> str | None:
-        """Return the joint of the door that hides a face, "" if it is open, None if nothing opens the way to it."""
+        """Return the joint of the door that hides a face; "" if nothing hides it, None if no joint gives access."""
         if face.clearance == math.inf:
             return ""
         reach = float(np.linalg.norm(face.outline, axis=1).max()) + _NEAR
@@ -191,7 +186,7 @@ class _Search:
         opening = {opened for _, opened in kept if opened} | drawers
         joints = [name for name in self._urdf.joints if name in opening]
         by_joint = dict(zip(joints, distinct(self._container_name(name, drawers) for name in joints), strict=True))
-        # the largest of several on one link is what the link is named after; those in a container count from below
+        # faces of one link are numbered: in a container from below, else by size
         order = sorted(range(len(kept)), key=lambda number: 0.0 if kept[number][1] else -kept[number][0].area)
         named = dict(
             zip(order, distinct(readable(kept[number][0].link, self._urdf.name) for number in order), strict=True)
@@ -233,19 +228,13 @@ class _Search:
         )
 
     def _handle(self, joint: Joint) -> str:
-        """Return the link of a handle that a joint moves, by its name; "" if there is none."""
+        """Return the moved link with the name of a handle; "" if there is none."""
         moved = [link for link, mover in self._movers.items() if mover is joint and link != joint.child]
         return next((link for word in _HANDLE for link in moved if word in link.casefold()), "")
 
 
 def readable(link: str, model: str, dropped: Iterable[str] = ()) -> str:
-    """Return the words of a link's name without such as say nothing, and without the name of the model.
-
-    Args:
-        link: the link's name.
-        model: the name of the model.
-        dropped: further words that say nothing.
-    """
+    """Return the words of a link's name, without the name of the model, meaningless words and ``dropped`` words."""
     every = [word.casefold() for word in _WORDS.findall(link)]
     own = [word.casefold() for word in _WORDS.findall(model)]
     if every[: len(own)] == own:
@@ -260,7 +249,7 @@ def readable(link: str, model: str, dropped: Iterable[str] = ()) -> str:
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return names of which the first of equal ones stays, and others have a number, from 2 on."""
+    """Return unique names: repetitions of a name get a number, starting at 2."""
     taken: dict[str, int] = {}
     given = []
     for name in names:

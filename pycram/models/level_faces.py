@@ -1,11 +1,11 @@
-"""Level faces of a model on which things can stand, with free height above.
+"""Level faces of a model on which objects can stand, with the free height above each.
 
-The top of each link is looked at in a grid whose lines are where pieces begin and end: of what is built of boxes the
-result is exact. A cell is free if the link's top is there, and nothing within the least clearance above it. A face that
-is free (nearly) everywhere keeps its shape; any other is divided into rectangles.
+The top of each link is divided by a grid whose lines are the edges of convex pieces; for boxes the result is exact. A
+cell is free if it is part of the top and has enough clearance above it. A face that is free (nearly) everywhere keeps
+its shape; any other face is divided into rectangles.
 
-The engine takes the convex hull of each piece, so a hull is what things stand on, whatever a mesh looks like. A convex
-piece is what lies behind all its planes; where a line enters and leaves it is a maximum and a minimum over them.
+The engine takes the convex hull of each piece, so objects stand on hulls, whatever the mesh looks like. A line enters a
+convex piece at a maximum over its planes, and leaves it at a minimum.
 """
 
 from __future__ import annotations
@@ -30,43 +30,39 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-SIDE: Final = 0.06  # m, the least width: that of a glass
-AREA: Final = 0.02  # m^2, the least area
-CLEARANCES: Final = (0.25, 0.05)
-"""Free heights, m: what has the first is looked for first, so that a low lamp takes only what is below it."""
-_LEVEL: Final = math.cos(math.radians(2.5))  # z of the normal of what things don't slide or roll from
-_THICK: Final = 0.004  # m that tops of one link may differ in height and be one face
-_ROUGH: Final = 0.002  # m that something may stick out of a face and not be in the way
-_GAP: Final = 0.001  # m between lines of the grid
-_FINE: Final = 0.02  # m between lines where edges are not along the grid
-_ALONG: Final = 1e-3  # of a unit normal: sides along the grid
-_WHOLE: Final = 0.97  # share of a face's hull that is free, of one that keeps its shape
-_PARALLEL: Final = 1e-9  # of a unit normal along a line
-_SAME_PLANE: Final = 6  # decimals: triangles of one side of a hull have the same plane
+AREA: Final = 0.02  # m^2, minimum area of a face
+_SIDE: Final = 0.06  # m, minimum width of a face: that of a glass
+_CLEARANCES: Final = (0.25, 0.05)
+"""Minimum free heights in m. Faces with the first are searched for first: a low lamp then takes only its own area."""
+_LEVEL: Final = math.cos(math.radians(2.5))  # minimum z of the normal of a level face
+_THICK: Final = 0.004  # m, maximum difference in height of tops of one link that are one face
+_ROUGH: Final = 0.002  # m, maximum height of a bump that isn't an obstacle on a face
+_GAP: Final = 0.001  # m, minimum distance of grid lines
+_FINE: Final = 0.02  # m, distance of grid lines where edges aren't parallel to the grid
+_ALONG: Final = 1e-3  # maximum component of a unit normal across the grid, for sides parallel to it
+_WHOLE: Final = 0.97  # minimum free share of a face that keeps its shape
+_PARALLEL: Final = 1e-9  # maximum component of a unit normal along a parallel line
+_SAME_PLANE: Final = 6  # decimals in which planes of triangles on one side of a hull agree
 
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """A face in the frame of the root link."""
+    """A level face, in the frame of the root link."""
 
-    link: str  # that it is on
-    middle: Array  # its middle, m
-    yaw: float  # of its frame, rad
-    outline: Array  # (n, 2) corners in that frame, counter-clockwise, m
-    clearance: float  # m; infinite if it is open above
+    link: str
+    middle: Array  # (3,), m
+    yaw: float  # rad, of the frame of the outline
+    outline: Array  # (n, 2) corners around the middle, counter-clockwise, m
+    clearance: float  # m, free height; infinite if the face is open above
 
     @property
     def area(self) -> float:
-        """In m^2."""
+        """Area in m^2."""
         return _area(self.outline)
 
 
 def faces(every: Sequence[Piece]) -> Iterator[Face]:
-    """Yield the faces of all links, of each link the lowest first.
-
-    Args:
-        every: the pieces of the model.
-    """
+    """Yield the faces that the pieces of a model have, link by link, from low to high."""
     bounds = np.array([(piece.low, piece.high) for piece in every]).reshape(-1, 2, 3)
     by_link: dict[str, list[Piece]] = {}
     for piece in every:
@@ -77,7 +73,7 @@ def faces(every: Sequence[Piece]) -> Iterator[Face]:
 
 
 def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
-    """Return the pieces of a link with a level top, those of the same height together, the lowest first."""
+    """Return the pieces of a link with a level top, grouped by height, from low to high."""
     levels: list[list[Piece]] = []
     height = -math.inf
     for piece in sorted((part for part in parts if _is_level(part)), key=lambda piece: float(piece.high[2])):
@@ -93,19 +89,19 @@ def _is_level(piece: Piece) -> bool:
 
 
 def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array) -> Iterator[Face]:
-    """Yield the faces that pieces of one height make.
+    """Yield the faces that pieces of one height form.
 
     Args:
-        tops: the pieces.
-        every: the pieces of the model.
-        bounds: (k, 2, 3) their lowest and highest corners, m.
+        tops: The pieces.
+        every: All pieces of the model.
+        bounds: (k, 2, 3) lowest and highest corners of all pieces, m.
     """
     height = max(float(piece.high[2]) for piece in tops)
     yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
     cosine, sine = math.cos(yaw), math.sin(yaw)
     turn = np.array([[cosine, -sine], [sine, cosine]])  # corners @ turn: into the face's frame
     edges = np.concatenate([piece.corners[piece.corners[:, 2] > height - 2 * _THICK, :2] for piece in tops])
-    if (np.ptp(edges @ turn, axis=0) < SIDE).any():
+    if (np.ptp(edges @ turn, axis=0) < _SIDE).any():
         return
     hull = _hull(edges @ turn)
     if _area(hull) < AREA:
@@ -117,7 +113,7 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array) -> I
     middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in (rows, columns)), indexing="ij"), axis=-1)
     standing, clearance = _free(tops, above, height, middles @ turn.T)
     cells = np.outer(np.diff(rows), np.diff(columns))
-    for least in CLEARANCES:
+    for least in _CLEARANCES:
         free = standing & (clearance >= least)
         outlines = [(hull, free)]
         if cells[free].sum() < _WHOLE * _area(hull):
@@ -133,7 +129,7 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array) -> I
 def _free(
     tops: Sequence[Piece], above: Sequence[Piece], height: float, points: Array
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Return at which points (n, m, 2) there is something to stand on, and how much is free above, m."""
+    """Return at which points (n, m, 2) the top is, and the free height above them in m."""
     flat, shape = points.reshape(-1, 2), points.shape[:2]
     standing: NDArray[np.bool_] = np.any(vertical_extents(tops, flat)[1] >= height - _THICK, axis=1)
     if not above:
@@ -144,8 +140,8 @@ def _free(
 
 
 def _rectangles(free: NDArray[np.bool_], rows: Array, columns: Array) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
-    """Yield rectangles of free cells: their corners, counter-clockwise, and their cells."""
-    for top, left, bottom, right in divide(free, rows, columns, SIDE, AREA):
+    """Yield corners (counter-clockwise) and cells of rectangles of free cells."""
+    for top, left, bottom, right in divide(free, rows, columns, _SIDE, AREA):
         within = np.zeros_like(free)
         within[top:bottom, left:right] = True
         (a, b), (c, d) = rows[[top, bottom]], columns[[left, right]]
@@ -153,7 +149,7 @@ def _rectangles(free: NDArray[np.bool_], rows: Array, columns: Array) -> Iterato
 
 
 def _yaw(piece: Piece) -> float:
-    """Return the direction of the sides of a piece: that of the grid, from -45 to 45 degrees in rad."""
+    """Return the direction of the grid, which the sides of a piece give: rad, from -pi/4 to pi/4."""
     x, y = piece.planes[np.abs(piece.planes[:, 2]) < _ALONG, :2].T
     if not len(x):
         return 0.0
@@ -164,7 +160,7 @@ def _yaw(piece: Piece) -> float:
 
 
 def _lines(parts: Sequence[Piece], turn: Array, hull: Array) -> list[Array]:
-    """Return the lines of the grid over a hull along both axes, m."""
+    """Return the grid lines over a hull along both axes, m."""
     corners = np.concatenate([piece.corners for piece in parts])[:, :2] @ turn
     normals = np.abs(np.concatenate([piece.planes for piece in parts])[:, :2] @ turn)
     fine = bool(((normals > _ALONG) & (normals < 1 - _ALONG)).any())
@@ -173,7 +169,7 @@ def _lines(parts: Sequence[Piece], turn: Array, hull: Array) -> list[Array]:
 
 
 def _between(edges: Array, low: float, high: float, *, fine: bool) -> Array:
-    """Return the lines of the grid along an axis, between two of them, m."""
+    """Return the grid lines along an axis from ``low`` to ``high``, m."""
     at = _apart(np.array([low, high, *edges[(edges >= low) & (edges <= high)]]))
     at[-1] = high
     if not fine:
@@ -183,7 +179,7 @@ def _between(edges: Array, low: float, high: float, *, fine: bool) -> Array:
 
 
 def _apart(values: Array) -> Array:
-    """Return values in order, without those that are hardly greater than the one before."""
+    """Return sorted values, without values within ``_GAP`` of their predecessor."""
     ordered = np.unique(values)
     kept: Array = ordered[np.concatenate([[True], np.diff(ordered) > _GAP])]
     return kept
@@ -202,7 +198,7 @@ def _area(outline: Array) -> float:
 
 
 class Rectangle(NamedTuple):
-    """Cells of a grid: rows and columns from the first up to, but without, the last."""
+    """Cells of a grid; bottom and right are exclusive."""
 
     top: int
     left: int
@@ -211,14 +207,14 @@ class Rectangle(NamedTuple):
 
 
 def divide(free: NDArray[np.bool_], rows: Array, columns: Array, side: float, area: float) -> Iterator[Rectangle]:
-    """Yield rectangles of free cells that don't overlap: the largest, then the largest in what it leaves, and so on.
+    """Yield disjoint rectangles of free cells: repeatedly the largest rectangle of the remaining cells.
 
     Args:
         free: (n, m) cells.
-        rows: (n + 1,) lines between rows, m, ascending.
-        columns: (m + 1,) lines between columns, m, ascending.
-        side: the least length of a side, m.
-        area: the least area, m^2.
+        rows: (n + 1,) ascending grid lines, m.
+        columns: (m + 1,) ascending grid lines, m.
+        side: Minimum length of a side, m.
+        area: Minimum area, m^2.
     """
     left = free.copy()
     while (found := _largest(left, rows, columns, side)) is not None and found[0] >= area:
@@ -228,13 +224,13 @@ def divide(free: NDArray[np.bool_], rows: Array, columns: Array, side: float, ar
 
 
 def _largest(free: NDArray[np.bool_], rows: Array, columns: Array, side: float) -> tuple[float, Rectangle] | None:
-    """Return the largest rectangle of free cells and its area: that of a histogram, row by row."""
+    """Return the area and the largest rectangle of free cells: the largest in a histogram, row by row."""
     best: tuple[float, Rectangle] | None = None
-    starts = np.zeros(free.shape[1], dtype=np.intp)  # the row at which each column's free cells begin
+    starts = np.zeros(free.shape[1], dtype=np.intp)  # the row at which the free cells of each column start
     for row, cells in enumerate(free):
         starts = np.where(cells, starts, row + 1)
         below = float(rows[row + 1])
-        pending: list[tuple[int, int]] = []  # columns from which free cells reach up to a row, ever lower ones
+        pending: list[tuple[int, int]] = []  # columns, and the top rows of the free cells from there, ascending
         for column, start in enumerate([*starts.tolist(), row + 1]):
             first = column
             while pending and pending[-1][1] < start:
@@ -249,45 +245,43 @@ def _largest(free: NDArray[np.bool_], rows: Array, columns: Array, side: float) 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A convex piece in the frame of the root link."""
+    """A convex piece of a link, in the frame of the root link."""
 
-    link: str  # that it belongs to
+    link: str
     corners: Array  # (n, 3), m
-    planes: Array
-    """(k, 4) unit normals, outwards, and offsets in m: points inside have ``normal @ point + offset <= 0``."""
-    low: Array  # lowest corner of its bounds
-    high: Array  # highest corner
+    planes: Array  # (k, 4) outward unit normals, and offsets in m: inside, ``normal @ point + offset <= 0``
+    low: Array  # lowest corner of its bounding box, m
+    high: Array  # highest corner of its bounding box, m
 
 
 def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Array]:
-    """Return at which heights the vertical lines through points (n, 2) enter and leave pieces; inf, -inf if never.
+    """Return the heights (n, m) at which vertical lines through points (n, 2) enter and leave m pieces.
 
-    Returns:
-        Two (n, m), a column for each piece.
+    Where a line misses a piece, these are infinity and -infinity.
     """
     origins = np.column_stack([points, np.zeros(len(points))])
     return _through(*_stacked(every), origins, np.array([[0.0, 0.0, 1.0]]))
 
 
 def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the numbers of the pieces that rays (n, 3) meet first, and after how many m; infinite if none."""
+    """Return the index of the first piece that each ray (n, 3) hits, and the distance in m; infinite for no hit."""
     into, out = _through(*_stacked(every), origins, directions)
     met = np.where((into <= out) & (out > 0), np.maximum(into, 0.0), np.inf)
     return met.argmin(axis=1), met.min(axis=1)
 
 
 def _stacked(every: Sequence[Piece]) -> tuple[Array, NDArray[np.intp]]:
-    """Return the planes of pieces, and the number of the first of each."""
+    """Return the planes of all pieces, and the index of the first plane of each piece."""
     starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
     return np.concatenate([piece.planes for piece in every]), starts
 
 
 def _through(planes: Array, starts: NDArray[np.intp], origins: Array, directions: Array) -> tuple[Array, Array]:
-    """Return where lines enter and leave pieces, m along them; infinity and -infinity where they miss one.
+    """Return the distances along n lines at which they enter and leave pieces; infinity and -infinity for a miss.
 
     Args:
-        planes: (k, 4) of all pieces.
-        starts: (m,) numbers of the first plane of each.
+        planes: (k, 4) planes of all pieces.
+        starts: (m,) indices of the first plane of each piece.
         origins: (n, 3) points on the lines, m.
         directions: (n, 3) or (1, 3) unit vectors.
     """
@@ -303,18 +297,13 @@ def _through(planes: Array, starts: NDArray[np.intp], origins: Array, directions
 
 
 def pieces(path: Path, poses: Mapping[str, Pose]) -> Sequence[Piece]:
-    """Return the convex pieces of the model with a canonical URDF.
-
-    Args:
-        path: the URDF.
-        poses: of its links in the root link.
-    """
+    """Return the convex pieces of the model with a canonical URDF, for poses of its links in the root link."""
     found = []
     for link, corners in pieces_of(path):
         position, orientation = poses[link]
         placed = corners @ geometry.to_matrix(orientation).T + position
         hull = convex_hull(placed)
-        if hull is None:  # it is flat: nothing stands on it safely
+        if hull is None:  # flat: objects don't stand on it safely
             continue
         planes = np.array(sorted(set(map(tuple, hull.planes.round(_SAME_PLANE).tolist()))))
         low, high = placed.min(axis=0), placed.max(axis=0)

@@ -1,8 +1,8 @@
-"""Loading of models: from a file that a user names, or a recording's attachments, to a checked, canonical URDF.
+"""Loading models: from a user's file or a recording's attachments to a checked, canonical URDF in the store.
 
-PyBullet refuses broken files without a reason, loads them without a shape, or ends the process over a mesh that makes
-no sense. So every file is checked here first, those of a recording too: a stranger may have written it. A canonical
-URDF refers to its meshes as ``<sha256>/<file name>``, their names in the store (:mod:`pycram.models.store`).
+PyBullet refuses a broken file without a reason, loads it without a shape, or crashes the process. So every file is
+checked here first. That includes files of recordings, which a stranger may have written. A canonical URDF names its
+meshes ``<sha256>/<file name>``, as the store does (:mod:`pycram.models.store`).
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 
 _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _CACHED_MODELS: Final = 128
-_SIZES: Final = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}  # that take a texture
 _CACHED_MESHES: Final = 1024
-_START: Final = b"<robot "  # of canonical text: no declarations, no entities, no other encoding
+_SIZES: Final = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}  # shapes with textures
+_START: Final = b"<robot "  # start of a canonical URDF: no declarations, no entities, no other encoding
 _MATERIALS: Final = re.compile(rb"^[ \t]*(?:mtllib|usemtl)\b", re.MULTILINE)
-_MAX_NAME: Final = 230  # bytes of a file's name; file systems take 255, and one is written under a longer name first
-_MAX_LINE: Final = 8000  # bytes of a line of a URDF: PyBullet breaks longer ones, where it reads something else then
-_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # of a byte that isn't UTF-8, as recorders write it
+_MAX_NAME: Final = 230  # bytes of a file's name; file systems take 255, and a partial file has a longer name
+_MAX_LINE: Final = 8000  # bytes of a line of a URDF: PyBullet breaks longer lines and then reads something else
+_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # of a byte that isn't UTF-8, as recordings spell it
 _RESERVED: Final = ("", ".", "..")
 
 
@@ -48,22 +48,19 @@ _RESERVED: Final = ("", ".", "..")
 class Model:
     """A model, ready to load."""
 
-    path: Path  # The canonical URDF in the store
-    urdf: Urdf  # Its tree of links and joints
-    files: tuple[AssetFile, ...]
-    """All its files, the URDF first, which refers to the others by their keys; but for corrections of what is found in
-    it (:mod:`pycram.models.corrections`)."""
-    loading: Loading = NOW  # How the engine makes a body of it
+    path: Path  # the canonical URDF in the store
+    urdf: Urdf  # tree of links and joints
+    files: tuple[AssetFile, ...]  # the URDF, then the files that it names by their keys, then corrections of furniture
+    loading: Loading = NOW  # how the engine makes a body of the model
 
 
 def load(path: str | Path, color: Sequence[float] | None = None, packages: Sequence[str | Path] = ()) -> Model:
     """Check a model and make it canonical.
 
     Args:
-        path: A .urdf, .stl, .obj or .dae file, as :func:`find` takes it.
+        path: A .urdf, .stl, .obj or .dae file; see :func:`pycram.models.files.find`.
         color: RGBA 0..1 for a mesh; None keeps the colours of the file.
-        packages: Folders of ROS packages that a URDF names, or folders in which these are; see
-            :mod:`pycram.models.files`.
+        packages: Folders of ROS packages that the URDF names, or their parents; see :mod:`pycram.models.files`.
 
     Raises:
         BadArgument: A folder of packages doesn't exist.
@@ -71,46 +68,24 @@ def load(path: str | Path, color: Sequence[float] | None = None, packages: Seque
     """
     file = find(path)
     kind = file.suffix.lower()
-    with Uninterrupted():  # libraries that import each other lazily would swallow a Ctrl-C
+    with Uninterrupted():  # libraries with lazy imports of each other swallow a Ctrl-C
         if kind == ".urdf":
             return _corrected(file, _canonical(file, read_bytes(file), file.stem, check_packages(packages)))
         if kind in _MESH_SUFFIXES:
-            return _canonical(file, _object_urdf(file, color), file.stem)
+            return _canonical(file, object_urdf.build(file, color), file.stem)
     if kind == ".xacro":
         canonical_urdf.read(file, read_bytes(file))
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
 
 
 def _corrected(file: Path, model: Model) -> Model:
-    """Return a model with the corrections of its furniture that lie beside its file, if there are any."""
+    """Return a model with the corrections of its furniture in the TOML file next to it, if there is one."""
     beside = file.with_name(f"{file.stem}{corrections.SUFFIX}")
     if not beside.exists():
         return model
     text = read_text(beside)
     corrections.check(corrections.read(text, beside), model.urdf)
     return replace(model, files=(*model.files, corrections.asset(beside.name, text.encode())))
-
-
-def _object_urdf(file: Path, color: Sequence[float] | None) -> bytes:
-    """Return the URDF of an object that is one mesh, and write its meshes into the store."""
-    kind = f"object {None if color is None else [float(part) for part in color]}"
-    files = conversion_cache.get(
-        kind, file, lambda: [*object_urdf.as_urdf(file, color, _decompose)], object_urdf.beside(file)
-    )
-    *meshes, (_, urdf, _) = files
-    for name, content, _ in meshes:
-        store.write_mesh(name, content)
-    return urdf
-
-
-def _decompose(content: bytes) -> bytes:
-    from pycram.physics.engine import decompose  # noqa: PLC0415  the engine is needed for concave meshes only
-
-    source = store.write(AssetFile("concave.obj", content).key, content)
-    pieces = source.with_name("pieces.obj")
-    if not pieces.exists():
-        decompose(source, pieces)
-    return pieces.read_bytes()
 
 
 def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ...] = ()) -> Model:
@@ -130,27 +105,25 @@ def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ..
 @lru_cache(maxsize=_CACHED_MODELS)
 @notable
 def _file_names(source: Path, content: bytes) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Check a URDF's links and return the file names of its meshes, and those of its textures."""
+    """Check the links of a URDF; return the file names of its meshes and of its textures."""
     root = canonical_urdf.read(source, content)
     meshes, textures = (
         dict.fromkeys(element.get("filename", "") for element in root.iter(tag)) for tag in ("mesh", "texture")
     )
-    textures.pop("", None)  # some exporters write one without a name
+    textures.pop("", None)  # some exporters write textures without a name
     return tuple(meshes), tuple(textures)
 
 
 class _FileVersion(NamedTuple):
-    """A file, and what changes with its content."""
-
     file: Path
-    modified: int
+    modified: int  # ns
     size: int
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
 @notable
 def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...]) -> Model:
-    """Return the model of a URDF with these versions of its files; most of a world's loading time would be this."""
+    """Return the model of a URDF with these versions of its files; without a cache, worlds load much more slowly."""
     root = canonical_urdf.read(source, content)
     files = dict(versions)
     used: dict[str, AssetFile] = {}
@@ -169,17 +142,17 @@ def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[tuple
                 _cover(link, visual, picture, used)
     for material in root.iter("material"):
         for texture in material.findall("texture"):
-            material.remove(texture)  # it is in the shapes' colours
+            material.remove(texture)  # the shapes have its colours now
     text, tree = canonical_urdf.write(source, root)
     path, asset = store.write_urdf(f"{stem}.urdf", text, root)
-    piece_bounds(path)  # what queries ask for first: now nobody waits for the answer
+    piece_bounds(path)  # computed now, so that the first query is fast
     return Model(path, tree, (asset, *used.values()))
 
 
 def _texture(
     visual: ET.Element, named: Mapping[str | None, ET.Element], files: Mapping[str, _FileVersion]
 ) -> _FileVersion | None:
-    """Return the texture of a visual's material, given there or by name; None if it has none, or that isn't there."""
+    """Return the texture of a visual's material, defined there or by name; None if it has none, or it is missing."""
     material = visual.find("material")
     if material is not None and len(material) == 0:
         material = named.get(material.get("name"))
@@ -188,7 +161,7 @@ def _texture(
 
 
 def _cover(link: ET.Element, visual: ET.Element, picture: _FileVersion, used: dict[str, AssetFile]) -> None:
-    """Put meshes in the place of a shape that is covered with a texture."""
+    """Replace a shape that has a texture with coloured meshes."""
     geometry = visual.find("geometry")
     shape = None if geometry is None else next(iter(geometry), None)
     if geometry is None or shape is None or shape.tag not in _SIZES:
@@ -203,7 +176,7 @@ def _cover(link: ET.Element, visual: ET.Element, picture: _FileVersion, used: di
 def _color(
     link: ET.Element, visual: ET.Element, shown: ET.Element, parts: Sequence[_Painted], used: dict[str, AssetFile]
 ) -> None:
-    """Put a visual for each colour of a mesh in its place: the mesh's own colours win over the URDF's, as in RViz."""
+    """Replace a visual with a visual for each colour of its mesh; colours of meshes override the URDF's, as in RViz."""
     place = list(link).index(visual)
     link.remove(visual)
     for number, (asset, rgba) in enumerate(parts):
@@ -218,16 +191,14 @@ def _color(
 
 
 class _Painted(NamedTuple):
-    """A mesh in the store, and its colour RGBA 0..1 if it has one."""
-
-    asset: AssetFile
-    rgba: Sequence[float] | None
+    asset: AssetFile  # a mesh in the store
+    rgba: Sequence[float] | None  # 0..1
 
 
 @cache
 @notable
 def _collision_mesh(version: _FileVersion) -> AssetFile:
-    """Write a mesh into the store as the engine reads it; checked once per version of the file."""
+    """Store a mesh as the engine reads it; each version of a file is checked once."""
     file = version.file
     ((name, content, _),) = conversion_cache.get("collision", file, lambda: [(*mesh.convert_collision(file), None)])
     return store.write_mesh(name, content)
@@ -236,7 +207,7 @@ def _collision_mesh(version: _FileVersion) -> AssetFile:
 @cache
 @notable
 def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple[_Painted, ...]:
-    """Write what is seen of a mesh into the store, by colour; checked once per version of the files."""
+    """Store the visual meshes of a mesh, one for each colour; each version of the files is checked once."""
     file, cover = version.file, None if picture is None else read_bytes(picture.file)
     kind = "visual" if cover is None else f"visual {sha256(cover).hexdigest()}"
     parts = conversion_cache.get(kind, file, lambda: mesh.convert_visual(file, cover))
@@ -245,18 +216,18 @@ def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple
 
 @cache
 def _covered(kind: str, size: tuple[float, ...], picture: _FileVersion) -> tuple[_Painted, ...]:
-    """Write what is seen of a shape with a texture into the store, by colour."""
+    """Store the visual meshes of a shape with a texture, one for each colour."""
     name = f"{picture.file.stem}-{kind}"
     parts = enumerate(cover_shape(kind, size, picture.file))
     return tuple(_Painted(store.write_mesh(f"{name}-{n}.stl", mesh.stl(some)), rgba) for n, (some, rgba) in parts)
 
 
 def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
-    """Load a model from a recording's attachments as they are.
+    """Load a model from a recording's attachments.
 
     Args:
         files: Attachment names (``<sha256>/<file name>``) and contents of the model's files, the URDF first.
-        loading: How the engine made a body of it.
+        loading: How the engine made a body of the model.
 
     Raises:
         AssetError: A file's name isn't the hash of its content, the URDF is broken or names another file, a mesh is
@@ -294,14 +265,14 @@ def _file(key: str, content: bytes) -> AssetFile:
 
 @lru_cache(maxsize=_CACHED_MODELS)
 def _tree(path: Path, key: str, meshes: frozenset[str]) -> Urdf:
-    """Return the tree of a model in the store, whose name changes with its content."""
+    """Check a stored URDF that a recording contained, and return its tree."""
     content = path.read_bytes()
     if not content.startswith(_START):
         raise AssetError(key, "is no URDF as recordings have them: these begin with <robot")
     if max(map(len, content.splitlines())) > _MAX_LINE:
         raise AssetError(key, f"has a line of more than {_MAX_LINE} bytes, which canonical URDF doesn't have")
     canonical_urdf.read(path, content)
-    for element in ET.fromstring(content).iter():  # noqa: S314  without entities; also what isn't URDF: engines read more
+    for element in ET.fromstring(content).iter():  # noqa: S314  no entities; the engine reads more elements than URDF's
         named = element.get("filename")
         if element.tag == "texture" or (named is not None and named not in meshes):
             raise AssetError(key, f"names the file {named!r}, which isn't one of the recording's for this body")
@@ -312,7 +283,7 @@ def _tree(path: Path, key: str, meshes: frozenset[str]) -> Urdf:
 
 @lru_cache(maxsize=_CACHED_MESHES)
 def _check_mesh(path: Path) -> None:
-    """Refuse a mesh in the store that isn't as recordings have them: a binary STL, or an OBJ that is alone."""
+    """Reject a stored mesh that is neither a binary STL nor an OBJ without material files."""
     if path.suffix.lower() == ".obj" and _MATERIALS.search(path.read_bytes()):
         raise AssetError(path.name, "names materials in another file")
     mesh.check(path)

@@ -1,8 +1,8 @@
-"""Meshes: STL, OBJ and COLLADA files, checked and converted to what the engine and viewers read.
+"""Meshes: STL, OBJ and COLLADA files, checked and converted for the engine and viewers.
 
 PyBullet loads a truncated or ASCII STL as a body without a shape. So every mesh is parsed here first. COLLADA files are
-read by pycollada directly: what trimesh does to them besides takes three times as long. OBJ files of triangles without
-materials, as all are that recordings hold, are read here: to import trimesh takes a second.
+read with pycollada: trimesh takes three times as long. OBJ files of triangles without materials, such as all OBJ files
+in recordings, are read without trimesh, which takes a second to import.
 """
 
 from __future__ import annotations
@@ -38,265 +38,52 @@ else:
         collada, trimesh = LazyModule("collada"), LazyModule("trimesh")
 
 _LARGE: Final = 5000  # faces
-_FAR: Final = 1e9  # in the file's unit, of an STL, which a URDF may scale
+_FAR: Final = 1e9  # maximum coordinate of an STL, in the file's unit, which a URDF may scale
 _HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
-STL_HEADER: Final = 84
-STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
-_MAX_COORDINATE: Final = 1e4  # m; larger ones are not in metres
-_MAX_LINE: Final = 8000  # bytes of a line of OBJ; PyBullet reads 8,192 at once
+_STL_HEADER: Final = 84
+_STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
+_MAX_COORDINATE: Final = 1e4  # m; larger coordinates are not in metres
+_MAX_LINE: Final = 8000  # bytes of a line of OBJ: PyBullet splits lines after 8,192
 
 
-def convert(file: Path) -> tuple[str, bytes]:
-    """Return file name and content of a .stl, .obj or .dae mesh as the engine reads it.
-
-    ASCII STL and COLLADA become binary STL.
-
-    Raises:
-        AssetError: It is empty, truncated, has no faces or numbers that aren't finite.
-    """
-    content = _bytes(file)
-    kind = file.suffix.lower()
-    if kind == ".stl" and not _is_ascii(content):
-        _check_binary_stl(file, content)
-        return file.name, _with_normals(content)
-    if kind == ".obj":
-        _all_triangles(file, content)
-        # colours come from the URDF's materials: PyBullet has one per mesh
-        lines = content.decode("utf-8", "replace").splitlines()
-        kept = [line for line in lines if not line.startswith(("mtllib", "usemtl"))]
-        return file.name, ("\n".join(kept) + "\n").encode()
-    return f"{file.stem}.stl", stl(parse(file).triangles)
-
-
-def convert_collision(file: Path) -> tuple[str, bytes]:
-    """Return file name and content of a mesh that something collides with, as :func:`convert`.
-
-    Of a large one in one piece only the convex hull is left: nothing else collides, and the engine would take long to
-    find it, each time that the model is loaded.
-    """
-    content = _bytes(file)
-    kind = file.suffix.lower()
-    if kind == ".obj" and (len(content) <= _LARGE * STL_FACE.itemsize or _HAS_PIECES.search(content)):
-        return convert(file)
-    if kind in (".obj", ".dae"):
-        triangles = _all_triangles(file, content)
-    else:
-        name, content = convert(file)
-        triangles = stl_faces(content)["numbers"][:, 1:].astype(np.float64)
-        if len(triangles) <= _LARGE:
-            return name, content
-    hull = _hull(triangles) if len(triangles) > _LARGE else None
-    return (f"{file.stem}.stl", stl(triangles)) if hull is None else (f"{file.stem}.hull.stl", stl(hull))
-
-
-def check(file: Path) -> None:
-    """Refuse a mesh that isn't as :func:`convert` writes them, or is broken.
-
-    Raises:
-        AssetError: It is neither binary STL nor OBJ, or as for :func:`convert`.
-    """
-    kind = file.suffix.lower()
-    if kind == ".stl":
-        _check_binary_stl(file, _bytes(file))
-    elif kind == ".obj":
-        _all_triangles(file, _bytes(file))
-    else:
-        raise AssetError(file, "is neither binary STL nor OBJ")
-
-
-def _all_triangles(file: Path, content: bytes) -> NDArray[np.float64]:
-    parts = read_parts(file, content)
-    if not parts:
-        raise AssetError(file, "has no faces")
-    return np.concatenate([part.triangles for part in parts])
-
-
-def _hull(triangles: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the triangles of the convex hull, normals outwards; None of something flat."""
-    with needed():
-        from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415  not for pictures of recordings
-
-    corners = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.float32)
-    distinct = np.unique(corners.view("V12")).view(np.float32).reshape(-1, 3).astype(np.float64)
-    try:
-        hull = ConvexHull(distinct)
-    except QhullError:
-        return None
-    faces: NDArray[np.float64] = hull.points[hull.simplices]
-    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    inwards = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
-    faces[inwards] = faces[inwards, ::-1]
-    return faces
-
-
-def convert_visual(file: Path, cover: bytes | None = None) -> list[tuple[str, bytes, Sequence[float] | None]]:
-    """Return what is to be seen of a mesh: file name, content and colour RGBA 0..1 of each part.
-
-    A colour is None where the file gives none. A file without faces has no parts: lines are not shown.
-
-    Args:
-        file: The mesh.
-        cover: The texture's content, of what has no material of its own; its mean colour where the mesh doesn't say
-            which spot of it is where.
-
-    Raises:
-        AssetError: As for :func:`convert`.
-    """
-    if file.suffix.lower() not in (".dae", ".obj"):
-        image = None if cover is None else read_image(io.BytesIO(cover))
-        return [(*convert(file), None if image is None else mean(image))]
-    parts = read_parts(file, _bytes(file), cover)
-    if file.suffix.lower() == ".obj" and len(parts) == 1:
-        return [(*convert(file), parts[0].rgba)]  # with its normals
-    return [(f"{file.stem}-{number}.stl", stl(part.triangles), part.rgba) for number, part in enumerate(parts)]
-
-
-def parse(file: Path) -> trimesh.Trimesh:
-    """Read a .stl, .obj or .dae file as one mesh in its own frame, in metres.
-
-    Raises:
-        AssetError: It can't be read, has no faces or numbers that aren't finite.
-    """
-    content = _bytes(file)
-    if file.suffix.lower() == ".stl" and not _is_ascii(content):
-        _check_binary_stl(file, content)
-    if file.suffix.lower() in (".dae", ".obj"):
-        corners = _all_triangles(file, content).reshape(-1, 3)
-        merged = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
-        merged.merge_vertices()
-        return merged
-    try:
-        with quiet():
-            loaded = trimesh.load(io.BytesIO(content), file_type=file.suffix.lower()[1:], force="mesh", process=False)
-    except Exception as error:  # the parsers of trimesh raise whatever goes wrong in them
-        raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
-    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
-        raise AssetError(file, "has no faces")
-    check_vertices(file, loaded.vertices)
-    loaded.merge_vertices()
-    return loaded
-
-
-def stl_faces(content: bytes) -> NDArray[np.void]:
-    """Return the faces (n,) of a complete binary STL, with "numbers" (4, 3) each: the normal and three corners."""
-    count = struct.unpack("<I", content[STL_HEADER - 4 : STL_HEADER])[0]
-    return np.frombuffer(content, dtype=STL_FACE, count=count, offset=STL_HEADER)
-
-
-def _bytes(file: Path) -> bytes:
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise AssetError(file, f"can't be read: {error.strerror}") from error
-    if not content:
-        raise AssetError(file, "is empty")
-    return content
-
-
-def _is_ascii(content: bytes) -> bool:
-    return content[:5].lower() == b"solid" and b"facet" in content[:1000]
-
-
-def _check_binary_stl(file: Path, content: bytes) -> None:
-    if len(content) < STL_HEADER:
-        raise AssetError(file, f"is no STL: {len(content)} bytes are less than its header")
-    faces = struct.unpack("<I", content[80:84])[0]
-    wanted = STL_HEADER + faces * STL_FACE.itemsize
-    if faces == 0:
-        raise AssetError(file, "is an STL without faces")
-    if len(content) < wanted:
-        raise AssetError(file, f"is truncated: {faces} faces take {wanted} bytes, it has {len(content)}")
-    numbers = stl_faces(content)["numbers"]
-    if not np.isfinite(numbers).all():
-        raise AssetError(file, "has vertices that are not finite numbers")
-    if np.abs(numbers[:, 1:]).max() > _FAR:
-        raise AssetError(file, f"has vertices more than {_FAR:g} away from its origin")
-
-
-def _with_normals(content: bytes) -> bytes:
-    """Fill in normals that a binary STL leaves at zero, as many exporters do: it would be rendered black."""
-    table = stl_faces(content).copy()
-    numbers = table["numbers"]
-    missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # components of a unit vector add up to 1 at least
-    if not missing.any():
-        return content
-    a, b, c = (numbers[missing, corner].astype(np.float64) for corner in (1, 2, 3))
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    numbers[missing, 0] = normals / np.maximum(lengths, 1e-30)
-    filled: bytes = content[:STL_HEADER] + table.tobytes()
-    return filled
-
-
-class Part(NamedTuple):
-    """Triangles of one colour."""
+class ColoredPart(NamedTuple):
+    """Triangles of a mesh with the same colour."""
 
     triangles: Array  # (n, 3, 3) corners in the mesh's frame, m
-    rgba: Rgba | None  # Their colour, 0..1; None where the file gives none
+    rgba: Rgba | None  # 0..1; None if the file has no colour
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Keep warnings and logged tracebacks of mesh libraries off the plan's output: errors are raised as AssetError."""
-    log = trimesh.util.log
-    before, log.disabled = log.disabled, True
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        log.disabled = before
-
-
-@lru_cache(maxsize=2)  # most models collide with what is seen of them, which is asked for next
-def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[Part, ...]:
-    """Return the parts of a .dae or .obj file that have triangles, those of one colour together.
+@lru_cache(maxsize=2)  # most models have the same mesh for collision and, read next, for visuals
+def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[ColoredPart, ...]:
+    """Return the triangles of a .dae or .obj file by colour.
 
     Args:
-        file: Where it is, for textures and materials beside it.
-        content: What it contains.
-        cover: The texture's content, of what has no material of its own.
+        file: The file; its textures and materials are next to it.
+        content: The content of the file.
+        cover: Content of a texture for faces without a material.
 
     Raises:
-        AssetError: It can't be parsed, or a number isn't finite or too large for metres.
+        AssetError: The content can't be parsed, or a number isn't finite or is too large for metres.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             image = None if cover is None else read_image(io.BytesIO(cover))
             found = list((_dae_parts if file.suffix.lower() == ".dae" else _obj_parts)(file, content, image))
-    except Exception as error:  # the parsers raise whatever goes wrong in them
+    except Exception as error:  # parsers raise errors of any type for broken files
         raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
     by_color: dict[Rgba | None, list[Array]] = {}
     for triangles, rgba in found:
         if len(triangles):
             by_color.setdefault(rgba, []).append(triangles)
-    parts = tuple(Part(np.concatenate(triangles), rgba) for rgba, triangles in by_color.items())
+    parts = tuple(ColoredPart(np.concatenate(triangles), rgba) for rgba, triangles in by_color.items())
     for part in parts:
-        check_vertices(file, part.triangles)
+        _check_vertices(file, part.triangles)
     return parts
 
 
-def check_vertices(file: Path, vertices: Array) -> None:
-    """Refuse corners that aren't finite, or too large for metres."""
-    if not np.isfinite(vertices).all():
-        raise AssetError(file, "has vertices that are not finite numbers")
-    if np.abs(vertices).max() > _MAX_COORDINATE:
-        raise AssetError(file, f"has vertices more than {_MAX_COORDINATE:g} m away from its origin")
-
-
-def stl(triangles: Array) -> bytes:
-    """Return a binary STL of triangles (n, 3, 3): every reader here takes it many times as fast as text."""
-    table = np.zeros(len(triangles), dtype=STL_FACE)
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    table["numbers"][:, 0] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    table["numbers"][:, 1:] = triangles
-    content: bytes = b"\0" * 80 + struct.pack("<I", len(table)) + table.tobytes()
-    return content
-
-
-def _dae_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[Part]:
-    """As ROS reads them: in the file's unit of length, whichever axis it says is up."""
+def _dae_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[ColoredPart]:
+    """Yield parts as ROS reads COLLADA: in the file's unit of length, ignoring its up axis."""
     document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
     unit = document.assetInfo.unitmeter or 1.0
     for geometry in document.scene.objects("geometry") if document.scene else ():
@@ -307,20 +94,50 @@ def _dae_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterato
             triangles = np.asarray(mesh.vertex[mesh.vertex_index], dtype=np.float64) * unit
             diffuse = getattr(getattr(mesh.material, "effect", None), "diffuse", None)
             if isinstance(diffuse, collada.material.Map):
-                image = read_image(file.parent / _path(diffuse.sampler.surface.image.path))
+                name = diffuse.sampler.surface.image.path.removeprefix("file://").replace("%20", " ")
+                image = read_image(file.parent / name)
                 yield from _textured(triangles, _dae_uv(mesh) if image else None, image)
             elif diffuse is None and cover is not None:
                 yield from _textured(triangles, _dae_uv(mesh), cover)
             else:
-                yield Part(triangles, _rgba(diffuse))
+                yield ColoredPart(triangles, _rgba(diffuse))
+
+
+def _dae_uv(mesh: collada.triangleset.BoundTriangleSet) -> Array | None:
+    return mesh.texcoordset[0][mesh.texcoord_indexset[0]] if mesh.texcoordset else None
+
+
+def _obj_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[ColoredPart]:
+    vertices, faces = _read_faces(content)
+    if cover is None and b"mtl" not in content and all(len(corners) == 3 for corners in faces):
+        if any(len(numbers) < 3 for numbers in vertices):
+            raise ValueError("a vertex has less than three numbers")
+        table = np.array(vertices).astype(np.float64).reshape(-1, 3)
+        yield ColoredPart(table[np.array(faces, dtype=np.intp).reshape(-1, 3)], None)
+        return
+    has_materials = b"mtllib" in content
+    resolver = trimesh.resolvers.FilePathResolver(str(file))
+    with _quiet():
+        meshes = trimesh.load_scene(io.BytesIO(content), file_type="obj", resolver=resolver, process=False).dump()
+    for mesh in meshes:
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        triangles = np.asarray(mesh.triangles, dtype=np.float64)
+        material = getattr(mesh.visual, "material", None) if has_materials else None
+        image, uv = getattr(material, "image", None), getattr(mesh.visual, "uv", None)
+        image = cover if material is None else image
+        if image is not None and (uv is not None or image is cover):
+            yield from _textured(triangles, None if uv is None else np.asarray(uv)[mesh.faces], image)
+        else:
+            color = getattr(material, "diffuse", None)
+            yield ColoredPart(triangles, None if color is None else _rgba([float(part) / 255 for part in color]))
 
 
 def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
-    """Return the numbers of an OBJ's vertices, as text, and for each face its vertices, counted from 0.
+    """Return the coordinates of an OBJ's vertices, as text, and the indices of each face's vertices.
 
     Raises:
-        ValueError: A face has a corner that isn't there, or a line is one that PyBullet breaks in two: either would end
-            the process.
+        ValueError: A face has a corner that doesn't exist, or PyBullet would split a line: either crashes the process.
     """
     known = dict.fromkeys((b"v", b"vt", b"vn"), 0)
     vertices: list[list[bytes]] = []
@@ -346,48 +163,14 @@ def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
     return vertices, faces
 
 
-def _dae_uv(mesh: collada.triangleset.BoundTriangleSet) -> Array | None:
-    return mesh.texcoordset[0][mesh.texcoord_indexset[0]] if mesh.texcoordset else None
-
-
-def _obj_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[Part]:
-    vertices, faces = _read_faces(content)
-    if cover is None and b"mtl" not in content and all(len(corners) == 3 for corners in faces):
-        if any(len(numbers) < 3 for numbers in vertices):
-            raise ValueError("a vertex has less than three numbers")
-        table = np.array(vertices).astype(np.float64).reshape(-1, 3)
-        yield Part(table[np.array(faces, dtype=np.intp).reshape(-1, 3)], None)
-        return
-    has_materials = b"mtllib" in content
-    resolver = trimesh.resolvers.FilePathResolver(str(file))
-    with quiet():
-        meshes = trimesh.load_scene(io.BytesIO(content), file_type="obj", resolver=resolver, process=False).dump()
-    for mesh in meshes:
-        if not isinstance(mesh, trimesh.Trimesh):
-            continue
-        triangles = np.asarray(mesh.triangles, dtype=np.float64)
-        material = getattr(mesh.visual, "material", None) if has_materials else None
-        image, uv = getattr(material, "image", None), getattr(mesh.visual, "uv", None)
-        image = cover if material is None else image
-        if image is not None and (uv is not None or image is cover):
-            yield from _textured(triangles, None if uv is None else np.asarray(uv)[mesh.faces], image)
-        else:
-            color = getattr(material, "diffuse", None)
-            yield Part(triangles, None if color is None else _rgba([float(part) / 255 for part in color]))
-
-
-def _textured(triangles: Array, uv: Array | None, image: Image.Image | None) -> Iterator[Part]:
+def _textured(triangles: Array, uv: Array | None, image: Image.Image | None) -> Iterator[ColoredPart]:
     if image is None:
-        yield Part(triangles, None)
+        yield ColoredPart(triangles, None)
     elif uv is None:
-        yield Part(triangles, mean(image))
+        yield ColoredPart(triangles, mean(image))
     else:
         for some, rgba in bake(triangles, np.asarray(uv, dtype=np.float64)[:, :, :2], image):
-            yield Part(some, rgba)
-
-
-def _path(name: str) -> str:
-    return name.removeprefix("file://").replace("%20", " ")
+            yield ColoredPart(some, rgba)
 
 
 def _rgba(color: Iterable[float] | None) -> Rgba | None:
@@ -396,3 +179,212 @@ def _rgba(color: Iterable[float] | None) -> Rgba | None:
     red, green, blue, *more = (min(max(float(part), 0.0), 1.0) for part in color)
     alpha = more[0] if more and more[0] > 0 else 1.0  # many exporters write 0 for opaque
     return red, green, blue, alpha
+
+
+def _check_vertices(file: Path, vertices: Array) -> None:
+    if not np.isfinite(vertices).all():
+        raise AssetError(file, "has vertices that are not finite numbers")
+    if np.abs(vertices).max() > _MAX_COORDINATE:
+        raise AssetError(file, f"has vertices more than {_MAX_COORDINATE:g} m away from its origin")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Suppress warnings and logged tracebacks of mesh libraries; errors are raised as AssetError anyway."""
+    log = trimesh.util.log
+    before, log.disabled = log.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.disabled = before
+
+
+def parse(file: Path) -> trimesh.Trimesh:
+    """Read a .stl, .obj or .dae file as a single mesh in its own frame, in metres.
+
+    Raises:
+        AssetError: The file can't be read, has no faces, or has a number that isn't finite.
+    """
+    content = _bytes(file)
+    if file.suffix.lower() == ".stl" and not _is_ascii(content):
+        _check_binary_stl(file, content)
+    if file.suffix.lower() in (".dae", ".obj"):
+        corners = _all_triangles(file, content).reshape(-1, 3)
+        merged = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+        merged.merge_vertices()
+        return merged
+    try:
+        with _quiet():
+            loaded = trimesh.load(io.BytesIO(content), file_type=file.suffix.lower()[1:], force="mesh", process=False)
+    except Exception as error:  # trimesh's parsers raise errors of any type for broken files
+        raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
+    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
+        raise AssetError(file, "has no faces")
+    _check_vertices(file, loaded.vertices)
+    loaded.merge_vertices()
+    return loaded
+
+
+def convert(file: Path) -> tuple[str, bytes]:
+    """Return file name and content of a .stl, .obj or .dae mesh for the engine: ASCII STL and COLLADA as binary STL.
+
+    Raises:
+        AssetError: The file is empty or truncated, has no faces, or has a number that isn't finite.
+    """
+    content = _bytes(file)
+    kind = file.suffix.lower()
+    if kind == ".stl" and not _is_ascii(content):
+        _check_binary_stl(file, content)
+        return file.name, _with_normals(content)
+    if kind == ".obj":
+        _all_triangles(file, content)
+        # colours are the URDF's materials: PyBullet supports one colour per mesh
+        lines = content.decode("utf-8", "replace").splitlines()
+        kept = [line for line in lines if not line.startswith(("mtllib", "usemtl"))]
+        return file.name, ("\n".join(kept) + "\n").encode()
+    return f"{file.stem}.stl", stl(parse(file).triangles)
+
+
+def convert_collision(file: Path) -> tuple[str, bytes]:
+    """Return file name and content of a collision mesh for the engine; see :func:`convert`.
+
+    A large mesh in one piece is replaced with its convex hull: only the hull collides, and the engine would compute it
+    slowly each time the model is loaded.
+    """
+    content = _bytes(file)
+    kind = file.suffix.lower()
+    if kind == ".obj" and (len(content) <= _LARGE * _STL_FACE.itemsize or _HAS_PIECES.search(content)):
+        return convert(file)
+    if kind in (".obj", ".dae"):
+        triangles = _all_triangles(file, content)
+    else:
+        name, content = convert(file)
+        triangles = stl_faces(content)["numbers"][:, 1:].astype(np.float64)
+        if len(triangles) <= _LARGE:
+            return name, content
+    hull = _hull(triangles) if len(triangles) > _LARGE else None
+    return (f"{file.stem}.stl", stl(triangles)) if hull is None else (f"{file.stem}.hull.stl", stl(hull))
+
+
+def _hull(triangles: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the triangles of the convex hull with outward normals; None if the mesh is flat."""
+    with needed():
+        from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415  pictures of recordings don't need SciPy
+
+    corners = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.float32)
+    distinct = np.unique(corners.view("V12")).view(np.float32).reshape(-1, 3).astype(np.float64)
+    try:
+        hull = ConvexHull(distinct)
+    except QhullError:
+        return None
+    faces: NDArray[np.float64] = hull.points[hull.simplices]
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    inwards = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+    faces[inwards] = faces[inwards, ::-1]
+    return faces
+
+
+def convert_visual(file: Path, cover: bytes | None = None) -> list[tuple[str, bytes, Sequence[float] | None]]:
+    """Return the visual parts of a mesh: file name, content and colour RGBA 0..1 of each.
+
+    A colour is None if the file has none. Lines are not shown: a file without faces has no parts.
+
+    Args:
+        file: The mesh.
+        cover: Content of a texture for faces without a material; faces without texture coordinates get its mean colour.
+
+    Raises:
+        AssetError: As for :func:`convert`.
+    """
+    if file.suffix.lower() not in (".dae", ".obj"):
+        image = None if cover is None else read_image(io.BytesIO(cover))
+        return [(*convert(file), None if image is None else mean(image))]
+    parts = read_parts(file, _bytes(file), cover)
+    if file.suffix.lower() == ".obj" and len(parts) == 1:
+        return [(*convert(file), parts[0].rgba)]  # keeps its normals
+    return [(f"{file.stem}-{number}.stl", stl(part.triangles), part.rgba) for number, part in enumerate(parts)]
+
+
+def check(file: Path) -> None:
+    """Reject a mesh that :func:`convert` can't have written.
+
+    Raises:
+        AssetError: The file is neither a binary STL nor an OBJ, or is broken.
+    """
+    kind = file.suffix.lower()
+    if kind == ".stl":
+        _check_binary_stl(file, _bytes(file))
+    elif kind == ".obj":
+        _all_triangles(file, _bytes(file))
+    else:
+        raise AssetError(file, "is neither binary STL nor OBJ")
+
+
+def _all_triangles(file: Path, content: bytes) -> NDArray[np.float64]:
+    parts = read_parts(file, content)
+    if not parts:
+        raise AssetError(file, "has no faces")
+    return np.concatenate([part.triangles for part in parts])
+
+
+def stl_faces(content: bytes) -> NDArray[np.void]:
+    """Return the faces (n,) of a complete binary STL; "numbers" (4, 3) are the normal and three corners of each."""
+    count = struct.unpack("<I", content[_STL_HEADER - 4 : _STL_HEADER])[0]
+    return np.frombuffer(content, dtype=_STL_FACE, count=count, offset=_STL_HEADER)
+
+
+def _bytes(file: Path) -> bytes:
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise AssetError(file, f"can't be read: {error.strerror}") from error
+    if not content:
+        raise AssetError(file, "is empty")
+    return content
+
+
+def _is_ascii(content: bytes) -> bool:
+    return content[:5].lower() == b"solid" and b"facet" in content[:1000]
+
+
+def _check_binary_stl(file: Path, content: bytes) -> None:
+    if len(content) < _STL_HEADER:
+        raise AssetError(file, f"is no STL: {len(content)} bytes are less than its header")
+    faces = struct.unpack("<I", content[80:84])[0]
+    wanted = _STL_HEADER + faces * _STL_FACE.itemsize
+    if faces == 0:
+        raise AssetError(file, "is an STL without faces")
+    if len(content) < wanted:
+        raise AssetError(file, f"is truncated: {faces} faces take {wanted} bytes, it has {len(content)}")
+    numbers = stl_faces(content)["numbers"]
+    if not np.isfinite(numbers).all():
+        raise AssetError(file, "has vertices that are not finite numbers")
+    if np.abs(numbers[:, 1:]).max() > _FAR:
+        raise AssetError(file, f"has vertices more than {_FAR:g} away from its origin")
+
+
+def _with_normals(content: bytes) -> bytes:
+    """Fill in the zero normals that many exporters write: the mesh would be rendered black."""
+    table = stl_faces(content).copy()
+    numbers = table["numbers"]
+    missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # components of a unit vector add up to 1 at least
+    if not missing.any():
+        return content
+    a, b, c = (numbers[missing, corner].astype(np.float64) for corner in (1, 2, 3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    numbers[missing, 0] = normals / np.maximum(lengths, 1e-30)
+    filled: bytes = content[:_STL_HEADER] + table.tobytes()
+    return filled
+
+
+def stl(triangles: Array) -> bytes:
+    """Return a binary STL of triangles (n, 3, 3), which is read many times faster than text."""
+    table = np.zeros(len(triangles), dtype=_STL_FACE)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    table["numbers"][:, 0] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    table["numbers"][:, 1:] = triangles
+    content: bytes = b"\0" * 80 + struct.pack("<I", len(table)) + table.tobytes()
+    return content

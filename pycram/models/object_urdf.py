@@ -1,8 +1,8 @@
-"""The URDF of an object that is one mesh.
+"""The URDF of an object that is a single mesh file.
 
-PyBullet collides with the convex hull of any mesh, so that a bowl would be solid. So concave meshes get a convex
-decomposition: from ``NAME.collision.obj`` beside the mesh (one ``o`` group per convex piece), else by V-HACD. A table
-``[NAME]`` in the ``objects.toml`` beside it may give its mass (kg), friction and coloured visual parts.
+PyBullet collides with the convex hull of a mesh: a bowl would be solid. So concave meshes get a convex decomposition:
+from ``NAME.collision.obj`` next to the mesh (one ``o`` group per convex piece), otherwise by V-HACD. A table ``[NAME]``
+in ``objects.toml`` next to the mesh may give its mass (kg), friction and coloured visual parts.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from pycram.foundation.checks import number
 from pycram.foundation.failures import AssetError
+from pycram.models import conversion_cache, store
 from pycram.models.canonical_urdf import DENSITY
 from pycram.models.files import parse_toml, read_text
 from pycram.models.mesh import convert, convert_visual, parse
@@ -23,42 +24,44 @@ from recorder.records import escaped
 from recorder.records.values import AssetFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     import trimesh
 
-_MIN_CONVEXITY: Final = 0.9  # share of its hull's volume that a convex mesh fills
+_MIN_CONVEXITY: Final = 0.9  # share of the hull's volume that a convex mesh fills
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 
 
-def beside(file: Path) -> Iterator[Path]:
-    """Yield the files beside a mesh that :func:`as_urdf` reads: pieces, its table, meshes that this names.
+def build(file: Path, color: Sequence[float] | None) -> bytes:
+    """Return the URDF of an object, and store its meshes.
+
+    Args:
+        file: The mesh.
+        color: RGBA 0..1 of the object; None for the colours of the mesh, or grey.
 
     Raises:
-        AssetError: The table is broken.
+        AssetError: The mesh or a file next to it is broken.
     """
+    kind = f"object {None if color is None else [float(part) for part in color]}"
+    *meshes, (_, urdf, _) = conversion_cache.get(kind, file, lambda: [*_files(file, color)], _read_besides(file))
+    for name, content, _ in meshes:
+        store.write_mesh(name, content)
+    return urdf
+
+
+def _read_besides(file: Path) -> Iterator[Path]:
+    """Yield the files next to a mesh that its conversion reads: pieces, table, and meshes that the table names."""
     yield _pieces(file)
     yield _table(file)
     for part in _colored(_properties(file)) or ():
         yield file.parent / str(part["mesh"])
 
 
-def as_urdf(
-    file: Path, color: Sequence[float] | None, decompose: Callable[[bytes], bytes]
-) -> Iterator[tuple[str, bytes, None]]:
-    """Yield the files of a URDF of one link: a mesh with convex collision shape, mass, centre of mass and inertia.
+def _files(file: Path, color: Sequence[float] | None) -> Iterator[tuple[str, bytes, None]]:
+    """Yield name and content of the meshes and, last, of the URDF, which names the meshes by their keys.
 
-    Each has a name, a content and no colour, for :mod:`pycram.models.conversion_cache`. The URDF is the last, and names
-    the others by their keys.
-
-    Args:
-        file: The mesh.
-        color: RGBA 0..1 for all of it; None for its own colours, or grey.
-        decompose: Takes an OBJ, returns its convex decomposition as an OBJ with one group per piece.
-
-    Raises:
-        AssetError: The mesh or a file beside it is broken.
+    The URDF has one link with convex collision shapes, mass, centre of mass and inertia.
     """
     shape = parse(file)
     spread = np.linalg.svd(shape.vertices - shape.vertices.mean(axis=0), compute_uv=False)
@@ -77,10 +80,10 @@ def as_urdf(
         material = ET.SubElement(visual, "material", name=name)
         ET.SubElement(material, "color", rgba=" ".join(f"{part:g}" for part in rgba))
     collision = ET.SubElement(ET.SubElement(link, "collision"), "geometry")
-    name, content = _collision(file, shape, decompose)
+    name, content = _collision(file, shape)
     ET.SubElement(collision, "mesh", filename=AssetFile(name, content).key)
     yield name, content, None
-    # pieces have the name of the file
+    # escaped: names may contain bytes of the file's name that aren't UTF-8
     yield f"{file.stem}.urdf", escaped(ET.tostring(robot, encoding="unicode")).encode(), None
 
 
@@ -96,23 +99,30 @@ def _visuals(
     return [(name, content, rgba or _GREY) for name, content, rgba in convert_visual(file)]
 
 
-def _collision(file: Path, shape: trimesh.Trimesh, decompose: Callable[[bytes], bytes]) -> tuple[str, bytes]:
+def _collision(file: Path, shape: trimesh.Trimesh) -> tuple[str, bytes]:
     pieces = _pieces(file)
     if pieces.is_file():
         return convert(pieces)
     hull = shape.convex_hull
     if not shape.is_watertight or shape.volume > _MIN_CONVEXITY * hull.volume:
         return f"{file.stem}.hull.obj", _obj(hull)
-    return f"{file.stem}.collision.obj", decompose(_obj(shape))
+    return f"{file.stem}.collision.obj", _decompose(_obj(shape))
 
 
 def _obj(shape: trimesh.Trimesh) -> bytes:
-    return _exported(shape, "obj", include_color=False, include_texture=False)
+    content = str(shape.export(file_type="obj", include_color=False, include_texture=False))
+    return content.encode()
 
 
-def _exported(shape: trimesh.Trimesh, kind: str, **options: Any) -> bytes:
-    content = shape.export(file_type=kind, **options)
-    return content.encode() if isinstance(content, str) else bytes(content)
+def _decompose(content: bytes) -> bytes:
+    """Return the convex decomposition of an OBJ as an OBJ with one group per piece."""
+    from pycram.physics.engine import decompose  # noqa: PLC0415  only concave meshes need the engine
+
+    source = store.write(AssetFile("concave.obj", content).key, content)
+    pieces = source.with_name("pieces.obj")
+    if not pieces.exists():
+        decompose(source, pieces)
+    return pieces.read_bytes()
 
 
 def _pieces(file: Path) -> Path:
@@ -124,19 +134,19 @@ def _table(file: Path) -> Path:
 
 
 def _colored(entry: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
-    """Return the coloured visual parts that a mesh's table gives; None if it gives none."""
+    """Return the coloured visual parts in a mesh's table; None if the table has none."""
     parts = entry.get("visual")
     return parts if isinstance(parts, list) else None
 
 
 def _properties(file: Path) -> Mapping[str, object]:
-    """Return a mesh's table in the ``objects.toml`` beside it; empty if there is none."""
+    """Return a mesh's table in ``objects.toml``; empty if there is none."""
     table = _table(file)
     entry = _parsed(read_text(table), table).get(file.stem) if table.is_file() else None
     return entry if isinstance(entry, dict) else {}
 
 
-@lru_cache(maxsize=8)  # each object of a folder asks for the same
+@lru_cache(maxsize=8)  # the objects of a folder share a table
 @notable
 def _parsed(text: str, table: Path) -> Mapping[str, object]:
     return parse_toml(text, table)

@@ -1,7 +1,7 @@
-"""Rigid parts of a model, and single links, as models of their own for tries and simulations.
+"""Rigid parts and single links of a model, as models of their own for collision checks and simulation clones.
 
-An engine's step costs by the link, however far it is from anything, and loading costs by the mesh. So simulation clones
-take furniture as its rigid parts, and collision checks take single links.
+The cost of an engine's step grows with the number of links, even of distant links; the cost of loading, with the
+number of meshes. So simulation clones load furniture as its rigid parts, and collision checks load single links.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ _CACHED_LINKS: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """Links that fixed joints hold together, as one link."""
+class RigidPart:
+    """Links that fixed joints connect, as one link."""
 
-    frame: str  # name of the link whose frame is the part's
-    links: tuple[str, ...]  # names of those that have collision shapes
+    frame: str  # the link whose frame is the part's frame
+    links: tuple[str, ...]  # links with collision shapes
     path: Path  # canonical URDF of the part
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
 @notable
-def divided(path: Path) -> tuple[Part, ...]:
-    """Return the rigid parts of the model with a canonical URDF that have collision shapes.
+def divided(path: Path) -> tuple[RigidPart, ...]:
+    """Return the rigid parts with collision shapes of the model with a canonical URDF.
 
-    Links that differ in friction or stiffness are different parts, as these belong to links.
+    Links with different friction or stiffness are different parts, because these are properties of a link.
     """
     elements = {link.get("name", ""): link for link in store.document(path).findall("link")}
     urdf = stored_tree(path)
@@ -59,28 +59,28 @@ def divided(path: Path) -> tuple[Part, ...]:
     found = []
     for (frame, _), links in parts.items():
         placed = [(elements[link], geometry.multiply(geometry.invert(poses[frame]), poses[link])) for link in links]
-        found.append(Part(frame, tuple(links), _write(frame, placed)))
+        found.append(RigidPart(frame, tuple(links), _write(frame, placed)))
     return tuple(found)
 
 
 @lru_cache(maxsize=_CACHED_LINKS)
 @notable
 def single_link(path: Path, link: str) -> Path:
-    """Return a link, which has collision shapes, of the model with a canonical URDF as a model of its own."""
+    """Return the URDF of a model that consists of one link of the model with a canonical URDF."""
     elements = store.document(path).findall("link")
     return _write(link, [(element, geometry.IDENTITY) for element in elements if element.get("name") == link])
 
 
 def _write(name: str, links: Iterable[tuple[ET.Element, Pose]]) -> Path:
-    """Write a model of one link that has the collision shapes of links, which are alike but for these.
+    """Store a model of one link with the collision shapes of several.
 
     Args:
-        name: of the link.
-        links: elements, and their poses in its frame.
+        name: Name of the new link.
+        links: Elements of links with equal friction and stiffness, and their poses in the new link's frame.
     """
     root = ET.Element("robot", name=name)
     merged = ET.SubElement(root, "link", name=name)
-    inertial = ET.SubElement(merged, "inertial")  # the base of a part is fixed: any will do
+    inertial = ET.SubElement(merged, "inertial")  # any inertia: the base of a part is fixed
     ET.SubElement(inertial, "mass", value="1")
     ET.SubElement(inertial, "inertia", attrib=_INERTIA)
     for link, pose in links:
@@ -91,7 +91,7 @@ def _write(name: str, links: Iterable[tuple[ET.Element, Pose]]) -> Path:
 
 
 def _moved(collision: ET.Element, pose: Pose) -> ET.Element:
-    """Return a <collision> element as it is in another frame, in which its link has a pose."""
+    """Return a <collision> element in another frame, in which its link has the given pose."""
     if pose == geometry.IDENTITY:
         return collision
     moved = copy.copy(collision)

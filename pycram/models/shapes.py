@@ -1,7 +1,7 @@
-"""Shapes of a model: triangles, colours and bounds, and the convex pieces with which the engine collides.
+"""Shapes of a model: triangles, colours, bounding boxes, and the convex pieces that the engine collides with.
 
 They are read once from the canonical URDF, whose name changes with its content. The engine takes the convex hull of
-each group of a collision mesh. A hull is bounded by planes: lines can be intersected with these half spaces.
+each group of a collision mesh. The planes of a hull are half spaces, with which lines can be intersected.
 """
 
 from __future__ import annotations
@@ -36,32 +36,32 @@ else:
 
 T = TypeVar("T")
 Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"
-"""Lowest and highest corner of a box, m."""
+"""Lowest and highest corner of a bounding box, m."""
 _SMALL: Final = 300  # numbers
 _SECTIONS: Final = 32  # sides of cylinders and spheres
-_NO_AREA: Final = 1e-12  # m^2 of a triangle of a solid of 1 m, which has lost its third corner on the axis
-_CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners, of edges of 1 m
-#: Numbers of the corners of each side of the cube, counter-clockwise as they are seen from outside.
+_NO_AREA: Final = 1e-12  # m^2, for a solid of 1 m: a triangle with two corners on the axis
+_CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners; edges are 1 m long
 _SIDES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+"""Indices of the corners of each side of the cube, counter-clockwise as seen from outside."""
 _CUBE_TRIANGLES: Final = np.array([_CUBE[[a, *ends]] for a, b, c, d in _SIDES for ends in ((b, c), (c, d))])
-_PLANE_DECIMALS: Final = 9  # to which triangles of one face have the same plane
-_MAX_CHOSEN: Final = 40  # corners: of more, to try all choices of three takes longer than 3 ms
-_SHARED: Final = 6  # triangles at a corner, about: so often it stands there where triangles are given
-_FLAT: Final = 1e-9  # m that a corner may lie before a plane, and a solid's thickness at least
-_IN_LINE: Final = 1e-12  # m^2: twice the area of three corners in a line
-_NEXT: Final = [1, 2, 0]  # axes of each factor of a cross product
+_PLANE_DECIMALS: Final = 9  # in which planes of triangles on one face agree
+_MAX_CHOSEN: Final = 40  # corners; with more, trying every choice of three takes longer than 3 ms
+_SHARED: Final = 6  # approximate number of triangles at a corner, and of its repetitions in a list of triangles
+_FLAT: Final = 1e-9  # m, tolerance for corners in front of a plane, and minimum thickness of a solid
+_IN_LINE: Final = 1e-12  # m^2, maximum of twice the area of three collinear corners
+_NEXT: Final = [1, 2, 0]  # axes of the factors of a cross product
 _OTHER: Final = [2, 0, 1]
 
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """Shapes of a model's k links that have any."""
+    """Shapes of the k links of a model that have shapes, in the links' frames."""
 
-    links: tuple[str, ...]  # Their names
-    triangles: Sequence[Array]  # For each link (n, 3, 3) corners in its frame, m
-    colors: Sequence[Array]  # For each link (n, 3) RGB 0..1 of its triangles
-    low: Array  # (k, 3) lowest corners of their boxes in the links' frames, m
-    high: Array  # (k, 3) highest corners of their boxes
+    links: tuple[str, ...]
+    triangles: Sequence[Array]  # for each link, (n, 3, 3) corners, m
+    colors: Sequence[Array]  # for each link, (n, 3) RGB 0..1 of its triangles
+    low: Array  # (k, 3) lowest corners of bounding boxes, m
+    high: Array  # (k, 3) highest corners of bounding boxes, m
 
 
 @lru_cache(maxsize=256)
@@ -69,17 +69,17 @@ class Shapes:
 def shapes_of(path: Path, role: str = "visual") -> Shapes:
     """Return the "visual" or "collision" shapes of the model with a canonical URDF."""
     links = _read(path, role)
-    triangles = Each([partial(_corners_of, tuple(parts), path.parent) for parts in links.values()])
-    colors = Each([partial(_colors_of, tuple(parts), path.parent) for parts in links.values()])
+    triangles = LazySequence([partial(_corners_of, tuple(parts), path.parent) for parts in links.values()])
+    colors = LazySequence([partial(_colors_of, tuple(parts), path.parent) for parts in links.values()])
     ends = np.array([_bounds_of(parts, path.parent) for parts in links.values()]).reshape(-1, 2, 3)
     return Shapes(tuple(links), triangles, colors, ends[:, 0], ends[:, 1])
 
 
-class Each(Sequence[T]):
-    """Values that are made when they are asked for, and kept: of a large model few links are seen at a time.
+class LazySequence(Sequence[T]):
+    """Values that are computed when first read: a camera sees few links of a large model at a time.
 
     Args:
-        make: one call for each value.
+        make: Computes each value.
     """
 
     def __init__(self, make: Sequence[Callable[[], T]]) -> None:
@@ -119,7 +119,7 @@ def _colors_of(parts: Sequence[Shape], folder: Path) -> Array:
 
 
 def bounds(corners: Array) -> tuple[Array, Array]:
-    """Return the lowest and highest of corners (..., 3): coordinate by coordinate, which is many times as fast."""
+    """Return the lowest and highest corner of a box around corners (..., 3); each axis alone is many times faster."""
     if corners.size <= _SMALL:
         few = corners.reshape(-1, 3)
         return few.min(axis=0), few.max(axis=0)
@@ -128,13 +128,13 @@ def bounds(corners: Array) -> tuple[Array, Array]:
 
 
 def _bounds_of(parts: Sequence[Shape], folder: Path) -> Array:
-    """Return lowest and highest corner (2, 3) of the shapes of a link in its frame."""
+    """Return lowest and highest corner (2, 3) of a box around shapes, in the link's frame."""
     ends = [_ends(part, folder) for part in parts]
     return np.array(ends[0] if len(ends) == 1 else bounds(np.array(ends)))
 
 
 def _ends(shape: Shape, folder: Path) -> Ends:
-    """Return lowest and highest corner of a shape in its link's frame."""
+    """Return lowest and highest corner of a box around a shape, in its link's frame."""
     position, orientation = shape.pose
     if orientation == geometry.IDENTITY[1]:
         if shape.kind == "box":
@@ -149,7 +149,7 @@ def _ends(shape: Shape, folder: Path) -> Ends:
 @lru_cache(maxsize=256)
 @notable
 def piece_bounds(path: Path) -> Sequence[tuple[str, Ends]]:
-    """Return the links of the pieces of :func:`pieces_of`, and the pieces' lowest and highest corners."""
+    """Return link, lowest and highest corner of each piece of :func:`pieces_of`."""
     every: list[tuple[str, Ends]] = []
     for link, parts in _read(path, "collision").items():
         for part in parts:
@@ -161,7 +161,7 @@ def piece_bounds(path: Path) -> Sequence[tuple[str, Ends]]:
 
 
 def pieces_of(path: Path) -> Iterator[tuple[str, Array]]:
-    """Yield the pieces of collision shapes of which the engine takes the convex hull: link, corners (n, 3) in m."""
+    """Yield link and corners (n, 3), m, of the pieces of collision shapes; the engine takes the convex hull of each."""
     for link, parts in _read(path, "collision").items():
         for part in parts:
             for group in _groups(part, path.parent):
@@ -177,7 +177,7 @@ def _placed(shape: Shape, corners: Array) -> Array:
 
 
 def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
-    """Yield corners (n, 3) or (n, 3, 3) of the groups of a shape in its own frame; only an OBJ has several."""
+    """Yield corners (n, 3) or (n, 3, 3) of the groups of a shape in its own frame; only an OBJ has several groups."""
     if shape.kind == "box":
         yield _CUBE * shape.size
         return
@@ -185,7 +185,7 @@ def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
         yield _triangles(shape, folder)
         return
     corners: list[list[str]] = []
-    groups: list[set[str]] = [set()]  # numbers as they are written: each stands there some six times
+    groups: list[set[str]] = [set()]  # indices as text, which are faster to collect: each is repeated some six times
     for key, words in _obj_lines(folder / shape.mesh):
         if key == "v":
             corners.append(words)
@@ -200,7 +200,7 @@ def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
 
 
 def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
-    """Yield key and words of the lines of an OBJ: three coordinates of a corner, numbers from 1 of those of a face."""
+    """Yield key and words of the lines of an OBJ: coordinates of vertices; for faces, indices of vertices from 1."""
     count = 0
     for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
         key, *words = line.split() or [""]
@@ -208,9 +208,9 @@ def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
             count += 1
             words = words[:3]
         elif key == "f":
-            if "/" in line:  # numbers of normals and textures follow
+            if "/" in line:  # indices of normals and texture coordinates follow
                 words = [word.split("/")[0] for word in words]
-            if "-" in line:  # counted backwards from the last
+            if "-" in line:  # relative to the last vertex
                 words = [str(count + 1 + int(word)) if word.startswith("-") else word for word in words]
         yield key, words
 
@@ -232,10 +232,10 @@ def _triangles(shape: Shape, folder: Path) -> Array:
 
 
 def _revolved(profile: Array) -> Array:
-    """Return the triangles of what a line sweeps around the z axis, counter-clockwise as they are seen from outside.
+    """Return the triangles of a solid of revolution about the z axis, counter-clockwise as seen from outside.
 
     Args:
-        profile: (k, 2) points of the line, from below to above: distance from the axis and height, m.
+        profile: (k, 2) points from bottom to top: distance from the axis and height, m.
     """
     angles = np.arange(_SECTIONS) * 2 * np.pi / _SECTIONS
     distance, height = profile.T
@@ -256,7 +256,7 @@ def _revolved(profile: Array) -> Array:
 @notable
 def _mesh_ends(file: Path) -> Array:
     """Return lowest and highest corner (2, 3) of a mesh."""
-    if file.suffix.lower() == ".stl":  # as its numbers are, which is exact too
+    if file.suffix.lower() == ".stl":  # in its own number format, which is exact too
         return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
     return np.array(bounds(_mesh(file)))
 
@@ -264,7 +264,7 @@ def _mesh_ends(file: Path) -> Array:
 @lru_cache(maxsize=256)
 @notable
 def _mesh(file: Path) -> Array:
-    if file.suffix.lower() == ".stl":  # binary: ASCII ones were converted
+    if file.suffix.lower() == ".stl":  # binary: the store has no ASCII STL
         return np.array(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:], dtype=np.float64)
     corners: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
@@ -280,14 +280,14 @@ def _mesh(file: Path) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Solids:
-    """A model's k convex pieces with m planes in all, those of a piece side by side."""
+    """The k convex pieces of a model, with m planes sorted by piece, in the links' frames."""
 
-    links: tuple[str, ...]  # (k,) names of the links that they belong to
-    low: Array  # (k, 3) lowest corners of their boxes in the links' frames, m
-    high: Array  # (k, 3) highest corners of their boxes
-    normals: Array  # (m, 3) outward unit vectors in the links' frames
-    offsets: Array  # (m,) of the planes from the frames' origins along the normals, m
-    pieces: NDArray[np.intp]  # (m,) number of the piece that each plane belongs to
+    links: tuple[str, ...]  # (k,) the link of each piece
+    low: Array  # (k, 3) lowest corners of bounding boxes, m
+    high: Array  # (k, 3) highest corners of bounding boxes, m
+    normals: Array  # (m, 3) outward unit normals of the planes
+    offsets: Array  # (m,) distances of the planes from the origin along the normals, m
+    pieces: NDArray[np.intp]  # (m,) index of the piece of each plane
 
 
 @lru_cache(maxsize=256)
@@ -308,12 +308,12 @@ def solids_of(path: Path) -> Solids:
 
 
 def _planes(corners: Array) -> Array:
-    """Return planes (n, 4) around corners (m, 3): of their hull, and of their box, which blunts sharp edges."""
+    """Return planes (n, 4) of the hull and of the bounding box of corners (m, 3); the box blunts sharp edges."""
     box = np.column_stack(
         [np.vstack([np.eye(3), -np.eye(3)]), np.concatenate([corners.max(axis=0), -corners.min(axis=0)])]
     )
     hull = convex_hull(corners)
-    if hull is None:  # it is flat
+    if hull is None:  # flat
         return box
     planes: Array = np.unique(np.vstack([box, hull.planes * [1.0, 1.0, 1.0, -1.0]]).round(_PLANE_DECIMALS), axis=0)
     return planes
@@ -322,25 +322,29 @@ def _planes(corners: Array) -> Array:
 class Hull(NamedTuple):
     """A convex hull."""
 
-    corners: Array  # (n, 3), m; with what lies within it, of few
+    corners: Array  # (n, 3), m; if there are few, inner points are included
     planes: Array
-    """(k, 4) unit normals, outwards, and offsets in m: points inside have ``normal @ point + offset <= 0``. One may be
-    there several times, up to rounding."""
+    """(k, 4) outward unit normals, and offsets in m: inside, ``normal @ point + offset <= 0``. A plane may be repeated
+    with rounding errors."""
 
 
 def convex_hull(corners: Array) -> Hull | None:
-    """Return the convex hull of points (n, 3), m; None if all lie in one plane."""
+    """Return the convex hull of points (n, 3), m; None if the points are coplanar.
+
+    Of few points, every choice of three is tried: it spans a side of the hull if no point is in front of it. Of many
+    points SciPy finds the hull; it takes a quarter of a second to load.
+    """
     if _MAX_CHOSEN < len(corners) <= _MAX_CHOSEN * _SHARED:
         corners = np.unique(corners, axis=0)
     if len(corners) > _MAX_CHOSEN:
         try:
             hull = spatial.ConvexHull(corners)
-        except spatial.QhullError:  # it is flat
+        except spatial.QhullError:  # flat
             return None
         return Hull(corners[hull.vertices], hull.equations)
     first, second, third = corners[_triples(len(corners))]
     u, v = second - first, third - first
-    normals = u[:, _NEXT] * v[:, _OTHER] - u[:, _OTHER] * v[:, _NEXT]  # np.cross takes longer than all the rest
+    normals = u[:, _NEXT] * v[:, _OTHER] - u[:, _OTHER] * v[:, _NEXT]  # np.cross would take most of the time
     areas = np.sqrt((normals * normals).sum(axis=1))
     spans = areas > _IN_LINE
     normals = normals[spans] / areas[spans, None]
@@ -355,5 +359,5 @@ def convex_hull(corners: Array) -> Hull | None:
 
 @cache
 def _triples(count: int) -> NDArray[np.intp]:
-    """Return all choices (3, k) of three of a count."""
+    """Return all choices (3, k) of three indices below a count."""
     return np.array(list(itertools.combinations(range(count), 3)), dtype=np.intp).reshape(-1, 3).T

@@ -1,7 +1,7 @@
-"""The store of canonical models: a folder of this process whose files are named after the hash of their content.
+"""The store of canonical models: a temporary folder of the process; files are named after the hash of their content.
 
-It is removed when the process ends. That of a process that was killed is removed by the next one of its user that makes
-a store: each process holds a lock in its folder, which ends with it, whatever process gets its number later.
+The store is removed when the process ends. The store of a killed process is removed by the user's next process that
+creates a store: each process holds a lock in its folder, which the kernel releases when the process ends.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def folder() -> Path:
 
 
 def _make() -> Path:
-    """Make a folder, and lock it; again if another process has taken it for an abandoned one in between."""
+    """Create and lock a folder; retry if another process removed it before it was locked."""
     while True:
         made = Path(tempfile.mkdtemp(prefix=_PREFIX))
         with suppress(FileNotFoundError):
@@ -52,7 +52,7 @@ def _make() -> Path:
 
 
 def _holds(lock: int) -> bool:
-    """Whether this process gets a lock; a file system without locks gives none, and nothing is abandoned there."""
+    """Return whether this process got a lock; on a file system without locks, no store counts as abandoned."""
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -63,9 +63,9 @@ def _holds(lock: int) -> bool:
 
 
 def _remove_abandoned(where: Path) -> None:
-    """Remove the stores of this user's processes that have ended without removing them."""
+    """Remove the stores of this user's killed processes."""
     for found in where.glob(f"{_PREFIX}*"):
-        with suppress(OSError):  # it is somebody else's, or another process is faster
+        with suppress(OSError):  # another user owns it, or another process was faster
             of = found.lstat()
             if not stat.S_ISDIR(of.st_mode) or of.st_uid != os.getuid():
                 continue
@@ -78,26 +78,26 @@ def _remove_abandoned(where: Path) -> None:
 
 
 def _remove(made: Path, owner: int) -> None:
-    """Remove the store at the end of the process; a fork has its parent's, and leaves it."""
+    """Remove the store at the end of the process; a fork uses its parent's store and leaves it."""
     if os.getpid() == owner:
-        with Uninterrupted():  # who presses Ctrl-C again is no reason for a traceback now
+        with Uninterrupted():  # no traceback if Ctrl-C is pressed again
             shutil.rmtree(made, ignore_errors=True)
             drop_pending()
 
 
 def write(name: str, content: bytes) -> Path:
-    """Write a file into the store, whole or not at all, even if other threads write the same; return its path."""
+    """Store a file atomically, even if other threads or forks store it as well; return its path."""
     target = folder() / name
     if not target.exists():
         target.parent.mkdir(parents=True, exist_ok=True)
-        partial = target.with_name(f"{target.name}.{os.getpid()}.{threading.get_ident()}")  # also forks write here
+        partial = target.with_name(f"{target.name}.{os.getpid()}.{threading.get_ident()}")
         partial.write_bytes(content)
         partial.replace(target)
     return target
 
 
 def document(path: Path) -> ET.Element:
-    """Return the root element of a canonical URDF in the store; nobody may change it."""
+    """Return the root element of a stored URDF, which must not be modified."""
     known = _known(path)
     if not known:
         known.append(ET.fromstring(path.read_bytes()))  # noqa: S314  written by PyCRAM
@@ -106,30 +106,30 @@ def document(path: Path) -> ET.Element:
 
 @lru_cache(maxsize=_CACHED_DOCUMENTS)
 def _known(_path: Path) -> list[ET.Element]:
-    """Return where the root element of a URDF is kept; nowhere yet if it is empty."""
+    """Return the cache of a URDF's root element: a list, empty until the element is known."""
     return []
 
 
 @lru_cache(maxsize=_CACHED_TREES)
 def stored_tree(path: Path) -> Urdf:
-    """Return the tree of links and joints of a canonical URDF in the store."""
+    """Return the tree of links and joints of a stored URDF."""
     return Urdf.parse(path.read_bytes())
 
 
 def write_mesh(name: str, content: bytes) -> AssetFile:
-    """Write a mesh into the store; its key is the name by which a URDF in the store refers to it."""
+    """Store a mesh; stored URDFs refer to it by its key."""
     asset = AssetFile(name, content, MESH_TYPE)
     write(asset.key, content)
     return asset
 
 
 def write_urdf(name: str, content: bytes, root: ET.Element | None = None) -> tuple[Path, AssetFile]:
-    """Write a URDF into the store; it lies flat, beside the folders of its meshes, where PyBullet looks for them.
+    """Store a URDF next to the folders of its meshes, where PyBullet looks for them.
 
     Args:
         name: The file's name in recordings.
-        content: Its text.
-        root: Its root element if that is known, which nobody changes from now on.
+        content: The text.
+        root: The root element if known; it must not be modified afterwards.
     """
     asset = AssetFile(name, content, URDF_TYPE)
     path = write(f"{asset.sha256}.urdf", content)

@@ -1,4 +1,4 @@
-"""What furniture is to who works with it: surfaces that things stand on, and containers that are opened."""
+"""Furniture as data: surfaces on which objects stand, and containers that can be opened."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ DOOR: Final = "door"
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Where things can stand: on a counter, in a drawer, on a shelf."""
+    """A surface on which objects can stand: on a counter, in a drawer, on a shelf."""
 
     name: str  # unique in its furniture
-    link: str  # that it is on
-    position: Vector  # of its middle, in the link's frame, m
-    orientation: Quaternion  # in the link's frame, xyzw; z points up when the furniture stands as loaded
-    outline: tuple[tuple[float, float], ...]  # corners of a convex polygon, counter-clockwise, x and y in that frame, m
-    clearance: float  # free height above it while everything is closed, m; infinite if it is open above
-    container: str = ""  # name of the container that it is in; "" if in none
+    link: str
+    position: Vector  # middle of the surface in the link's frame, m
+    orientation: Quaternion  # xyzw in the link's frame; z points up when the furniture stands as loaded
+    outline: tuple[tuple[float, float], ...]  # corners x, y of a convex polygon, counter-clockwise, m
+    clearance: float  # m, free height while everything is closed; infinite if the surface is open above
+    container: str = ""  # name of the container around the surface; "" for none
 
     @property
     def pose(self) -> Pose:
@@ -35,23 +35,23 @@ class Surface:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Extents of its outline along its own x and y, m."""
+        """Extents of the outline along x and y, m."""
         x, y = zip(*self.outline, strict=True)
         return max(x) - min(x), max(y) - min(y)
 
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """A drawer, a fridge, a cupboard: what is opened to get at what is inside."""
+    """A part of furniture that can be opened to reach the objects inside: a drawer, a fridge, a cupboard."""
 
     name: str  # unique in its furniture
-    kind: str  # "drawer", whose inside moves along, or "door", behind which it stays
-    link: str  # the part that moves
-    joint: str  # its joint
-    handle: str  # link of its handle; "" if it has none
-    closed: float  # position of the joint when it is closed, rad or m
-    open: float  # position of the joint when it is open as far as it goes, rad or m
-    surfaces: tuple[str, ...]  # names of the surfaces in it
+    kind: str  # "drawer" if its contents move with it, "door" if they stay behind it
+    link: str  # the moving part
+    joint: str  # the joint that moves it
+    handle: str  # link of the handle; "" for none
+    closed: float  # joint position when closed, rad or m
+    open: float  # joint position when fully open, rad or m
+    surfaces: tuple[str, ...]  # names of the surfaces inside
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,15 +63,15 @@ class Furniture:
 
 
 NONE: Final = Furniture()
-"""Of what is no furniture."""
+"""The furniture of a model without surfaces and containers."""
 
 
 def closed_position(joint: Joint) -> float:
-    """Return where a door or drawer is closed, rad or m: at 0, or as near as its limits let it."""
+    """Return the joint position of a closed door or drawer, rad or m: the position within its limits nearest to 0."""
     return min(max(joint.lower, 0.0), joint.upper)
 
 
 def open_position(joint: Joint) -> float:
-    """Return where a door or drawer is open, rad or m: at the limit of its joint that is farther from closed."""
+    """Return the joint position of an open door or drawer, rad or m: the limit farther from the closed position."""
     closed = closed_position(joint)
     return max((joint.lower, joint.upper), key=lambda position: abs(position - closed))

@@ -1,8 +1,8 @@
-"""Textures as colours of triangles: what draws models here, and the engine, have one colour a shape.
+"""Textures as colours of triangles: the engine and the viewers support one colour per shape.
 
-A texture is reduced to a palette, and triangles on which it changes are divided until each shows about one spot of it.
-It is upright on each face of a box, goes once around a cylinder, whose ends show a disc of it, and around a sphere from
-pole to pole.
+A texture is reduced to a palette. Triangles on which it changes are divided until each shows about one spot. A texture
+is upright on each face of a box. It wraps once around a cylinder, whose ends show a disc of it, and around a sphere
+from pole to pole.
 """
 
 from __future__ import annotations
@@ -32,27 +32,27 @@ else:
     with needed("executor"):
         Image = LazyModule("PIL.Image")
 
-_COLORS: Final = 8  # of a palette; each is a shape of its own
-_SPOT: Final = 1 / 48  # of the texture's width that a triangle may span
+_COLORS: Final = 8  # size of the palette; each colour becomes a shape
+_SPOT: Final = 1 / 48  # share of the texture's width that a triangle may span
 _MAX_TRIANGLES: Final = 20_000
-_MAX_SIDE: Final = 256  # pixels to which larger images are reduced
-_SECTIONS: Final = 32  # around a cylinder or sphere
+_MAX_SIDE: Final = 256  # pixels; larger images are reduced
+_SECTIONS: Final = 32  # sides of cylinders and spheres
 _AXES: Final = np.eye(3)
 
 
 class MissingTexture(UserWarning):
-    """A model names a texture that isn't there: what it should cover is shown in its material's colour, or in grey."""
+    """A model names a texture that doesn't exist: its shapes are shown in the material's colour, or in grey."""
 
 
 @cache
 def warn_of_missing(file: Path, name: str) -> None:
-    """Warn once in a process that a file names a texture that isn't there; many published models do."""
+    """Warn, once per process, that the texture that a file names doesn't exist, as in many published models."""
     text = f"{file}: its texture {name} doesn't exist; what it should cover is shown without"
     warnings.warn_explicit(text, MissingTexture, *call_site())
 
 
 def read_image(source: Path | io.BytesIO) -> Image.Image | None:
-    """Return a texture; None if it isn't there, as in many published models, or no picture."""
+    """Return a texture; None if it doesn't exist, as in many published models, or isn't an image."""
     try:
         image = Image.open(source)
         image.load()
@@ -62,17 +62,17 @@ def read_image(source: Path | io.BytesIO) -> Image.Image | None:
 
 
 def mean(image: Image.Image) -> Rgba:
-    """Return the mean colour of a picture, for what doesn't say where it is in it."""
+    """Return the mean colour of an image, for triangles without texture coordinates."""
     red, green, blue = np.asarray(image.convert("RGB"), dtype=np.float64).reshape(-1, 3).mean(axis=0) / 255
     return float(red), float(green), float(blue), 1.0
 
 
 def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Array, Rgba]]:
-    """Yield triangles (m, 3, 3) with their colour RGBA 0..1, one for each colour that is seen.
+    """Yield the triangles (m, 3, 3) of each visible colour, and the colour RGBA 0..1.
 
     Args:
         triangles: (n, 3, 3) corners.
-        uv: (n, 3, 2) of these in the texture, from its lower left corner; it repeats outside of 0..1.
+        uv: (n, 3, 2) texture coordinates of the corners, from the lower left; the texture repeats outside of 0..1.
         image: The texture.
     """
     reduced = (
@@ -92,7 +92,7 @@ def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Arra
 
 
 def _divide(triangles: Array, uv: Array) -> tuple[Array, Array]:
-    """Divide triangles that span much of the texture into four each, until none does or they are many."""
+    """Divide each triangle that spans much of the texture into four, until none does or there are many triangles."""
     corners = np.concatenate([triangles, uv], axis=2)
     while True:
         large = np.ptp(corners[:, :, 3:], axis=1).max(axis=1) > _SPOT
@@ -105,11 +105,11 @@ def _divide(triangles: Array, uv: Array) -> tuple[Array, Array]:
 
 
 def cover_shape(kind: str, size: Sequence[float], picture: Path) -> list[tuple[Array, Rgba]]:
-    """Return the triangles (m, 3, 3) of a shape with their colour, for each colour; nothing of an unreadable picture.
+    """Return the triangles (m, 3, 3) of each colour of a shape, and the colour; nothing if the image is unreadable.
 
     Args:
         kind: "box", "cylinder" or "sphere".
-        size: The box's edges; radius and length of the cylinder; radius of the sphere, m.
+        size: Edges of the box, radius and length of the cylinder, or radius of the sphere, m.
         picture: The texture.
     """
     image = read_image(picture)
@@ -117,12 +117,12 @@ def cover_shape(kind: str, size: Sequence[float], picture: Path) -> list[tuple[A
         return []
     triangles, uv = {"box": _box, "cylinder": _cylinder, "sphere": _sphere}[kind](size)
     edges = triangles[:, 1:] - triangles[:, :1]
-    solid = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) > 1e-12 * np.ptp(triangles)  # not so at poles
+    solid = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) > 1e-12 * np.ptp(triangles)  # none at poles
     return list(bake(triangles[solid], uv[solid], image))
 
 
 def _box(size: Sequence[float]) -> tuple[Array, Array]:
-    """Return triangles (n, 3, 3), and where their corners are in the texture (n, 3, 2)."""
+    """Return triangles (n, 3, 3) and texture coordinates of their corners (n, 3, 2)."""
     faces = []
     for axis in range(3):
         for side in (1.0, -1.0):
@@ -160,7 +160,7 @@ def _sphere(size: Sequence[float]) -> tuple[Array, Array]:
 
 
 def _strip(rings: Sequence[Array], upwards: Array, around: Array) -> tuple[list[Array], list[Array]]:
-    """Return triangles between rings (k, 3), one above the other, and where their corners are in the texture."""
+    """Return triangles between stacked rings (k, 3), and texture coordinates of their corners."""
     triangles, uv = [], []
     for (low, high), (v, w) in zip(pairwise(rings), pairwise(upwards), strict=True):
         triangles.append(_halves(np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)))

@@ -1,8 +1,8 @@
-"""What a run has computed of models and imported, so that a process can do it once for all its forks.
+"""Warming caches: a process repeats the imports and the cached computations of its first fork, once for all forks.
 
-Functions that are cached by their arguments alone note them where they compute (:func:`notable`, below the cache's
-decorator). A fork's notes go to its parent as text; the parent calls the same functions, and its next forks find the
-answers. So nothing of the plan itself ever runs in the parent.
+A function that is cached by its arguments notes them when it computes (:func:`notable`, below the cache's decorator).
+A fork sends its notes to its parent as text. The parent calls the same functions, so that later forks find the results
+in the caches. No code of the plan runs in the parent.
 """
 
 from __future__ import annotations
@@ -29,18 +29,17 @@ _noted: list[tuple[str, str, Any]] | None = None
 
 @dataclass(slots=True)
 class Notes:
-    """What was computed and imported."""
+    """The computations and imports of a run."""
 
-    calls: list[tuple[str, str, Any]] = field(default_factory=list)
-    """Module, name and arguments of functions, in the order in which they were called."""
-    before: frozenset[str] = frozenset()  # The modules that had been imported
+    calls: list[tuple[str, str, Any]] = field(default_factory=list)  # module, name and arguments of functions
+    before: frozenset[str] = frozenset()  # modules imported before the run
 
     def text(self) -> str:
-        """Return it as text for :func:`warm`."""
+        """Return the notes as text for :func:`warm`."""
         libraries = tuple(sysconfig.get_path(each) for each in ("stdlib", "platstdlib", "purelib", "platlib"))
         imported = [
             name
-            for name, module in sys.modules.copy().items()  # a garbage collection may import something
+            for name, module in sys.modules.copy().items()  # garbage collection may import modules
             if name not in self.before
             and (name.partition(".")[0] in _OURS or str(getattr(module, "__file__", "")).startswith(libraries))
         ]
@@ -48,7 +47,7 @@ class Notes:
 
 
 def notable(function: Callable[P, R]) -> Callable[P, R]:
-    """Note the arguments with which a function is called, of positional ones only; for below ``lru_cache``."""
+    """Note each call of a function with positional arguments only; apply below ``lru_cache``."""
 
     @wraps(function)
     def compute(*arguments: P.args, **keywords: P.kwargs) -> R:
@@ -62,7 +61,7 @@ def notable(function: Callable[P, R]) -> Callable[P, R]:
 @contextmanager
 def noted() -> Iterator[Notes]:
     """Take notes while the block runs."""
-    global _noted  # noqa: PLW0603  of the process, as the caches are
+    global _noted  # noqa: PLW0603  caches belong to the process, too
     notes = Notes(before=frozenset(sys.modules.copy()))
     _noted = notes.calls
     try:
@@ -72,11 +71,11 @@ def noted() -> Iterator[Notes]:
 
 
 def warm(text: str) -> None:
-    """Import and compute what a fork of this process has: it wasn't read from anywhere else, so it can be trusted."""
-    imported, calls = pickle.loads(base64.b64decode(text))  # noqa: S301  from our own fork, by its pipe
+    """Repeat the imports and computations of a fork of this process; its notes come by a pipe and can be trusted."""
+    imported, calls = pickle.loads(base64.b64decode(text))  # noqa: S301  from our own fork
     for name in imported:
-        with suppress(Exception):  # the next run will say what is wrong
+        with suppress(Exception):  # an import may raise any error; the next run raises and reports it
             importlib.import_module(name)
     for module, name, arguments in calls:
-        with suppress(Exception):  # as above
+        with suppress(Exception):  # likewise
             getattr(importlib.import_module(module), name)(*arguments)

@@ -1,4 +1,4 @@
-"""Grippers as data: fingers that close along the tool frame's y axis, or a suction cup on its x axis."""
+"""Descriptions of grippers: fingers that close along the tool frame's y axis, or a suction cup on its x axis."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
-from pycram.models.robots import tables
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -18,28 +17,28 @@ if TYPE_CHECKING:
     from recorder.urdf import Urdf
 
 _SIZES: Final = (0.0, 1.0)  # m
-_STILL: Final = 1e-4  # m that a link moves at most that isn't moved by closing
-_ALONG: Final = math.cos(math.radians(45))  # of a side's way that leads along y
-_ACROSS: Final = 0.4  # of a finger's way; if less of it leads along y, the finger is on neither side
-_EVEN: Final = 0.01  # of the way: both sides close alike
-_AIR: Final = 2e-3  # m to a jaw that stands still: the engine pads shapes by less
+_STILL: Final = 1e-4  # m, maximum motion of a link that closing doesn't move
+_ALONG: Final = math.cos(math.radians(45))  # minimum share of a side's motion along y
+_ACROSS: Final = 0.4  # share of a finger's motion along y, below which the finger is on neither side
+_EVEN: Final = 0.01  # maximum bias of sides that close evenly
+_AIR: Final = 2e-3  # m, distance from a jaw that stands still: the engine pads shapes by less
 
 
 @dataclass(frozen=True, slots=True)
 class Gripper:
     """A gripper with fingers, or a suction cup, which has no joints and no fingers."""
 
-    palm: str  # link of the palm; of a suction cup, the link of the cup
-    joints: tuple[str, ...]  # all joints that move with its fingers, those that mimic others too
-    closed: tuple[float, ...]  # the value of each when closed, rad or m
-    open: tuple[float, ...]  # the value of each when open
+    palm: str  # link of the palm, or of the suction cup
+    joints: tuple[str, ...]  # all joints that move the fingers, including mimic joints
+    closed: tuple[float, ...]  # position of each joint when closed, rad or m
+    open: tuple[float, ...]  # position of each joint when open, rad or m
     fingers: tuple[str, ...]  # links of the fingers
     aperture: float  # m between the finger tips when open
-    depth: float  # m that it may take in of an object, from the tool frame back towards the palm
-    tips: float  # m from the tool frame on to the finger tips when closed; open ones reach less far
-    underside: float  # m from the tool frame down to the gripper's lowest point when it lies level
-    gap: float = 0.0  # m between them when closed: thinner things slip through
-    suction: float = 0.0  # radius of the cup in m, whose rim is at the tool frame; 0 for fingers
+    depth: float  # m from the tool frame back towards the palm, in which an object fits
+    tips: float  # m from the tool frame forward to the finger tips when closed; open fingers reach less far
+    underside: float  # m from the tool frame down to the gripper's lowest point when it is level
+    gap: float = 0.0  # m between the finger tips when closed; thinner objects slip through
+    suction: float = 0.0  # m, radius of the cup, whose rim is at the tool frame; 0 for fingers
 
     def positions(self, motion: str) -> dict[str, float]:
         """Return joint values for the motion "open" or "close"."""
@@ -51,16 +50,16 @@ class Gripper:
         return {joint: closed + share * (opened - closed) for joint, closed, opened in ends}
 
     def wrong_ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> Iterator[str]:
-        """Yield what is wrong with how the fingers close: they have to, from both sides, along the tool frame's y axis.
+        """Yield reasons why the fingers don't close from both sides along the tool frame's y axis.
 
-        A jaw that stands still is one side. Several fingers of one side may close at angles to y if they do along y
-        together, as of hands with three fingers around a centre. Only the kinematics are looked at; what is between
-        the fingers, the whole check (``pycram describe --check``) looks at.
+        A jaw that stands still is a side. Several fingers of a side may close at angles to y if their sum is along y,
+        as in hands with three fingers around a centre. Only the kinematics are checked; ``pycram describe --check``
+        also checks shapes.
 
         Args:
-            urdf: of the robot.
-            tool_frame: the link with the tool frame.
-            tool_offset: pose of the tool frame in it.
+            urdf: The robot's URDF.
+            tool_frame: The link with the tool frame.
+            tool_offset: Pose of the tool frame in that link.
         """
         if self.suction:
             return
@@ -80,15 +79,14 @@ class Gripper:
             yield "its fingers all close from one side"
 
     def jaws(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> list[str]:
-        """Return the fingers that are on one of both sides, as not all of a hand with four around a centre are."""
+        """Return the fingers on either side; in a hand with four fingers around a centre, some are on neither."""
         ways = self._ways(urdf, tool_frame, tool_offset)
         return [finger for finger, way in ways.items() if math.hypot(*way) < _STILL or not _is_across(way)]
 
     def bias(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> float:
-        """Return how unevenly its sides close: what the fingers on the +y side go more than the others, -1 to 1.
+        """Return how unevenly the sides close, -1 to 1; arguments as for :meth:`wrong_ways`.
 
-        It is 1 where one jaw on that side is all that moves, and 0 where both sides go as far. Arguments as for
-        :meth:`wrong_ways`.
+        The bias is 0 if both sides move equally far, and 1 if only fingers on the +y side move.
         """
         ways = [0.0, *(y for _, y, _ in self._ways(urdf, tool_frame, tool_offset).values())]
         left, right = -min(ways), max(ways)
@@ -96,14 +94,14 @@ class Gripper:
         return bias if abs(bias) > _EVEN else 0.0
 
     def middle(self, width: float, bias: float) -> float:
-        """Return y in the tool frame, m, of the middle of something of a width in m when the fingers close on it."""
+        """Return y in the tool frame, m, of the middle of an object of a width in m when the fingers close on it."""
         return bias * ((width - self.gap) / 2 + _AIR)
 
     def _ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> dict[str, Vector]:
         return {finger: self._closing(urdf, tool_frame, tool_offset, finger) for finger in self.fingers}
 
     def _closing(self, urdf: Urdf, tool_frame: str, tool_offset: Pose, finger: str) -> Vector:
-        """Return the way in m, in the tool frame, that a finger's point has gone which is at its origin when closed."""
+        """Return the motion during closing, in m, of the finger's point that ends at the tool frame's origin."""
         opened, closed = (self._finger_in_tool(urdf, tool_frame, tool_offset, finger, share) for share in (1.0, 0.0))
         x, y, z = geometry.multiply(opened, geometry.invert(closed))[0]
         return -x, -y, -z
@@ -118,15 +116,10 @@ def _is_across(way: Vector) -> bool:
     return abs(way[1]) < _ACROSS * math.hypot(*way)
 
 
-def read_gripper(table: tables.Table) -> Gripper:
-    """Return the gripper of a TOML table, checked.
-
-    Raises:
-        KeyError: An entry is missing.
-        BadArgument: An entry is unknown or impossible.
-    """
+def read_gripper(table: checks.Table) -> Gripper:
+    """Return the gripper of a TOML table; raise KeyError for a missing entry, BadArgument for an invalid entry."""
     if "suction" in table:
-        tables.only(table, "palm", "suction", "underside")
+        checks.only(table, "palm", "suction", "underside")
         return Gripper(
             palm=checks.text("palm", table["palm"]),
             joints=(),
@@ -139,9 +132,9 @@ def read_gripper(table: tables.Table) -> Gripper:
             underside=checks.in_range("underside", table["underside"], *_SIZES),
             suction=checks.in_range("suction", table["suction"], 1e-3, 1.0),
         )
-    tables.only(table, "palm", "joints", "closed", "open", "fingers", "aperture", "gap", "depth", "tips", "underside")
-    joints = tables.texts("joints", table["joints"])
-    fingers = tables.texts("fingers", table["fingers"])
+    checks.only(table, "palm", "joints", "closed", "open", "fingers", "aperture", "gap", "depth", "tips", "underside")
+    joints = checks.texts("joints", table["joints"])
+    fingers = checks.texts("fingers", table["fingers"])
     for name, values in (("joints", joints), ("fingers", fingers)):
         if not values:
             raise BadArgument(name, list(values), 'at least one; a suction cup has "suction" instead')
@@ -161,7 +154,7 @@ def read_gripper(table: tables.Table) -> Gripper:
 
 
 def _values(key: str, value: object, joints: tuple[str, ...]) -> tuple[float, ...]:
-    """Return a value for each joint, given as one for all of them or as a list."""
+    """Return a value for each joint: given as a list, or as a single value for all joints."""
     if not isinstance(value, list):
         return (checks.number(key, value),) * len(joints)
     if len(value) != len(joints):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from pycram.models.rigid_parts import Part as RigidPart
+    from pycram.models.rigid_parts import RigidPart
     from pycram.physics.body import Body, Snapshot
     from pycram.world.attachment import Attachment
     from pycram.world.object import Object
