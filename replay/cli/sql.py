@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from replay.cli.console import print_json_list, print_text, visible
 from replay.cli.main import FINE
 from replay.errors import ReplayError
+from replay.report.phrases import plural
 from replay.runs.schema import RUN, TABLES
 
 if TYPE_CHECKING:
@@ -68,17 +69,14 @@ def _lines(answer: Answer) -> list[str]:
     rows = [[visible(_cell(value)) for value in row] for row in answer.rows()]
     widths = [max([len(name), *(len(row[at]) for row in rows)]) for at, name in enumerate(answer.columns)]
     numbers = [all(_is_number(row[at]) for row in answer.rows()) and bool(rows) for at in range(len(widths))]
-    lines = [answer.columns, ["-" * width for width in widths], *rows]
-    counted = f"({len(rows)} row{'' if len(rows) == 1 else 's'})"
-    return [*(_line(cells, widths, numbers) for cells in lines), counted]
-
-
-def _line(cells: list[str], widths: list[int], numbers: list[bool]) -> str:
-    aligned = (
-        f"{cell:>{width}}" if number else f"{cell:{width}}"
-        for cell, width, number in zip(cells, widths, numbers, strict=True)
-    )
-    return "  ".join(aligned).rstrip()
+    lines = []
+    for cells in (answer.columns, ["-" * width for width in widths], *rows):
+        aligned = (
+            f"{cell:>{width}}" if number else f"{cell:{width}}"
+            for cell, width, number in zip(cells, widths, numbers, strict=True)
+        )
+        lines.append("  ".join(aligned).rstrip())
+    return [*lines, f"({plural(len(rows), 'row')})"]
 
 
 def _cell(value: Any) -> str:

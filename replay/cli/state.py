@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
     from recorder.geometry import Pose
-    from recorder.records import Following, Plain
+    from recorder.records import Plain
     from replay.recording import Recording
     from replay.state.state import Body, State, World
 
@@ -58,15 +58,16 @@ def _data(state: State, only: str | None, name: str | None, *, links: bool) -> d
     data = state_data(state, only, name)
     if links:
         data["links"] = {
-            world.name: {body.name: _link_data(state, body) for body in bodies}
+            world.name: {
+                body.name: {
+                    link: {"position": list(position), "orientation": list(turn)}
+                    for link, (position, turn) in state.link_poses(body).items()
+                }
+                for body in bodies
+            }
             for world, bodies in _shown(state, only, name)
         }
     return data
-
-
-def _link_data(state: State, body: Body) -> dict[str, Plain]:
-    poses = state.link_poses(body).items()
-    return {link: {"position": list(position), "orientation": list(turn)} for link, (position, turn) in poses}
 
 
 def _shown(state: State, only: str | None, name: str | None) -> Iterator[tuple[World, list[Body]]]:
@@ -93,8 +94,13 @@ def _world(state: State, world: World, bodies: list[Body], *, details: bool, lin
     for body in bodies:
         yield from _body(world, body, width, details=details)
         for following in world.following.values():
-            if following.begin.body == body.name:
-                yield f"    {_followed(world, following)}"
+            begin = following.begin
+            if begin.body == body.name:
+                end = begin.trajectory.times[-1] if begin.trajectory.times else 0.0
+                at = f"at {time_of(following, world.sim_step):.3f} of {end:.3f} s"
+                moved = ", ".join(begin.trajectory.joints) or "base"
+                slowing = ", slowing down" if following.stopped else ""
+                yield f"    follows trajectory {begin.number} {at}{slowing}: {moved}"
         if links:
             yield from (f"    {_pose(link, 48, pose)}" for link, pose in state.link_poses(body).items())
     yield from _beliefs(world, {body.name for body in bodies})
@@ -110,14 +116,6 @@ def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
         wrong = f"; it is {away:.3f} m from there" if away >= NOTABLE_METRES else ""
         position = ", ".join(f"{part:.4f}" for part in belief.position)
         yield f"  {belief.robot} believes {belief.object} at [{position}]: {source}, at {since:.3f} s{wrong}"
-
-
-def _followed(world: World, following: Following) -> str:
-    begin = following.begin
-    times = begin.trajectory.times
-    at = f"at {time_of(following, world.sim_step):.3f} of {times[-1] if times else 0:.3f} s"
-    moved = ", ".join(begin.trajectory.joints) or "base"
-    return f"follows trajectory {begin.number} {at}{', slowing down' if following.stopped else ''}: {moved}"
 
 
 def _pose(name: str, width: int, pose: Pose) -> str:

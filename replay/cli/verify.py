@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import native_output_to_stderr, print_result
 from replay.cli.main import FAILED, FINE, INCOMPLETE
+from replay.report.phrases import plural
 from replay.state.integrity import verify_static
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from replay.recording import Recording
-    from replay.state.integrity import Deviation, Problem, Verification
+    from replay.state.integrity import Deviation, Verification
 
 _PERIOD: Final = 0.2  # s between progress messages
 
@@ -33,19 +34,18 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the verdict."""
     start = time.perf_counter()
     with _progress(len(log)) as progress:
-        verification = verify_static(log, progress) if options.static else _verified(log, progress)
+        if options.static:
+            verification = verify_static(log, progress)
+        else:
+            from replay.restore.verify import verify  # noqa: PLC0415  --help and --static do without the engine
+
+            with native_output_to_stderr():
+                verification = verify(log, progress)
     seconds = time.perf_counter() - start
-    print_result(lambda: _plain(verification, seconds), _lines(verification, seconds), as_json=options.json)
+    print_result(lambda: _data(verification, seconds), _lines(verification, seconds), as_json=options.json)
     if verification.damage or verification.incomplete:
         return INCOMPLETE
     return FINE if verification.sound else FAILED
-
-
-def _verified(log: Recording, progress: Callable[[int], None] | None) -> Verification:
-    from replay.restore.verify import verify  # noqa: PLC0415  --help and --static do without the engine
-
-    with native_output_to_stderr():
-        return verify(log, progress)
 
 
 @contextmanager
@@ -73,19 +73,24 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
     if verification.damage:
         yield f"damaged: {verification.damage}"
     if problem is not None:
-        yield from _problem(problem)
+        where = "" if problem.step is None else f"step {problem.step}: "
+        yield f"not sound: {where}{problem.cause}"
+        if problem.deviation is not None:
+            yield f"  {problem.deviation}"
+        if problem.task:
+            yield f"  in {' > '.join(problem.task)}"
     if verification.damage or problem is not None:
         return
     gap = f", as far as there are records: {verification.incomplete}" if verification.incomplete else " without a gap"
-    yield f"sound  {_count(verification.steps, 'step')}{gap}"
+    yield f"sound  {plural(verification.steps, 'step')}{gap}"
     ended = f"{verification.unfinished} of them not ended then" if verification.unfinished else "each begun and ended"
-    yield f"       {_count(verification.tasks, 'task')}, {ended}"
-    yield f"       {_count(verification.keyframes, 'keyframe')} equal to the fold of the records before"
-    yield f"       {_count(verification.files, 'file')} as attached"
+    yield f"       {plural(verification.tasks, 'task')}, {ended}"
+    yield f"       {plural(verification.keyframes, 'keyframe')} equal to the fold of the records before"
+    yield f"       {plural(verification.files, 'file')} as attached"
     if verification.static:
         yield "note   models and changes were not tried: that needs the engine, and verify without --static"
         return
-    changes, worlds = _count(verification.changes, "change"), _count(verification.worlds, "world")
+    changes, worlds = plural(verification.changes, "change"), plural(verification.worlds, "world")
     changes = f"{changes} in {worlds}, made again in {seconds:.1f} s,"
     if verification.exact:
         yield f"exact  {changes} had the recorded effects, bit for bit"
@@ -111,20 +116,7 @@ def _notes(verification: Verification) -> Iterator[str]:
         yield f"note   in {where} something was dragged by hand: from there on, physics in it is not compared"
 
 
-def _problem(problem: Problem) -> Iterator[str]:
-    where = "" if problem.step is None else f"step {problem.step}: "
-    yield f"not sound: {where}{problem.cause}"
-    if problem.deviation is not None:
-        yield f"  {problem.deviation}"
-    if problem.task:
-        yield f"  in {' > '.join(problem.task)}"
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
-
-
-def _plain(verification: Verification, seconds: float) -> dict[str, object]:
+def _data(verification: Verification, seconds: float) -> dict[str, object]:
     data = asdict(verification) | {"sound": verification.sound, "exact": verification.exact, "seconds": seconds}
     data["largest"] = _deviation(verification.largest)
     if verification.problem is not None:

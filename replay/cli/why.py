@@ -15,7 +15,6 @@ from replay.report.phrases import percent, plural
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable, Iterator
 
     from replay.explain.why import Why
     from replay.recording import Recording
@@ -66,22 +65,15 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
                 {"cause": cause.cause, "count": cause.count, "first": cause.first, "why": why_report.data(why)}
             )
             text += ["", f"{plural(cause.count, 'run')}, {percent(cause.share)}: {cause.cause}"]
-            text += [
-                f"first in {cause.first}:",
-                *(f"  {line}".rstrip() for line in _start(why_report.lines(why, str(log.path)))),
-            ]
+            headline, *sections = "\n".join(why_report.lines(why, str(log.path))).split("\n\n")
+            shown = [headline, *(section for section in sections if section.startswith(("Why", "Before")))]
+            text += [f"first in {cause.first}:"]
+            text += [f"  {line}".rstrip() for line in "\n\n".join(shown).splitlines()]
     if options.json:
         print_json({"runs": stats.success.of, "failed": failed, "causes": explained})
     else:
         print_text("\n".join(text))
     return FINE
-
-
-def _start(text: Iterable[str]) -> Iterator[str]:
-    """Yield the headline and the sections of the causes."""
-    first, *rest = "\n".join(text).split("\n\n")
-    sections = [first, *(each for each in rest if each.startswith(("Why", "Before")))]
-    yield from "\n\n".join(sections).splitlines()
 
 
 def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[str]]:

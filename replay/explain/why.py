@@ -18,7 +18,6 @@ from replay.errors import NoSuchStep
 from replay.explain.causes import find
 from replay.explain.causes.case import FailureCase, bodies_in
 from replay.explain.scene import FailedBranch, InvolvedBody, bodies, branches
-from replay.history.source import Line, ParsedException, PlanSource
 from replay.history.summary import summary
 from replay.history.tasks import RootCause, choices, failed_threads, failures, root_cause
 from replay.report import phrases
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from recorder.tasks import Node
     from replay.explain.causes.case import Cause
     from replay.file.record_reader import RecordReader
+    from replay.history.source import Line, ParsedException
     from replay.history.summary import Summary
     from replay.history.tasks import Failures
     from replay.state.state import Body, State, World
@@ -130,24 +130,24 @@ def why(log: RecordReader, step: int | None = None) -> Why:
     run = summary(log)
     if step is not None:
         task = _failed_at(log, failed, step)
-        explained = _task_failure(log, run, task, RootCause(task.last_step, task))
-        return replace(explained, variables=_variables(RootCause(task.last_step, task)))
-    cause = root_cause(log, failed)
+        cause = RootCause(task.last_step, task)
+        return replace(_task_failure(log, run, task, cause), variables=_variables(cause))
+    root = root_cause(log, failed)
     open_tasks = tuple(task for task in failed.running if not any(part in failed.running for part in task.children))
     lost = max((gap.start for gap in log.missing()), default=-1) if open_tasks else -1
     unfinished = tuple(task for task in open_tasks if task.started.seq > lost)
     endless = tuple(task for task in open_tasks if task.started.seq < lost)
-    if cause is None:
+    if root is None:
         step = log.final_step()
         cut = FailureCase(log, step, Failure(), None, failed, state_at(log, step), None)
         causes = find(cut) if run.outcome == "cut off" and not endless else ()
         return Why(run, step, None, causes, unfinished=unfinished, endless=endless)
-    if cause.task is None:
-        explained = _plan_failure(log, run, failures(log, cause.step) if cause.thread else failed, cause)
+    if root.task is None:
+        explained = _plan_failure(log, run, failures(log, root.step) if root.thread else failed, root)
     else:
-        explained = _task_failure(log, run, cause.task, cause, unfinished)
-    explained = replace(explained, variables=_variables(cause), endless=endless)
-    threads = tuple(record for record in failed_threads(log) if record.failure != cause.failure)
+        explained = _task_failure(log, run, root.task, root, unfinished)
+    explained = replace(explained, variables=_variables(root), endless=endless)
+    threads = tuple(record for record in failed_threads(log) if record.failure != root.failure)
     return replace(explained, failed_threads=threads)
 
 
@@ -180,72 +180,67 @@ def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:
 def _task_failure(
     log: RecordReader, run: Summary, task: Node, cause: RootCause, unfinished: tuple[Node, ...] = ()
 ) -> Why:
-    source, motion = PlanSource(log), task.motion
-    start, end = motion.started.seq, task.last_step
+    motion, end = task.motion, task.last_step
+    start = motion.started.seq
     before = failures(log, end + 1)
     objects = list(bodies_in(motion.parameters))
     alike = [attempt for attempt in before.origins if _is_alike(log, attempt.motion, motion, objects)]
     before_it = [attempt for attempt in alike if attempt.motion is not motion and attempt.motion.started.seq < start]
-    previous = before_it[-1] if before_it else None
     same = before.successes.get((motion.kind, motion.name))
-    window = max((each.last_step for each in (previous, same) if each is not None), default=0)
+    window = max((each.last_step for each in (*before_it[-1:], same) if each is not None), default=0)
     queries, earlier = _queries(log, window, end, objects, {each.id for each in task.around()})
     state = state_at(log, end)
     world = _world(state, objects, queries)
-    names = _of_world(objects, world)
     failure = task.failure or cause.failure or Failure()
     case = FailureCase(log, end, failure, task, before, state, world, cause.exceptions)
-    return Why(
-        run,
-        end,
-        cause.failure or task.failure,
-        causes=find(case),
+    names = _of_world(objects, world)
+    return replace(
+        _explained(case, run, cause, names, queries, earlier),
+        failure=cause.failure or task.failure,
         branches=tuple(branches(case)),
-        thread=cause.thread,
-        exceptions=cause.exceptions,
         task=task,
-        call_stack=next(filter(None, (source.call_stack(each.started) for each in task.around())), ()),
-        world=world,
-        is_default=world is None or world is state.world(),
-        bodies=tuple(bodies(case, names)),
+        call_stack=next(filter(None, (case.source.call_stack(each.started) for each in task.around())), ()),
         removed=tuple(name for name in names if world is not None and name not in world.bodies),
         attempts=tuple(_attempts(log, alike, world)),
         other_failures=len(before.origins) - len(alike),
-        forgotten=before.forgotten,
         choices=tuple(choices(log, task)),
         tried=tried(log, task),
-        queries=tuple(_with_changes(log, query, world) for query in queries),
-        earlier_queries=earlier,
         since_same_success=_since(log, same, state),
-        since_last_success=_since(log, before.last_success, state),
         unfinished=unfinished,
     )
 
 
 def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: RootCause) -> Why:
     """Explain a failure that the plan's own code raised, not a task."""
-    state = state_at(log, cause.step)
-    last = failed.last_success
+    state, last = state_at(log, cause.step), failed.last_success
     window = last.started.seq if last is not None else 0
     queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())
     objects = list(dict.fromkeys(body for query in queries for body in bodies_in(argument_values(query.arguments))))
     world = _world(state, objects, queries)
     case = FailureCase(log, cause.step, cause.failure or Failure(), None, failed, state, world, cause.exceptions)
+    return _explained(case, run, cause, _of_world(objects, world), queries, earlier)
+
+
+def _explained(
+    case: FailureCase, run: Summary, cause: RootCause, names: Iterable[str], queries: Sequence[Query], earlier: int
+) -> Why:
+    """Return the parts of an explanation that failures of tasks and of the plan's own code share."""
+    world = case.world
     return Why(
         run,
-        cause.step,
+        case.step,
         cause.failure,
         causes=find(case),
         thread=cause.thread,
         exceptions=cause.exceptions,
         world=world,
-        is_default=world is None or world is state.world(),
-        bodies=tuple(bodies(case, _of_world(objects, world))),
-        other_failures=len(failed.origins),
-        forgotten=failed.forgotten,
-        queries=tuple(_with_changes(log, query, world) for query in queries),
+        is_default=world is None or world is case.state.world(),
+        bodies=tuple(bodies(case, names)),
+        other_failures=len(case.failed.origins),
+        forgotten=case.failed.forgotten,
+        queries=tuple(_with_changes(case.log, query, world) for query in queries),
         earlier_queries=earlier,
-        since_last_success=_since(log, last, state),
+        since_last_success=_since(case.log, case.failed.last_success, case.state),
     )
 
 
@@ -412,11 +407,10 @@ def tried(log: RecordReader, failed: Node) -> TriedAction | None:
 
 def _choice(task: Node) -> str:
     """Return what was chosen: slots with their values, of places their positions."""
-    chosen = [f"{slot}={_value(value)}" for slot, value in task.parameters.items() if value is not None]
+    chosen = []
+    for slot, value in task.parameters.items():
+        if isinstance(value, dict) and isinstance(value.get("position"), list):
+            chosen.append(f"{slot}={phrases.vector(value['position'])}")  # type: ignore[arg-type]
+        elif value is not None:
+            chosen.append(f"{slot}={phrases.value(value)}")
     return ", ".join(chosen) or "as asked"
-
-
-def _value(value: object) -> str:
-    if isinstance(value, dict) and isinstance(value.get("position"), list):
-        return phrases.vector(value["position"])
-    return phrases.value(value)  # type: ignore[arg-type]
