@@ -309,7 +309,7 @@ def _divergence(
             if item is None:
                 continue
             key, record = item
-            explaining[side] |= _explains(record)
+            explaining[side] |= _explains_choice(record)
             match = waiting[1 - side].pop(key, None)
             if match is None:
                 waiting[side][key] = record
@@ -323,23 +323,23 @@ def _divergence(
         since += diverged is not None
         if since > _WINDOW:
             break
-    return equal, _first(first, second, diverged, waiting, explaining)
+    return equal, _first_divergence(first, second, diverged, waiting, explaining)
 
 
-def _first(
+def _first_divergence(
     first: RecordReader,
     second: RecordReader,
     diverged: _Diverged | None,
     waiting: Sequence[Mapping[_Key, Record]],
     explaining: Sequence[bool],
 ) -> Divergence | None:
-    """Return the earlier of a pair that differs and a record that only one run has.
+    """Return the earliest divergence: a differing pair, or a record that only one run has.
 
-    Records of how something was chosen are ignored if the other run has none.
+    A record that explains a choice is ignored if the other run has no such records.
     """
     candidates: list[_Diverged] = [] if diverged is None else [diverged]
     for side, unmatched in enumerate(waiting):
-        alone = next((each for each in unmatched.values() if explaining[1 - side] or not _explains(each)), None)
+        alone = next((each for each in unmatched.values() if explaining[1 - side] or not _explains_choice(each)), None)
         if alone is not None:
             candidates.append((None, alone, {}) if side else (alone, None, {}))
     if not candidates:
@@ -351,13 +351,13 @@ def _first(
 
 
 def _steps(diverged: _Diverged) -> list[int]:
-    """Return the steps of a pair that differs, in order; of a record that only one run has twice its step."""
+    """Return the sorted steps of a pair; of a single record its step twice."""
     steps = sorted(record.seq for record in diverged[:2] if record is not None)
     return [steps[0], steps[-1]]
 
 
 def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_Key, Record]]:
-    """Yield the records with their alignment keys; only running tasks are kept in memory."""
+    """Yield records with their alignment keys; only running tasks are kept in memory."""
     paths: dict[int, int] = {}  # by id of the task
     counts: dict[int, int] = {}  # records by path
     parts: dict[int, dict[tuple[str, str], int]] = {}  # by path: how many tasks of each kind and name are in it
@@ -370,8 +370,8 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
             siblings[name] = siblings.get(name, 0) + 1
             paths[record.task] = hash((outer, *name, siblings[name]))
         path = paths.get(record.task, 0)
-        if _explains(record):  # numbered separately, as early recordings lack them
-            path = _explaining(path)
+        if _explains_choice(record):  # numbered separately, as early recordings lack them
+            path = _path_of_explanations(path)
         elif isinstance(record, Mutation | Fluent) and record.by_fork:  # the plan's own are compared with each other
             path = hash((path, "by the fork"))
         counts[path] = counts.get(path, 0) + 1
@@ -379,16 +379,15 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
         if isinstance(record, Task) and record.phase == Task.FINISHED:
             paths.pop(record.task, None)
             counts.pop(path, None)
-            counts.pop(_explaining(path), None)
+            counts.pop(_path_of_explanations(path), None)
             parts.pop(path, None)
 
 
-def _explaining(path: int) -> int:
-    """Return the path of records of how a task chose something."""
+def _path_of_explanations(path: int) -> int:
     return hash((path, "explaining"))
 
 
-def _explains(record: Record) -> bool:
+def _explains_choice(record: Record) -> bool:
     """Return whether a record explains a choice, or is a request of a designator."""
     return isinstance(record, Query) and (is_choice(record) or record.name in _REQUESTS)
 
@@ -399,7 +398,7 @@ def differing(
     """Return the different values of two records by the field's path; numbers within the tolerance are equal."""
     if type(first) is not type(second):
         return {"kind": (kind_of(first), kind_of(second))}
-    a, b = _bare(first), _bare(second)
+    a, b = _without_incidental_fields(first), _without_incidental_fields(second)
     if isinstance(a, Task) and isinstance(b, Task) and a.HasField("decision") != b.HasField("decision"):
         a.ClearField("decision")  # an early recording lacks it
         b.ClearField("decision")
@@ -415,8 +414,7 @@ def differing(
     return dict(_leaves(record_data(a), after, "", tolerance))
 
 
-def _bare(record: Record) -> Record:
-    """Return a record without fields that differ from run to run."""
+def _without_incidental_fields(record: Record) -> Record:
     bare = type(record)()
     bare.CopyFrom(record)  # type: ignore[arg-type]
     for name in _INCIDENTAL:
@@ -430,17 +428,19 @@ def _bare(record: Record) -> Record:
             bare.ClearField(name)
     if isinstance(bare, Task) and '"recording"' in bare.result_json:
         with suppress(ValueError):
-            bare.result_json = json.dumps(_without_files(json.loads(bare.result_json)))
+            bare.result_json = json.dumps(_without_recordings(json.loads(bare.result_json)))
     return bare
 
 
-def _without_files(result: Plain) -> Plain:
-    """Return a task's result without names of projections' recordings, which are derived from the run's name."""
+def _without_recordings(result: Plain) -> Plain:
+    """Return a task's result without file names of projections' recordings, which contain the run's name."""
     if isinstance(result, list):
-        return [_without_files(each) for each in result]
+        return [_without_recordings(each) for each in result]
     if isinstance(result, dict):
         outcome = {"recording", "succeeded", "duration"} <= result.keys()
-        return {key: _without_files(value) for key, value in result.items() if not (outcome and key == "recording")}
+        return {
+            key: _without_recordings(value) for key, value in result.items() if not (outcome and key == "recording")
+        }
     return result
 
 
@@ -471,7 +471,7 @@ class PairedNames:
 
     def __init__(self, first: RecordReader, second: RecordReader) -> None:
         opened = (list(dict.fromkeys(lifetime.world for lifetime in log.lifetimes)) for log in (first, second))
-        self.worlds = dict(_pairs(*opened))
+        self.worlds = dict(_paired_worlds(*opened))
         self._offsets: list[int | None] = [None, None]  # numbers of the first fluents that are seen, by run
 
     def note(self, run: int, record: Record) -> None:
@@ -512,8 +512,8 @@ class PairedNames:
         return value
 
 
-def _pairs(first: list[str], second: list[str]) -> Iterable[tuple[str, str]]:
-    """Yield pairs of names of worlds, second run first, for counterparts with different names."""
+def _paired_worlds(first: list[str], second: list[str]) -> Iterable[tuple[str, str]]:
+    """Yield the names of paired worlds that differ, second run first."""
     numbered = [[name for name in names if _NUMBERED.fullmatch(name)] for names in (first, second)]
     yield from zip(numbered[1], numbered[0], strict=False)
     paired = [set(names[: min(map(len, numbered))]) for names in numbered]
@@ -555,7 +555,6 @@ def comparison_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
 
 
 def _ended(run: Summary) -> str:
-    """Return how a run ended, as a verb."""
     verbs = {"cut off": "broke off", "running": "had not ended", "lost": "lost its end"}
     return verbs.get(run.outcome) or _outcome(run)
 

@@ -100,7 +100,7 @@ def native_output_to_stderr() -> Iterator[None]:
     python = sys.stdout
     python.flush()
     with ExitStack() as undoing:
-        if _is_descriptor(python):
+        if _is_descriptor_of_stdout(python):
             stdout = os.fdopen(os.dup(_STDOUT), "w", encoding=python.encoding, errors=python.errors, buffering=1)
             undoing.callback(stdout.close)
             undoing.callback(setattr, sys, "stdout", python)
@@ -109,8 +109,7 @@ def native_output_to_stderr() -> Iterator[None]:
         yield
 
 
-def _is_descriptor(stream: object) -> bool:
-    """Return whether Python's stdout is the descriptor; tests and notebooks replace it."""
+def _is_descriptor_of_stdout(stream: object) -> bool:
     try:
         return stream.fileno() == _STDOUT  # type: ignore[attr-defined, no-any-return]
     except (AttributeError, OSError, ValueError):

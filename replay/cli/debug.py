@@ -135,7 +135,7 @@ class LinePrompt(cmd.Cmd):
 
     @contextlib.contextmanager
     def _history(self) -> Iterator[None]:
-        """Keep what is typed at a terminal for the next session, where lines can be edited."""
+        """Read the history of typed commands, and write it at the end."""
         folder = cache_folder() if self._asks else None
         try:
             import readline  # noqa: PLC0415  some systems lack it
@@ -262,7 +262,7 @@ class Prompt(LinePrompt):
         return f": {texts[0]} -> {texts[1]}"
 
     def _frame_of(self, halt: Halt) -> int:
-        """Return the frame of the line of a breakpoint that was met, else the innermost one."""
+        """Return the number of the frame at a breakpoint; 0, the innermost, without one."""
         lines = [each.line for each in halt.met if each.line is not None]
         frames = [number for number, each in enumerate(self.stack) if (each["file"], each["line"]) in lines]
         return frames[0] if frames else 0

@@ -110,7 +110,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def _camera(frame: str) -> Draw:
-    """Return what draws what the robot's camera sees, or one at another frame of it."""
+    """Return a function that draws the view of a frame of the robot, by default of its camera."""
     import numpy as np  # noqa: PLC0415  slow to import
 
     from replay.restore.render import DrawnWorld  # noqa: PLC0415  what it needs is an extra
@@ -185,7 +185,7 @@ def _planned(record: Mutation) -> Iterator[MotionRow]:
 
 
 def _driven(world: World, record: Mutation) -> Iterator[MotionRow]:
-    """Yield the rows of a stretch of simulation; the world is the one before it."""
+    """Yield the rows of a stretch of simulation; ``world`` is the state before it."""
     ends = {each.number: each.time for each in record.simulate.driven}
     followed = {number: each for number, each in world.following.items() if number in ends}
     values = {each.begin.body: _values(world.bodies.get(each.begin.body)) for each in followed.values()}
@@ -193,7 +193,7 @@ def _driven(world: World, record: Mutation) -> Iterator[MotionRow]:
     for sim_step, states in [*moments, (record.sim_step, record.effect.bodies)]:
         for state in states:
             if state.body in values:
-                values[state.body].update(_read(state))
+                values[state.body].update(_values_in(state))
         for number, following in list(followed.items()):
             time = min(time_of(following, sim_step), ends[number])
             body = following.begin.body
@@ -217,8 +217,8 @@ def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
     return joints | _place(body.position) | _heading(body.orientation)
 
 
-def _read(state: BodyState) -> dict[str, tuple[float, float | None]]:
-    """Return those positions and velocities that a record has."""
+def _values_in(state: BodyState) -> dict[str, tuple[float, float | None]]:
+    """Return the positions and velocities in a record, by name."""
     speeds = state.joint_velocities or [0.0] * len(state.joints)
     joints = zip(state.joint_positions, speeds, strict=True)
     found: dict[str, tuple[float, float | None]] = dict(zip(state.joints, joints, strict=True))

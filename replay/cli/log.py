@@ -123,7 +123,7 @@ class RecordFilter:
             for task in log.records(Task, self._known, stop):
                 if task.phase == Task.STARTED and self.task is not None and self._is_of_task(task, self.task):
                     self._tasks.add(task.task)
-                if task.parent in self._led_to or self._passes(task):
+                if task.parent in self._led_to or self._has_line(task):
                     self._led_to.add(task.task)
             self._known = stop
         for record in log.records(start=start, stop=stop):
@@ -131,8 +131,7 @@ class RecordFilter:
             if line is not None:
                 yield record, line
 
-    def _passes(self, record: Record) -> bool:
-        """Return whether the call stack of a record has the line."""
+    def _has_line(self, record: Record) -> bool:
         if self.where is None or not getattr(record, "source_file", ""):
             return False
         file, number = self.where
@@ -169,14 +168,14 @@ class RecordFilter:
         return named or task.parent in self._tasks
 
     def _line(self, record: Record) -> str | None:
-        """Return the line of a record; None if it doesn't match."""
+        """Return the line of a record; None if the record doesn't match."""
         if self.kinds and kind_of(record) not in self.kinds:
             return None
         if self.world is not None and record.world != self.world:
             return None
         if self.task is not None and record.task not in self._tasks:
             return None
-        if self.where is not None and record.task not in self._led_to and not self._passes(record):
+        if self.where is not None and record.task not in self._led_to and not self._has_line(record):
             return None
         if self.body is not None and not mentions(record, self.body):
             return None
@@ -232,7 +231,7 @@ def _items(values: list[Plain], indent: str) -> Iterator[str]:
 
 
 def _numbers(texts: list[str]) -> Iterator[str]:
-    """Numbers in rows; of very many, as of a trajectory, the first and last."""
+    """Yield rows of numbers; of a long list, such as a trajectory, the first and the last numbers."""
     if len(texts) <= _MANY:
         yield from textwrap.wrap(", ".join(texts), _FIELD_WIDTH)
         return

@@ -126,7 +126,7 @@ def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
 
 
 def _own_error(error: Exception) -> str:
-    """Write the traceback of an error that nobody foresaw to a file, and return what to do with it."""
+    """Write the traceback of an unexpected error to a file, and return a message that names the file."""
     import tempfile  # noqa: PLC0415  --help needn't wait for these
     import traceback  # noqa: PLC0415
 
@@ -143,9 +143,9 @@ def _own_error(error: Exception) -> str:
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments so that what begins with a minus is no option, as argparse would take it.
+    """Join negative points and times so that argparse doesn't take them for options.
 
-    Points are joined to their options; times have a space before them, which no option has.
+    A point is joined to its option. A time gets a space before it, which no option has.
     """
     joined: list[str] = []
     for text in arguments:
@@ -219,7 +219,6 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
 
 
 def _run_on_folder(verb: Verb, options: argparse.Namespace) -> int:
-    """Run a verb on a folder of recordings; say which of its files are left out."""
     if verb.run_folder is None:
         takes = ", ".join(name for name in VERBS if name in _LOG_HELP)
         return _report(f"{options.log}: {options.verb} takes one recording; of a folder there are {takes}", USAGE)

@@ -72,7 +72,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _point(text: str | None) -> list[float] | str | None:
-    """Return a point, or the name of an object or of a side."""
+    """Return a point, or the name of an object or a side."""
     if text is None or not _NUMBERS.fullmatch(text):
         return text
     return numbers(text, "a point X,Y,Z in m, or the name of what is there", 3)

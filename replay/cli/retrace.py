@@ -65,7 +65,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
                     print_message(f"{name} is incomplete: {other.problems}")
                     code = max(code, INCOMPLETE)
         except ReplayError as error:
-            code = max(code, _not_run(name, error, results))
+            code = max(code, _report_not_run(name, error, results))
     if options.json:
         print_result(lambda: results, (), as_json=True)
     return code
@@ -84,27 +84,25 @@ def _retrace(log: Recording, options: argparse.Namespace, results: list[dict[str
             recorded_source=options.recorded_source,
         )
     except CantRetrace as error:  # the others are to be run
-        return _not_run(str(log.path), error, results)
+        return _report_not_run(str(log.path), error, results)
     results.append({"file": str(log.path), **_facts(result)})
     if not options.json:
         print_result(dict, _lines(result, f"{log.path}: "), as_json=False)
     return FINE if result.identical else FAILED
 
 
-def _not_run(name: str, error: ReplayError, results: list[dict[str, object]]) -> int:
-    """Print why a recording wasn't retraced, and return the exit code."""
+def _report_not_run(name: str, error: ReplayError, results: list[dict[str, object]]) -> int:
     print_message(str(error))
     results.append({"file": name, "error": str(error)})
     return INCOMPLETE if isinstance(error, Unreadable) else USAGE
 
 
 def _facts(result: Retracing) -> dict[str, object]:
-    """Return the result as JSON data."""
     return {**asdict(result), "plan": str(result.plan), "identical": result.identical}
 
 
 def _lines(result: Retracing, of: str) -> Iterator[str]:
-    """Yield the result as text, with what it is the result of before the plan's name."""
+    """Yield the result as text; ``of`` stands before the plan's name."""
     difference = result.difference
     of += phrases.path(str(result.plan))
     if difference is None:
@@ -123,7 +121,7 @@ def _lines(result: Retracing, of: str) -> Iterator[str]:
 
 
 def _short(line: str) -> tuple[str, str]:
-    """Return a plan's line, and with its file's path from the folder that one is in."""
+    """Return a line of the plan, and the same line with a relative path."""
     file, _, number = line.rpartition(":")
     return (line, f"{phrases.path(file)}:{number}") if file else ("\0", "")
 
@@ -166,7 +164,7 @@ def run_fork(log: Recording, options: argparse.Namespace) -> int:
     from replay.retrace.fork import fork  # noqa: PLC0415  needs the executor
 
     step = log.step(options.at)
-    target = _new_file(log, options.target, "fork")
+    target = _free_file(log, options.target, "fork")
     forked = fork(
         log,
         step,
@@ -184,13 +182,12 @@ def run_fork(log: Recording, options: argparse.Namespace) -> int:
     return _print_fork(log, forked, as_json=options.json)
 
 
-def _new_file(log: Recording, given: str | None, kind: str) -> Path:
-    """Return the path of a new recording, which is none that is there."""
+def _free_file(log: Recording, given: str | None, kind: str) -> Path:
     return free_path(Path(given) if given is not None else log.path.with_suffix(f".{kind}{log.path.suffix}"))
 
 
 def _print_fork(log: Recording, forked: Fork, *, as_json: bool) -> int:
-    """Print what has become of the plan, and return the exit code."""
+    """Print the result, and return the exit code."""
     control = forked.control
     facts = {
         **asdict(forked),
@@ -226,7 +223,7 @@ def run_resume(log: Recording, options: argparse.Namespace) -> int:
     """Resume, and print where the new recording is."""
     from replay.retrace.fork import resume  # noqa: PLC0415  needs the executor
 
-    target = _new_file(log, options.target, "resumed")
+    target = _free_file(log, options.target, "resumed")
     resumed = resume(
         log,
         target,

@@ -51,7 +51,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _find(keys: list[str], name: str) -> str:
-    """Return the attachment that a name means: that of the file, or with the first digits of its hash before it."""
+    """Return the key of an attached file by its name; ``HASH/FILE`` distinguishes files of one name."""
     digits, _, file = name.rpartition("/")
     if digits.strip("0123456789abcdef"):  # a path, as in a call stack
         digits = ""
@@ -65,7 +65,7 @@ def _find(keys: list[str], name: str) -> str:
 
 
 def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> list[str]:
-    """Write attachments, and return the files: all into a folder, with their hashes where names are shared."""
+    """Write attached files, and return their paths. Files that share a name get their hashes."""
     # a stranger's names could steer the terminal that lists the folder, or be none
     names = ["".join(each if each.isprintable() else "_" for each in name_of(key)) for key in keys]
     written = []

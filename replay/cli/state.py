@@ -71,7 +71,7 @@ def _data(state: State, only: str | None, name: str | None, *, links: bool) -> d
 
 
 def _shown(state: State, only: str | None, name: str | None) -> Iterator[tuple[World, list[Body]]]:
-    """Yield the worlds that are asked for, with their bodies that are."""
+    """Yield the selected worlds with their selected bodies."""
     for world in state.worlds.values():
         if name in (None, world.name) and (only is None or only in world.bodies):
             yield world, [body for body in world.bodies.values() if only in (None, body.name)]
@@ -107,7 +107,7 @@ def _world(state: State, world: World, bodies: list[Body], *, details: bool, lin
 
 
 def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
-    """Yield what robots believe of some objects, and how far that is from where they are."""
+    """Yield the robots' beliefs about some objects, with the distance to the true positions."""
     for belief in reversed(world.believed()):
         if {belief.robot, belief.object}.isdisjoint(shown):
             continue

@@ -231,7 +231,7 @@ def _summary(stats: Statistics) -> str:
 
 
 def _shares(shares: Sequence[Share]) -> str:
-    """Return a plot: a bar for each share of successes, with the interval across its end."""
+    """Return a plot with a bar for each share of successes, and its interval."""
     rows = []
     for at, share in enumerate(shares):
         low, high = share.interval
@@ -255,7 +255,7 @@ def _shares(shares: Sequence[Share]) -> str:
 
 
 def _short(text: str) -> str:
-    """Return a text with as much of it as has room; the rest is shown where the mouse is."""
+    """Return a text, cut to the label's width; the whole text is its tooltip."""
     if len(text) <= _LABEL:
         return escape(text)
     return f"{escape(text[: _LABEL - 1])}…<title>{escape(text)}</title>"
@@ -335,7 +335,7 @@ def _slow_table(folder: Path, slow: Sequence[Slow]) -> str:
 
 
 def _table(heads: Iterable[str], rows: Iterable[Sequence[str | tuple[float, str]]]) -> str:
-    """Return a table; heads with # before them are of numbers, whose cells have the number that they are sorted by."""
+    """Return a table. A head that begins with # is of numbers, by which the column is sorted."""
     head = "".join(f'<th class="n">{name[1:]}</th>' if name.startswith("#") else f"<th>{name}</th>" for name in heads)
     body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
@@ -346,7 +346,6 @@ def _cell(cell: str | tuple[float, str]) -> str:
 
 
 def _link(links: str, run: str) -> str:
-    """Return a link to a recording in the folder to which links go."""
     return f'<a href="{links}/{quote(run)}">{escape(run)}</a>'
 
 
@@ -370,7 +369,7 @@ def contact_sheet(folder: Path, stats: Statistics) -> bytes:
     """Return a sheet (PNG) with the last moments of failures: of each cause the first ones."""
     from PIL import Image, ImageDraw  # noqa: PLC0415  an extra
 
-    chosen = list(_chosen(stats.causes))
+    chosen = list(_pictured(stats.causes))
     rows = max(1, -(-len(chosen) // _COLUMNS))
     width, height = _SIZE[0], _SIZE[1] + _CAPTION
     sheet = Image.new("RGB", (min(_COLUMNS, max(1, len(chosen))) * width, rows * height), "white")
@@ -394,8 +393,8 @@ def png(image: Image.Image) -> bytes:
     return file.getvalue()
 
 
-def _chosen(causes: tuple[FailureCause, ...]) -> Iterator[tuple[FailureCause, str, int | None]]:
-    """Yield the failures that are shown: the first of each cause, then the second of each, and so on."""
+def _pictured(causes: tuple[FailureCause, ...]) -> Iterator[tuple[FailureCause, str, int | None]]:
+    """Yield the failures with a picture: the first of each cause, then the second of each, and so on."""
     shown = 0
     for at in range(_MAX_PICTURES):
         for cause in causes:

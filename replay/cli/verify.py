@@ -50,7 +50,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 @contextmanager
 def _progress(steps: int) -> Iterator[Callable[[int], None] | None]:
-    """Yield a function that prints the progress; None if stderr is no terminal."""
+    """Yield a function that prints the progress; None if stderr isn't a terminal."""
     if not sys.stderr.isatty():
         yield None
         return

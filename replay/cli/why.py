@@ -77,7 +77,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[str]]:
-    """Write the pictures that were asked for; print a message if that fails."""
+    """Write the requested pictures; print a message if that fails."""
     if folder is None:
         return FINE, []
     if why.failure is None:

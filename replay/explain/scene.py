@@ -125,7 +125,7 @@ def bodies(case: FailureCase, names: Iterable[str] = ()) -> Iterator[InvolvedBod
 
 
 def _parts(case: FailureCase) -> Iterator[tuple[str, str, Pose | None]]:
-    """Yield the links (with poses) and joints (with None) that a failure names, after the names of their bodies."""
+    """Yield the links (with poses) and joints (with None) that a failure names, with their bodies."""
     if case.world is None:
         return
     ends = [(pair.get(body, ""), pair.get(link, "")) for pair in case.pairs for body, link in _ENDS]
@@ -157,7 +157,7 @@ def branches(case: FailureCase) -> Iterator[FailedBranch]:
 
 
 def _origins(task: Node) -> Iterator[Node]:
-    """Yield the tasks in which a failure began: for a block in each of its parts, else the one that was raised."""
+    """Yield the tasks in which a failure began: of a block one for each failed part."""
     failed = [child for child in task.children if child.failed]
     if task.kind != "block":
         failed = [child for child in failed if any(each is child for each in task.origin.around())]

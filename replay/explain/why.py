@@ -154,7 +154,7 @@ def why(log: RecordReader, step: int | None = None) -> Why:
 def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:
     """Return the local variables at a failure, by file and line of their frames.
 
-    Each frame is in the first record of its error only, and a branch knows none but its own.
+    Each frame is only in the first record of its error. A branch knows only its own frames.
     """
     tasks = cause.task.around() if cause.task is not None else ()
     variables: dict[tuple[str, int], dict[str, str]] = {}
@@ -166,7 +166,7 @@ def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:
 
 
 def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:
-    """Return the failed task that a step is part of, or that ended last until then."""
+    """Return the failed task that a step is part of; without one, the last task that failed before."""
     record = log[step]
     until = [task for task in failed.origins if task.finished is not None and task.finished.seq <= step]
     of_step = [task for task in failed.origins if any(each.id == record.task for each in task.around())]
@@ -193,7 +193,7 @@ def _task_failure(
     world = _world(state, objects, queries)
     failure = task.failure or cause.failure or Failure()
     case = FailureCase(log, end, failure, task, before, state, world, cause.exceptions)
-    names = _of_world(objects, world)
+    names = _names_of_world(objects, world)
     return replace(
         _explained(case, run, cause, names, queries, earlier),
         failure=cause.failure or task.failure,
@@ -218,7 +218,7 @@ def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: Root
     objects = list(dict.fromkeys(body for query in queries for body in bodies_in(argument_values(query.arguments))))
     world = _world(state, objects, queries)
     case = FailureCase(log, cause.step, cause.failure or Failure(), None, failed, state, world, cause.exceptions)
-    return _explained(case, run, cause, _of_world(objects, world), queries, earlier)
+    return _explained(case, run, cause, _names_of_world(objects, world), queries, earlier)
 
 
 def _explained(
@@ -248,7 +248,7 @@ def _explained(
 
 
 def _is_alike(log: RecordReader, task: Node, failed: Node, objects: Iterable[tuple[str, str]]) -> bool:
-    """Return whether a task is the same with one of the same bodies; bodies of a later world are others."""
+    """Return whether a task is another attempt with one of the same bodies; bodies of a later world are others."""
     if (task.kind, task.name) != (failed.kind, failed.name):
         return False
     own = set(bodies_in(task.parameters))
@@ -278,7 +278,7 @@ def _queries(
 ) -> tuple[list[Query], int]:
     """Return the last queries about some bodies or of some tasks, each question once, and the number left out.
 
-    Choices of process modules aren't included, as plans don't rely on them.
+    The choices of process modules are left out, as plans don't rely on them.
     """
     asked: set[int] = set()  # hashes, as there may be very many
     queries: list[Query] = []
@@ -329,8 +329,7 @@ def _world(state: State, objects: Iterable[tuple[str, str]], queries: Iterable[Q
     return max(opened.values(), key=lambda world: bool(world.robot), default=None)
 
 
-def _of_world(objects: Iterable[tuple[str, str]], world: World | None) -> list[str]:
-    """Return the names of those bodies that are of a world."""
+def _names_of_world(objects: Iterable[tuple[str, str]], world: World | None) -> list[str]:
     return [name for name, owner in objects if world is not None and owner == world.name]
 
 
@@ -406,7 +405,7 @@ def tried(log: RecordReader, failed: Node) -> TriedAction | None:
 
 
 def _choice(task: Node) -> str:
-    """Return what was chosen: slots with their values, of places their positions."""
+    """Return the chosen slots with their values; of a place its position."""
     chosen = []
     for slot, value in task.parameters.items():
         if isinstance(value, dict) and isinstance(value.get("position"), list):

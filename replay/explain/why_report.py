@@ -372,7 +372,7 @@ def _commands(why: Why, path: str) -> Iterator[str]:
 
 
 def _asked_again(query: Query) -> str:
-    """Return a query as ``ask`` takes it, without its thresholds."""
+    """Return a query as a question for ``ask``, without its thresholds."""
     arguments: list[Term] = []
     try:
         question = question_of(query)
@@ -386,7 +386,7 @@ def _asked_again(query: Query) -> str:
 
 
 def _movable(why: Why) -> list[InvolvedBody]:
-    """Return the robot and what it can move; all if there is no more."""
+    """Return the robot and the bodies that it can move; all bodies if there are no such bodies."""
     movable = [each for each in why.bodies if each.is_robot or not each.body.fixed_base]
     return movable if len(movable) > 1 else list(why.bodies)
 

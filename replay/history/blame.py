@@ -97,23 +97,23 @@ def blame(log: RecordReader, target: str, at: int | None = None, world: str | No
 
 
 def _default_world(state: State, world: str, requested: str | None) -> str:
-    """Return the world that is meant where none is named, if it isn't the one that was found."""
+    """Return the default world if another world was found; "" otherwise."""
     default = state.world().name
     return default if requested is None and default != world else ""
 
 
 def _removal(log: RecordReader, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
-    """Return the record that removed a body, or the one with that joint, from a world that is still open.
+    """Return the record that removed a body, or the body with that joint, from a world that is still open.
 
     Raises:
-        NoSuchName: there is none; with a hint if the body was in a world that had been closed by then.
+        NoSuchName: there is no such record. If a closed world had the body, the error has a hint.
     """
     opened = {name: log.lifetime_at(name, state.step) for name, each in state.worlds.items() if each.open}
     candidates = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
     some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # where none is open, the error has that hint
     removals: list[Mutation] = []
     closed: NoSuchName | None = None
-    for body in _bodies(target) if candidates or some_closed else ():
+    for body in _possible_bodies(target) if candidates or some_closed else ():
         for record in log.backwards(state.step, Mutation, naming=body):
             lifetime = log.lifetime_at(record.world, record.seq)
             if lifetime is None:
@@ -130,14 +130,14 @@ def _removal(log: RecordReader, state: State, target: str, world: str | None, er
     return max(removals, key=lambda record: record.seq)
 
 
-def _bodies(target: str) -> list[str]:
-    """Return the names that a target can begin with, the longest first: names may have dots in them."""
+def _possible_bodies(target: str) -> list[str]:
+    """Return the names of bodies that a target can begin with, longest first: names may have dots."""
     return [target, *(target[:at] for at in range(len(target) - 1, 0, -1) if target[at] == ".")]
 
 
 def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]:
     worlds = [state.world(name)] if name is not None else list(state.worlds.values())
-    for body in _bodies(target):
+    for body in _possible_bodies(target):
         joint = target[len(body) + 1 :]
         for world in reversed(worlds):
             if body in world.bodies:
@@ -196,7 +196,7 @@ class _Search:
         return _is_far(part, after, before, _SETTLING if is_physics(record) else _ROUNDING)
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
-        """Return its values in a record: position and orientation, or the joint's value."""
+        """Return the body's values in a record: position and orientation, or the joint's value."""
         states = record.effect.bodies if isinstance(record, Mutation) else record.bodies
         state = next((state for state in states if state.body == self._body), None)
         if state is None:
@@ -208,7 +208,7 @@ class _Search:
         return {part: list(values) for part, values in pose.items() if values}
 
     def _changes(self, step: int) -> Iterator[Mutation | Keyframe]:
-        """Yield the records that changed it, last first, down to its loading or the first keyframe with it."""
+        """Yield the records that changed the body, last first, back to its loading or its first keyframe."""
         lifetime = self._log.lifetime_at(self._world, step)
         if lifetime is None:
             return
@@ -301,7 +301,7 @@ def _in_simulation(record: Mutation, world: World, body: str, joint: str) -> str
 
 
 def _how(record: Mutation, world: World, body: str, joint: str) -> tuple[str, list[Attachment]]:
-    """Return how a command made a body or joint move, by the state before it."""
+    """Return how a command moved a body or joint, and the attachments that carried it; ``world`` is before."""
     if is_physics(record):
         return _in_simulation(record, world, body, joint), []
     if record.HasField("reset"):

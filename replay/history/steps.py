@@ -78,7 +78,7 @@ def task_step(log: RecordReader, text: str) -> int:
     if match is None:
         raise NoSuchStep(repr(text), len(log), "a task's step is task:PATH@start or task:PATH@end")
     number = int(match["which"] or 1)
-    executions = _tasks(log, match["path"], number)
+    executions = _executions(log, match["path"], number)
     if not number or len(executions) < abs(number):
         raise NoSuchStep(repr(text), len(log), _no_task_hint(log, match["path"], len(executions)))
     step = executions[number - 1 if number > 0 else number][match["end"] == "end"]
@@ -87,8 +87,8 @@ def task_step(log: RecordReader, text: str) -> int:
     return step
 
 
-def _tasks(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
-    """Return start and end of the tasks that fit a path, up to that number."""
+def _executions(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
+    """Return start and end of the tasks that match a path, up to that number."""
     searched = tuple(path.strip("/").casefold().split("/"))
     paths: dict[int, tuple[str, ...]] = {}  # names from the outside in, of the tasks that run
     executions: list[list[int | None]] = []
@@ -136,7 +136,7 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
 
 
 def _passing(log: RecordReader, lifetime: Lifetime, limit: float) -> int:
-    """Return the first step at which a world's clock is past a moment that it does pass."""
+    """Return the first step at which a world's clock is past a moment."""
 
     def passes(at: int) -> int | None:
         """Return the first such step in a chunk."""

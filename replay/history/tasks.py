@@ -87,7 +87,7 @@ def failures(log: RecordReader, stop: int | None = None) -> Failures:
 
 
 def _keep(origins: deque[Node], task: Node) -> int:
-    """Add a task in which a failure began, and return how many had to be dropped, also from what they were part of."""
+    """Add a task in which a failure began, and return how many tasks were dropped."""
     origins.append(task)
     if len(origins) <= _MAX_KEPT:
         return 0
@@ -152,8 +152,8 @@ def uncaught_failure(log: RecordReader) -> Run | None:
 def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
     """Return the task that raised the failure or else its nearest cause, and the index of that exception.
 
-    Earlier exceptions were handled, even if they are in Python's traceback. Of several failed tasks in a block it is
-    the one whose error became the block's error.
+    Earlier exceptions were handled, even if they are in Python's traceback. Of several failed tasks in a block, the
+    origin is the task whose error became the block's error.
     """
     for number in range(len(exceptions) - 1, -1, -1):
         error = exceptions[number].type, exceptions[number].message

@@ -368,7 +368,7 @@ def _links(links: Plain, _: _Evidence) -> str:
 
 
 def _measure(text: str, factor: float) -> Callable[[Plain, _Evidence], str]:
-    """Return a phrase for an amount, which ``text`` formats after it is multiplied by the factor."""
+    """Return a phrase for an amount: ``text`` formats the amount times the factor."""
     return lambda amount, _: text.format(amount * factor) if isinstance(amount, int | float) else ""
 
 

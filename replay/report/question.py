@@ -111,7 +111,7 @@ class _NotATerm(Exception):
 
 
 def _term(node: ast.expr) -> Term:
-    """Return an argument; raise :class:`_NotATerm` if it is more than plain data."""
+    """Return an argument; raise :class:`_NotATerm` if it isn't plain data."""
     if isinstance(node, ast.Name) and node.id in _LITERALS:
         return _LITERALS[node.id]
     if isinstance(node, ast.Name | ast.Attribute):

@@ -114,7 +114,6 @@ def _fold_lifetime(log: RecordReader, lifetime: Lifetime, step: int, worlds: dic
 
 
 def _last_keyframe(log: RecordReader, lifetime: Lifetime, step: int) -> Keyframe | None:
-    """Return the last keyframe of a world at or before a step."""
     for at in range(bisect_right(lifetime.keyframes, log.chunk_of(step)) - 1, -1, -1):
         frames = [frame for frame in log.records_of(lifetime, Keyframe, [lifetime.keyframes[at]]) if frame.seq <= step]
         if frames:
@@ -225,7 +224,6 @@ class WorldBuilder:
         self._believe(record)
 
     def _believe(self, record: Mutation) -> None:
-        """Update the beliefs about objects that robots take, put down or forget."""
         effect = record.effect
         carriers = None
         if effect.attached or effect.detached:
@@ -246,7 +244,6 @@ class WorldBuilder:
         return (known.position, known.orientation) if known is not None else _NOWHERE
 
     def _follow(self, command: str | None, record: Mutation) -> None:
-        """Update which trajectories bodies follow."""
         if command == "begin_trajectory":
             begin = record.begin_trajectory
             self.following[begin.number] = Following(begin=begin, began=record.sim_step)
@@ -284,7 +281,6 @@ class WorldBuilder:
         self._set_states(effect.bodies)
 
     def _attach(self, attachments: Iterable[records.Attachment]) -> None:
-        """Add attachments, or change their relative poses."""
         for held in attachments:
             pose = _vector(held.position), _quaternion(held.orientation)
             attachment = Attachment(held.carrier, held.carrier_link, held.body, held.body_link, *pose)
@@ -315,13 +311,13 @@ class _BodyBuilder:
         if state.orientation:
             self.orientation = _quaternion(state.orientation)
         if state.velocity:
-            self.velocity = tuple(_numbers(state.velocity))
+            self.velocity = tuple(_checked_numbers(state.velocity))
             if len(self.velocity) != len(_AT_REST):
                 raise ValueError(f"a velocity has {len(self.velocity)} numbers")
         if state.joints:
             names = state.joints[:]
-            speeds = _numbers(state.joint_velocities) or [0.0] * len(names)
-            self.joints.update(zip(names, _numbers(state.joint_positions), strict=True))
+            speeds = _checked_numbers(state.joint_velocities) or [0.0] * len(names)
+            self.joints.update(zip(names, _checked_numbers(state.joint_positions), strict=True))
             self.joint_velocities.update(zip(names, speeds, strict=True))
 
     def build(self) -> Body:
@@ -339,7 +335,7 @@ class _BodyBuilder:
 
 
 def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
-    """Return a belief as data; a held object is where the gripper has it."""
+    """Return a belief as data; the pose of a held object is its true pose."""
     body = bodies[belief.object]
     held = belief.source == Belief.HELD
     pose = body.pose if held else (_vector(belief.position), _quaternion(belief.orientation))
@@ -360,12 +356,8 @@ def _quaternion(values: Sequence[float]) -> Quaternion:
     return x, y, z, w
 
 
-def _numbers(values: Sequence[float]) -> Sequence[float]:
-    """Return numbers that are within bounds: with others the engine would loop.
-
-    Raises:
-        ValueError: a number is beyond ``FAR``, or isn't finite.
-    """
+def _checked_numbers(values: Sequence[float]) -> Sequence[float]:
+    """Return finite numbers within ``FAR``; with other numbers the engine would loop."""
     numbers = values[:]
     if numbers and not (min(numbers) >= -FAR and max(numbers) <= FAR and math.isfinite(sum(numbers))):
         raise _beyond(numbers)

@@ -134,10 +134,10 @@ class Integrity:
             cause = self.tasks.check_run(record)
         deviation = None
         if isinstance(record, Keyframe) and self.knows(record.world) and not cause:
-            deviation = self._compare(record)
+            deviation = self._compare_keyframe(record)
             cause = "" if deviation is None else "the keyframe differs from the fold of the records before it"
         if isinstance(record, Mutation | Keyframe | Query) and not cause:
-            cause = self._apply(record)
+            cause = self._apply_change(record)
         return Problem(step, cause, deviation, self.tasks.path(record.task)) if cause else None
 
     def _check_envelope(self, record: Record) -> str:
@@ -153,8 +153,7 @@ class Integrity:
             self._events.add(record.seq)
         return ""
 
-    def _apply(self, record: Mutation | Keyframe | Query) -> str:
-        """Apply a change to its world, if that is known."""
+    def _apply_change(self, record: Mutation | Keyframe | Query) -> str:
         opens = not isinstance(record, Mutation) or record.HasField("open_world")
         if not opens and self.tasks.partial and not self.knows(record.world):
             return ""
@@ -164,8 +163,7 @@ class Integrity:
             return f"the record makes no sense: {error}"
         return ""
 
-    def _compare(self, frame: Keyframe) -> Deviation | None:
-        """Return how a keyframe differs from the fold of the records before it."""
+    def _compare_keyframe(self, frame: Keyframe) -> Deviation | None:
         self.keyframes += 1
         loaded: list[Plain] = [body.body for body in frame.loaded]
         states: list[Plain] = [body.body for body in frame.bodies]
@@ -177,7 +175,7 @@ class Integrity:
 
 
 def _plain(world: World) -> Plain:
-    """Return a world as JSON data, with attachments by their pairs and how bodies were loaded."""
+    """Return a world as JSON data, with attachments by their pairs, and how each body was loaded."""
     data = world_data(world)
     held = data.pop("attachments")
     assert isinstance(held, list)  # noqa: S101  for mypy
@@ -289,7 +287,7 @@ class TaskIntegrity:
         return f"task {record.task} is {_name(record.phase)}, but it {last}"
 
     def _unlike(self, record: Task) -> str:
-        """Return how a record contradicts itself or its task's beginning; or ""."""
+        """Return how a record contradicts itself or its task's start; "" if it doesn't."""
         subject = f"task {record.task}"
         if self._newer and record.status not in Task.Status.values():
             return ""

@@ -319,14 +319,14 @@ class FailureCase:
 
         Lines of general helper functions aren't informative.
         """
-        performed = [(line, self._performed[line.file, line.number]) for line in reversed(stack)]
+        performed = [(line, self._motions_by_line[line.file, line.number]) for line in reversed(stack)]
         one = [line for line, motions in performed if len(motions) <= 1]
         one += [line for line, motions in performed if len({name for name, _ in motions}) <= 1]
         return next(iter(one), stack[-1] if stack else None)
 
     @cached_property
-    def _performed(self) -> Mapping[tuple[str, int], set[tuple[str, str]]]:
-        """The motions that each line led to, each with its name and parameters."""
+    def _motions_by_line(self) -> Mapping[tuple[str, int], set[tuple[str, str]]]:
+        """Names and parameters of the motions that each line requested."""
         found: dict[tuple[str, int], set[tuple[str, str]]] = defaultdict(set)
         for motion in self.failed.motions:
             for line in self.source.call_stack(motion.started):
@@ -340,12 +340,12 @@ class FailureCase:
         """
         found: set[tuple[str, str]] = set()
         for line in lines:
-            for statement in _statements(self.source.text(line.file)):
+            for statement in _simple_statements(self.source.text(line.file)):
                 if statement.lineno <= line.number <= (statement.end_lineno or statement.lineno):
                     nodes = [node for node in ast.walk(statement) if isinstance(node, ast.Name)]
                     found |= {(line.function, node.id) for node in nodes if isinstance(node.ctx, context)}
                     if context is ast.Store:
-                        found |= {(line.function, name) for name in _filled(statement)}
+                        found |= {(line.function, name) for name in _filled_containers(statement)}
         return found
 
 
@@ -353,7 +353,6 @@ _SETTLED = 0.02, math.radians(15)  # m, rad up to which a move in simulation is 
 
 
 def _mover(record: Mutation | Keyframe) -> str:
-    """Return what a record's command moved: a body, or its joints."""
     body = commanded(record)
     if not isinstance(record, Mutation) or not record.HasField("move_joints"):
         return body
@@ -378,7 +377,7 @@ def objects_in(value: Plain) -> Iterator[str]:
 
 
 def _names_in(data: Mapping[str, Plain]) -> Iterator[str]:
-    """Yield the texts in a failure's fields that may be names of bodies."""
+    """Yield texts in a failure's fields that may be names of bodies."""
     for value in data.values():
         for item in value if isinstance(value, list) else [value]:
             if isinstance(item, str):
@@ -393,8 +392,8 @@ def _names_in(data: Mapping[str, Plain]) -> Iterator[str]:
 _FILLING: Final = ("add", "append", "extend", "insert", "setdefault", "update")  # methods of lists and the like
 
 
-def _filled(statement: ast.stmt) -> Iterator[str]:
-    """Yield the variables into whose lists or the like a statement puts something."""
+def _filled_containers(statement: ast.stmt) -> Iterator[str]:
+    """Yield the variables whose containers a statement fills."""
     for node in ast.walk(statement):
         if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
             owner: ast.expr | None = node.value
@@ -406,8 +405,7 @@ def _filled(statement: ast.stmt) -> Iterator[str]:
             yield owner.id
 
 
-def _statements(text: str) -> Iterator[ast.stmt]:
-    """Yield a file's simple statements."""
+def _simple_statements(text: str) -> Iterator[ast.stmt]:
     return (node for node in syntax_nodes(text) if isinstance(node, ast.stmt) and not hasattr(node, "body"))
 
 

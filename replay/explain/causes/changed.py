@@ -58,9 +58,9 @@ class NoLonger(Cause):
     def find(cls, case: FailureCase) -> Iterator[NoLonger]:
         """Yield the last answer or perception that no longer held, or the pick-up of what was moved in the hand."""
         yield from _moved_in_hand(case)
-        asked: Query | Node | None = _contradicted(case)
+        asked: Query | Node | None = _contradicted_query(case)
         if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
-            asked = _perceived(case)
+            asked = _last_perception(case)
         if asked is None:
             return
         changes = tuple(sorted(_changes(case, asked), key=lambda change: change.step))
@@ -198,8 +198,8 @@ class HandState(Cause):
         yield f"the {self.arm} gripper didn't hold {self.body} {step}{end}"
 
 
-def _contradicted(case: FailureCase) -> Query | None:
-    """Return the last query whose answer contradicts the failure, or the answer on which the plan raised it."""
+def _contradicted_query(case: FailureCase) -> Query | None:
+    """Return the last query whose answer contradicts the failure, or the answer for which the plan raised it."""
     judged = [each for each in answers(case) if isinstance(each, Query)] if case.motion is None else []
     no = next((query for query in reversed(judged) if from_json(query.answer_json) is False), None)
     question = _question(no) if no is not None else None
@@ -226,8 +226,7 @@ def _question(query: Query) -> tuple[object, ...]:
     return (query.name, query.world, *((each.name, each.json) for each in query.arguments))
 
 
-def _perceived(case: FailureCase) -> Node | None:
-    """Return the last successful detecting of an object that then couldn't be taken, or seen again."""
+def _last_perception(case: FailureCase) -> Node | None:
     names = set(case.subjects or case.mentioned)
     for motion in case.motions("detecting", "world-state-detecting"):
         if motion.status is State.SUCCEEDED and names.intersection(objects_in(result(motion))):
@@ -236,7 +235,7 @@ def _perceived(case: FailureCase) -> Node | None:
 
 
 def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
-    """Yield the changes since an answer of the things on which it depends."""
+    """Yield the changes since an answer that affect the answer."""
     step = asked.seq if isinstance(asked, Query) else asked.last_step
     then = state_at(case.log, step).worlds.get(case.world.name) if case.world is not None else None
     if then is None or case.world is None:
@@ -274,7 +273,7 @@ def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingCha
 
 
 def _moved_in_hand(case: FailureCase) -> Iterator[NoLonger]:
-    """Yield the pick-ups of held objects that the plan itself has moved far off the hand since then."""
+    """Yield the pick-ups of held objects that the plan moved away from the hand afterwards."""
     if case.motion is None or case.before is None or case.robot is None:
         return
     moved = {pair.get("mover") for pair in case.pairs} | set(case.subjects if case.motion.name == "place" else ())
@@ -282,13 +281,14 @@ def _moved_in_hand(case: FailureCase) -> Iterator[NoLonger]:
         if held.body not in moved:
             continue
         grasp = next((each for each in case.motions("pick-up") if about(each, body=held.body)), None)
-        changes = tuple(_moves(case, held.body, grasp.last_step)) if grasp is not None and not grasp.failed else ()
+        changes = (
+            tuple(_commanded_moves(case, held.body, grasp.last_step)) if grasp is not None and not grasp.failed else ()
+        )
         if grasp is not None and changes:
             yield NoLonger((grasp.last_step, *(each.step for each in changes), case.step), grasp, changes)
 
 
-def _moves(case: FailureCase, name: str, start: int) -> Iterator[CausingChange]:
-    """Yield the commands by which the plan itself has moved an object since a step, in order."""
+def _commanded_moves(case: FailureCase, name: str, start: int) -> Iterator[CausingChange]:
     for record in case.log.records(Mutation, start + 1, case.began):
         if not record.HasField("move_body") or record.move_body.body != name or not case.is_here(record):
             continue
@@ -301,7 +301,7 @@ def _moves(case: FailureCase, name: str, start: int) -> Iterator[CausingChange]:
 
 
 def _relevant_joints(robot: Body, query: str) -> tuple[str, ...]:
-    """Return the joints on which an answer depends, except for those that the query varies itself."""
+    """Return the joints that affect an answer, without the joints that the query varies."""
     head = joints_of(robot, "head") if query in ("visible", "occluding") else ()
     return (*joints_of(robot, "torso"), *head)
 
@@ -312,9 +312,9 @@ def _has_moved(before: Body, after: Body) -> bool:
 
 
 def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
-    """Return the name of the object that the failure is about, and the record that removed it, or None.
+    """Return the name of the failure's object, and the record that removed the object.
 
-    The removal of an object that a hand should hold counts only if a hand held it then.
+    If a hand should hold the object, its removal counts only if a hand held it then.
     """
     kind, sought = case.failure.type, case.data.get("name")
     for lack in lacking(case):
@@ -354,7 +354,6 @@ def _removal_of_type(case: FailureCase, object_type: str) -> tuple[str, Mutation
 
 
 def _last_grip(case: FailureCase, body: str, *, attached: bool) -> CausingChange | None:
-    """Return the last record that attached an object to something, or let go of it; None if there is none."""
     for record in case.log.backwards(case.step, Mutation, naming=body):
         made = [each.body for each in record.effect.attached] if record.HasField("attach_body") else []
         undone = [each.body for each in record.effect.detached]

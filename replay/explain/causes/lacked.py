@@ -92,9 +92,9 @@ class Swallowed(Cause):
         for lack in lacking(case):
             last = next((motion for motion in case.motions(*lack.motions) if lack.fits(motion)), None)
             if last is not None and last.status in _UNSUCCESSFUL and not _was_done_since(case, lack, last):
-                also = _also(case, lack, last)
+                also = _failed_alternatives(case, lack, last)
                 yield _swallowing(case, lack.precondition, lack.subject, lack.arm, last, also)
-            found = _skipped(case, lack) if last is None else None
+            found = _skipped_use(case, lack) if last is None else None
             if found is not None and not _was_done_since(case, lack, found[0]):
                 motion, name, line = found
                 yield replace(_swallowing(case, "result", name, "", motion), skipped=line)
@@ -142,8 +142,8 @@ class RefusedRequest(Cause):
                 continue  # it is the failure itself, or was tried before in the same way
             if not case.is_here(refusal):
                 continue
-            for missed in _missed(case, refusal):
-                if missed not in found and not _was_asked_again(case, refusal):
+            for missed in _missing_effects(case, refusal):
+                if missed not in found and not _was_fulfilled_later(case, refusal):
                     found.add(missed)
                     yield _refusal(case, refusal, *missed)
 
@@ -198,7 +198,7 @@ def lacking(case: FailureCase) -> Iterator[Lacking]:
         yield from by_hands
         return
     yield from _clear(case)
-    yield from _taken_out(case)
+    yield from _closed(case)
     if case.failure.type in _OUT_OF_REACH:
         yield from _at_pose(case)
     elif case.failure.type == "PerceptionError":
@@ -234,7 +234,7 @@ def _freed(case: FailureCase, held: Attachment) -> Lacking:
 
 
 def _clear(case: FailureCase) -> Iterator[Lacking]:
-    """Yield what should have been out of the way: colliding links, and bodies that hide the object."""
+    """Yield the obstacles that should have been moved away: colliding links, and bodies that hide the object."""
     if case.world is None or case.robot is None or ("rest" in case.data and case.data["rest"] is not None):
         return
     known: set[tuple[str, str]] = set()
@@ -254,23 +254,23 @@ def _clear(case: FailureCase) -> Iterator[Lacking]:
         yield from _of_robot(case, pair.get("mover", ""), pair.get("link", ""))
 
 
-def _taken_out(case: FailureCase) -> Iterator[Lacking]:
-    """Yield the drawers and doors that should have been opened, as they contain the object."""
-    names = _shut_in(case)
+def _closed(case: FailureCase) -> Iterator[Lacking]:
+    """Yield the closed drawer or door that contains the object."""
+    names = _perhaps_enclosed(case)
     for task in case.motions("accessing") if names else ():
         given = values(task)
-        owner, joint = _accessed(case, given)
+        owner, joint = _accessed_joint(case, given)
         if task.failed and any(_lies_in(case, name, owner, joint) for name in names):
 
             def fits(other: Node, accessed: tuple[str, str] = (owner, joint)) -> bool:
-                return _accessed(case, values(other)) == accessed
+                return _accessed_joint(case, values(other)) == accessed
 
             yield Lacking("joint-moved", f"{joint} of {owner}", "", ("accessing",), fits, owner, (joint,))
             return
 
 
-def _accessed(case: FailureCase, given: Mapping[str, Plain]) -> tuple[str, str]:
-    """Return the furniture and joint of an accessing; for an unknown joint that of the handle."""
+def _accessed_joint(case: FailureCase, given: Mapping[str, Plain]) -> tuple[str, str]:
+    """Return the furniture and joint of an accessing motion; for an unknown joint, the joint of the handle."""
     owner, joint = next(objects_in(given.get("part-of")), ""), str(given.get("drawer-joint") or "")
     body = case.world.bodies.get(owner) if case.world is not None else None
     if body is not None and joint not in body.joints:
@@ -278,13 +278,12 @@ def _accessed(case: FailureCase, given: Mapping[str, Plain]) -> tuple[str, str]:
     return owner, joint
 
 
-def _shut_in(case: FailureCase) -> list[str]:
-    """Return the objects that couldn't be reached, grasped or seen, perhaps as they are in something closed."""
+def _perhaps_enclosed(case: FailureCase) -> list[str]:
     return _wanted(case) if case.failure.type in _SHUT_IN else []
 
 
 def _lies_in(case: FailureCase, name: str, owner: str, joint: str) -> bool:
-    """Return whether an object is in the boxes of the links that a joint of another body moves."""
+    """Return whether an object is inside the boxes of the links that a joint moves."""
     assets = case.state.assets
     if case.world is None or assets is None or owner not in case.world.bodies or not joint:
         return False
@@ -320,7 +319,7 @@ def _joint_moved(case: FailureCase, name: str, link: str) -> Iterator[Lacking]:
 
 
 def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
-    """Yield what the robot should have put down, and the arm that it should have folded."""
+    """Yield the held object that should have been put down, or the arm that should have been folded."""
     held = case.world.carrier(mover) if case.world is not None else None
     if held is not None and mover not in case.subjects:
         yield _freed(case, held)
@@ -337,7 +336,7 @@ def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
 
 
 def _at_pose(case: FailureCase) -> Iterator[Lacking]:
-    """Yield that the robot should have been elsewhere, if that is nearer to the target."""
+    """Yield that the robot should have been at another place, if that place is nearer to the target."""
     target = case.data.get("target")
     if isinstance(target, list) and len(target) == 3:
         goal = [float(str(part)) for part in target[:2]]
@@ -387,8 +386,8 @@ def _swallowing(
     return Swallowed(tuple(sorted(steps)), precondition, subject, arm, failed, line, went_on, also)
 
 
-def _also(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
-    """Return the failed alternatives with any arm since the last success."""
+def _failed_alternatives(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
+    """Return the failed attempts with any arm since the last success."""
     found: list[Node] = []
     for motion in case.motions(*lack.motions) if lack.arm else ():
         if not about(motion, body=lack.subject):
@@ -403,9 +402,9 @@ def _also(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
 def _next_step(
     case: FailureCase, end: int, around: Collection[int], thread: str, stack: Sequence[Line]
 ) -> tuple[int, Line | None]:
-    """Return the first step of the plan after a step in some tasks, and its line; 0 and None if there is none.
+    """Return the plan's first step after a step, and its line; 0 and None if there is none.
 
-    ``around`` are the ids of the tasks, 0 for the plan itself; ``stack`` is the call stack of the step before.
+    ``around`` are the ids of the tasks around that step, 0 for the plan itself. ``stack`` is its call stack.
     """
     for record in case.log.records((Task, Mutation), end + 1, min(case.began + 1, end + _GOES_ON)):
         if not isinstance(record, Task | Mutation) or (isinstance(record, Task) and record.phase == Task.FINISHED):
@@ -421,8 +420,8 @@ def _next_step(
 
 
 def _results(case: FailureCase) -> Iterator[Swallowed]:
-    """Yield the failures that left a variable without a value, or empty, that the failed line reads."""
-    setting = _setting(case) if _lacks_value(case) else iter(())
+    """Yield the failures that left a variable empty which the failed line reads."""
+    setting = _motions_setting_variables(case) if _lacks_value(case) else iter(())
     if case.failure.type in _EMPTY:  # several motions may have filled it
         found = list(islice(setting, _MAX_SETTING))
         succeeded = [motion.parameters for motion, _ in found if motion.status not in _UNSUCCESSFUL]
@@ -436,17 +435,17 @@ def _results(case: FailureCase) -> Iterator[Swallowed]:
         yield _swallowing(case, "result", ", ".join(last[1]), "", last[0])
 
 
-def _setting(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
-    """Yield earlier motions, last first, whose lines set variables that the failed line reads, with these."""
+def _motions_setting_variables(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
+    """Yield earlier motions, last first, with the variables that they set and the failed line reads."""
     for motion in reversed(case.failed.motions):
         if motion.last_step < case.step and motion is not case.motion:
-            names = _values_from(case, case.source.call_stack(motion.started))
+            names = _variables_from(case, case.source.call_stack(motion.started))
             if names:
                 yield motion, names
 
 
 def _lacks_value(case: FailureCase) -> bool:
-    """Return whether a line of the plan failed as a value was missing."""
+    """Return whether a line of the plan failed because a value was missing."""
     failed, message = case.failure.type, case.failure.message
     if failed in _EMPTY or failed in ("NameError", "UnboundLocalError"):
         return True
@@ -455,8 +454,8 @@ def _lacks_value(case: FailureCase) -> bool:
     return own_mistake and any(text is None or "None" in str(text) for text in texts)
 
 
-def _values_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
-    """Return the variables that some lines of the plan set and the failed lines read."""
+def _variables_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
+    """Return the variables that some lines set and the failed lines read."""
     stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
     lines = (*stack, *(line for error in case.traced for line in error.lines))
     places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
@@ -468,8 +467,8 @@ def _values_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
     return sorted(name for _, name in read & written)
 
 
-def _skipped(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | None:
-    """Return the failed perception of a lacking object, its variable, and the line that skipped the use of that."""
+def _skipped_use(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | None:
+    """Return the failed perception of a lacking object, its variable, and the line that skipped the variable's use."""
     body = case.world.bodies.get(lack.subject) if case.world is not None else None
     if body is None:
         return None
@@ -486,7 +485,7 @@ def _skipped(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | None:
 
 
 def _heads(case: FailureCase, line: Line, function: str, name: str) -> Iterator[tuple[Line, int]]:
-    """Yield the later ``for``, ``while`` and ``if`` lines that read a variable, with the last line of each body."""
+    """Yield later ``for``, ``while`` and ``if`` lines that read a variable, with the last line of each body."""
     for node in syntax_nodes(case.source.text(line.file)):
         if not isinstance(node, ast.For | ast.While | ast.If) or node.lineno <= line.number:
             continue
@@ -505,7 +504,7 @@ def _names_below(node: ast.AST) -> set[str]:
 
 
 def _ran(case: FailureCase, motion: Node, head: Line, last: int) -> bool:
-    """Return whether the body of a head line ran after a motion; True if there are too many records to know."""
+    """Return whether the body of a head line ran after a motion; True if there are too many records to tell."""
     records = list(islice(case.log.records((Task, Mutation, Query), motion.last_step + 1, case.began), _GOES_ON))
     if len(records) == _GOES_ON:
         return True
@@ -527,7 +526,7 @@ def _refusal(case: FailureCase, refusal: Refusal, precondition: str, subject: st
     return RefusedRequest(tuple(sorted(steps)), precondition, subject, refusal, asked, line, handler)
 
 
-def _missed(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
+def _missing_effects(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
     """Yield the lacking preconditions, with their subjects, that a refused request would have established."""
     given = argument_values(refusal.arguments)
     subject = next(objects_in(given.get("object")), "")
@@ -543,7 +542,7 @@ def _missed(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
         if case.robot is not None and case.robot.name in (subject, other):  # only the robot's hands matter
             yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
     elif is_mistake(case):  # whatever the state of the world
-        names = _values_from(case, case.source.call_stack(refusal)) if _lacks_value(case) else []
+        names = _variables_from(case, case.source.call_stack(refusal)) if _lacks_value(case) else []
         yield from [("result", ", ".join(names))] if names else []
     elif by_hands:
         return
@@ -558,7 +557,7 @@ def _missed(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
 def _refused_joints(
     case: FailureCase, subject: str, refusal: Refusal, given: Mapping[str, Plain]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the joints that a refused request would have moved, if the failure depends on them."""
+    """Yield the joints that a refused request would have moved, if the failure depends on the joints."""
     names = set(_joints_meant(refusal, given))
     if case.robot is not None and subject == case.robot.name:
         parts = ["torso", "head"] if case.failure.type in _SEEN else ["torso"]
@@ -566,13 +565,13 @@ def _refused_joints(
         relevant = {joint for part in (*parts, *touching) for joint in joints_of(case.robot, part)}
         names = names & relevant if case.motion is not None else set()
     elif subject not in case.mentioned:
-        names = {joint for joint in names for name in _shut_in(case) if _lies_in(case, name, subject, joint)}
+        names = {joint for joint in names for name in _perhaps_enclosed(case) if _lies_in(case, name, subject, joint)}
     if names:
         yield "joint-moved", f"{', '.join(sorted(names))} of {subject}"
 
 
 def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]:
-    """Yield the joints of a refused request; for a misspelt name the first suggestion of the refusal."""
+    """Yield the joints of a refused request; for a misspelt name, the first suggestion."""
     positions = given.get("positions")
     error = argument_values(refusal.failure.data) if refusal.failure.type == "UnknownName" else {}
     near = error.get("nearest")
@@ -581,8 +580,8 @@ def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]
             yield str(near[0]) if isinstance(near, list) and near and name == error.get("name") else name
 
 
-def _was_asked_again(case: FailureCase, refusal: Refusal) -> bool:
-    """Return whether the request was fulfilled after its refusal, or the object was moved otherwise."""
+def _was_fulfilled_later(case: FailureCase, refusal: Refusal) -> bool:
+    """Return whether the request was fulfilled after its refusal, or the object was moved in another way."""
     given = argument_values(refusal.arguments)
     subject, joints = next(objects_in(given.get("object")), ""), set(_joints_meant(refusal, given))
     for record in case.log.records(Mutation, refusal.seq + 1, case.began) if subject else ():

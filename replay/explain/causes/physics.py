@@ -180,7 +180,7 @@ class _Fate:
             elif record in self.moves and record.simulate.steps >= _QUIET and not self._is_moving(record):
                 break
             else:
-                change = self._near(record)
+                change = self._change_near(record)
                 if change is not None:
                     candidates.append(change)
         if any(each.how == "detached" for each in candidates):
@@ -188,7 +188,7 @@ class _Fate:
         return tuple(candidates[:_MAX_LETS][::-1])
 
     def _support(self, first: Mutation) -> str:
-        """Return the support of the object, if that was moved or removed since its rest; "" otherwise."""
+        """Return the support that was moved or removed since the object's rest; "" if there was none."""
         own = self._pose(self.since)
         world = state_at(self._case.log, self.since).worlds.get(self._world)
         if own is None or world is None:
@@ -207,8 +207,8 @@ class _Fate:
         state = next((each for each in record.effect.bodies if each.body == self._name), None)
         return state is not None and math.hypot(*state.velocity) > _MOVED
 
-    def _near(self, record: Mutation) -> CausingChange | None:
-        """Return the change of a body near the object, which may have supported or pushed it."""
+    def _change_near(self, record: Mutation) -> CausingChange | None:
+        """Return a change of a body near the object, which may have supported or pushed the object."""
         case, command = self._case, record.WhichOneof("command")
         if command == "set_gravity":
             return case.change(record, "", "gravity")
@@ -230,7 +230,7 @@ class _Fate:
         return None
 
     def _moved_link_near(self, bodies: Sequence[tuple[State, Body]], own: Pose) -> bool:
-        """Return whether a link that a change moved is near the object, before or after."""
+        """Return whether a change moved a link near the object."""
         try:
             poses = [
                 {link: geometry.multiply(body.pose, pose) for link, pose in links.items()}
@@ -243,7 +243,7 @@ class _Fate:
         return any(math.dist(each[link][0], own[0]) < _PUSHED for link in moved for each in poses)
 
     def _velocity(self, released: int, first: Mutation) -> tuple[float, float]:
-        """Return the speed and spin of the object when it was released, or soon after."""
+        """Return speed and spin of the object at its release, or soon after."""
         body = self._body(state_at(self._case.log, released), self._name)
         velocities = [body.velocity] if body is not None else []
         for sample in first.effect.samples[:1]:
@@ -280,7 +280,7 @@ def _how(record: Mutation) -> str:
 
 
 def _shift(before: Pose | None, after: Pose) -> float:
-    """Return by how much a pose changed, in m; a radian counts as 0.1 m."""
+    """Return the change of a pose, m; a radian counts as 0.1 m."""
     if before is None:
         return 0.0
     return math.dist(before[0], after[0]) + 0.1 * geometry.angle(before[1], after[1])

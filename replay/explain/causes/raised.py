@@ -53,7 +53,7 @@ class Raised(Cause):
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Raised]:
         """Yield the plan's line that raised the failure, or translated it; not if a motion's module raised it."""
-        yield from _made_of_it(case)
+        yield from _raised_while_handling(case)
         error = next(reversed(case.traced), None)
         asked = case.source.call_stack(case.motion.started) if case.motion is not None else ()
         lines = error.lines or asked if error is not None else ()
@@ -94,8 +94,8 @@ def _is_raise(line: Line) -> bool:
     return _RAISES.search(line.text) is not None
 
 
-def _made_of_it(case: FailureCase) -> Iterator[Raised]:
-    """Yield the plan's line that raised another error while it handled the task's failure."""
+def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
+    """Yield the line that raised another error while the plan handled the task's failure."""
     last = next(reversed(case.exceptions), None)
     end = case.task.motion.finished if case.task is not None else None
     failure = (case.failure.type, case.failure.message)
@@ -112,7 +112,6 @@ def is_mistake(case: FailureCase) -> bool:
 
 
 def _refusal_of(case: FailureCase) -> Iterator[int]:
-    """Yield the step of the refusal that raised the failure, if there is one."""
     for refusal in case.log.backwards(case.step, Refusal) if case.log.counts().get("refusal") else ():
         if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
             yield refusal.seq
@@ -120,7 +119,7 @@ def _refusal_of(case: FailureCase) -> Iterator[int]:
 
 
 def _failed_before(case: FailureCase) -> Iterator[Task]:
-    """Yield the end of the last motion of the same task before the failure, if that motion failed."""
+    """Yield the end of the same task's last motion, if that motion failed."""
     scope = None if case.task is None else case.task.id
     ended = [
         motion
@@ -133,7 +132,7 @@ def _failed_before(case: FailureCase) -> Iterator[Task]:
 
 
 def _watched(case: FailureCase) -> Iterator[Fluent]:
-    """Yield the last change of the fluents of a failed ``whenever``."""
+    """Yield the last change of a fluent of a failed ``whenever``."""
     if case.task is None or case.task.kind != "whenever":
         return
     for record in islice(case.log.backwards(case.step, Fluent), _SEARCHED):

@@ -113,7 +113,6 @@ class PendingTask:
 
 
 def _doing(pending: Sequence[PendingTask]) -> str:
-    """Return what a part of a plan was doing."""
     doing = [str(each) for each in pending[:_MAX_NAMED]]
     doing += [f"{len(pending) - _MAX_NAMED} more"] if len(pending) > _MAX_NAMED else []
     return " and ".join(doing) or "running the plan's own code"
@@ -154,7 +153,7 @@ class Timeout(Cause):
             doing = tuple(_pending(case, node, tree, case.step) for node in _stopped(tree, scope))
             seconds, clock = case.task.parameters.get("seconds"), str(case.task.parameters.get("clock"))
             took = sorted(_ended(scope), key=lambda node: -_duration(node, clock))[:_MAX_TOOK]
-            simulated = _simulated(case, scope) if clock == _SIMULATED_TIME else ()
+            simulated = _longest_simulated(case, scope) if clock == _SIMULATED_TIME else ()
             yield _timeout(case, seconds, clock, doing, tuple(took), _stopped_at(case), simulated)
             return
         for wait in list(answers(case))[-1:]:
@@ -214,7 +213,7 @@ class Interruption(Cause):
 
 
 def _interrupted(tree: Tree) -> list[Node]:
-    """Return the innermost tasks that were interrupted, or cancelled due to that."""
+    """Return the innermost tasks that were interrupted, or cancelled by the interrupt."""
     hit = [node for _, node in tree.walk() if node.error is not None and node.error[0] == INTERRUPT]
     found: list[Node] = []
     for node in hit:
@@ -225,7 +224,7 @@ def _interrupted(tree: Tree) -> list[Node]:
 
 
 def _tree(case: FailureCase, stop: int) -> Tree:
-    """Return the tasks before a step; of very many only the last ones."""
+    """Return the tasks before a step; if there are very many, only the last tasks."""
     tree = Tree(limit=_MAX_TASKS)
     for record in case.log.records(Task, stop=stop):
         tree.apply(record)
@@ -233,7 +232,7 @@ def _tree(case: FailureCase, stop: int) -> Tree:
 
 
 def _stopped(tree: Tree, root: Node | None = None) -> list[Node]:
-    """Return the innermost tasks that were cancelled or never ended, of a tree or below one of its tasks."""
+    """Return the innermost tasks that were cancelled or never ended, of a tree or below a task."""
     nodes = [node for _, node in (root.walk() if root is not None else tree.walk())]
 
     def is_open(node: Node) -> bool:
@@ -243,7 +242,7 @@ def _stopped(tree: Tree, root: Node | None = None) -> list[Node]:
 
 
 def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTask:
-    """Return what a task was doing at a step; the tree has the concurrent tasks."""
+    """Return a task as it was at a step; ``tree`` has the concurrent tasks."""
     line = case.line_of(node.asked or node.started)
     motion = node.motion if node.motion.kind == "motion" else node
     if node.kind == "wait":
@@ -265,7 +264,7 @@ def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTas
 def _values(
     case: FailureCase, leaves: Mapping[str, Plain], start: int, step: int
 ) -> tuple[dict[str, Plain], tuple[int, ...]]:
-    """Return the values of fluents at a step, and the last steps since the start in which they got values."""
+    """Return the values of fluents at a step, and the last steps since ``start`` that set the fluents."""
     values, changed = dict(leaves), []
     for record in case.log.records(Fluent, start, step + 1):
         if record.name in leaves:
@@ -275,7 +274,7 @@ def _values(
 
 
 def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step: int) -> Iterator[Fulfiller]:
-    """Yield what sets the fluents, by the plan's source, else by records."""
+    """Yield the setters of the fluents in the plan's source; without any, the setters on record."""
     found = False
     last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
     for name in leaves:
@@ -301,7 +300,7 @@ def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step
 
 
 def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
-    """Return the last failed motion with an object or parameter that a fluent's name contains."""
+    """Return the last failed motion with an object or parameter that the fluent's name contains."""
     words = set(name.replace("(", " ").replace(")", " ").split())
     for motion in reversed(case.failed.motions):
         if motion.last_step <= step and motion.failed:
@@ -313,21 +312,25 @@ def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
 
 @lru_cache(maxsize=64)
 def _setters(text: str, name: str) -> tuple[int, ...]:
-    """Return the numbers of the lines that set the fluent with a name, via the variable that holds it."""
+    """Return the numbers of the lines that set a fluent via its variable."""
     nodes = syntax_nodes(text)
     variables = set()
     for node in nodes:
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and _last(node.value.func) == "Fluent":
+        if (
+            isinstance(node, ast.Assign)
+            and isinstance(node.value, ast.Call)
+            and _last_name(node.value.func) == "Fluent"
+        ):
             given = [*node.value.args[1:2], *(each.value for each in node.value.keywords if each.arg == "name")]
             if any(isinstance(each, ast.Constant) and each.value == name for each in given):
-                variables |= {_last(target) for target in node.targets}
+                variables |= {_last_name(target) for target in node.targets}
     calls = (node for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute))
     setters = (node for node in calls if isinstance(node.func, ast.Attribute) and node.func.attr in _SETTERS)
-    return tuple(node.lineno for node in setters if _last(node.func.value) in variables)  # type: ignore[attr-defined]
+    return tuple(node.lineno for node in setters if _last_name(node.func.value) in variables)  # type: ignore[attr-defined]
 
 
-def _last(node: ast.expr) -> str:
-    """Return the last name of an expression: of ``self.door`` it is ``door``."""
+def _last_name(node: ast.expr) -> str:
+    """Return the last name of an expression, as ``door`` of ``self.door``."""
     return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
 
 
@@ -361,7 +364,7 @@ def _is_in(number: int, task: Node) -> bool:
 
 
 def _ended(scope: Node) -> Iterator[Node]:
-    """Yield the tasks that ended within a scope, also within blocks that did not."""
+    """Yield the tasks that ended within a scope, also inside blocks that didn't end."""
     for node in scope.children:
         if node.status in (State.SUCCEEDED, State.FAILED):
             yield node
@@ -370,14 +373,13 @@ def _ended(scope: Node) -> Iterator[Node]:
 
 
 def _duration(node: Node, clock: str) -> float:
-    """Return how long a task took by a clock, s."""
+    """Return the duration of a task by a clock, s."""
     if clock == _SIMULATED_TIME and node.start is not None and node.end is not None:
         return node.end.sim_seconds - node.start.sim_seconds
     return node.seconds or 0.0
 
 
-def _simulated(case: FailureCase, scope: Node) -> tuple[SimulatedLine, ...]:
-    """Return the lines that took most of the simulated time within a scope."""
+def _longest_simulated(case: FailureCase, scope: Node) -> tuple[SimulatedLine, ...]:
     lines: dict[Line | None, list[Mutation]] = defaultdict(list)
     for record in case.log.records(Mutation, scope.started.seq, scope.last_step):
         if record.HasField("simulate") and case.is_here(record):
