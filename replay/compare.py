@@ -136,7 +136,12 @@ def difference(before: State, after: State, names: Mapping[str, str] = MappingPr
         closed=tuple(name for name in first if name not in second),
         added=tuple((b.name, body) for a, b in both for body in b.bodies if body not in a.bodies),
         removed=tuple((a.name, body) for a, b in both for body in a.bodies if body not in b.bodies),
-        changed=tuple(change for a, b in both for change in _changes(a, b)),
+        changed=tuple(
+            change
+            for a, b in both
+            for name, body in a.bodies.items()
+            if name in b.bodies and (change := _change(a, body, b, b.bodies[name])) is not None
+        ),
         facts={fact: pair for a, b in both for fact, pair in _facts(a, b)},
     )
 
@@ -150,14 +155,6 @@ def _facts(a: World, b: World) -> Iterator[tuple[tuple[str, str], tuple[object, 
         one, other = a.beliefs.get((robot, body)), b.beliefs.get((robot, body))
         if one is None or other is None or math.dist(one.position, other.position) >= NOTABLE_METRES:
             yield (a.name, f"where {robot} believes {body}"), (one and one.position, other and other.position)
-
-
-def _changes(a: World, b: World) -> Iterator[BodyChange]:
-    for name, body in a.bodies.items():
-        if name in b.bodies:
-            change = _change(a, body, b, b.bodies[name])
-            if change is not None:
-                yield change
 
 
 def _change(a: World, before: Body, b: World, after: Body) -> BodyChange | None:
@@ -567,17 +564,10 @@ def _divergence_lines(divergence: Divergence, equal: int) -> Iterator[str]:
     where = f" in {divergence.task}" if divergence.task else ""
     yield f"the runs are equal for {equal} records, then they diverge{where}:"
     for name, record in (("first", divergence.first), ("second", divergence.second)):
-        yield f"  {name:6} {_record(record)}"
+        line = f"step {record.seq}: {phrases.short(phrases.record_line(record))}" if record is not None else ""
+        yield f"  {name:6} {line or 'has no such record'}"
     for name, (before, after) in list(divergence.fields.items())[:_MAX_LISTED]:
         apart = f"  (by {abs(after - before):.3g})" if isinstance(before, float) and isinstance(after, float) else ""
         yield f"    {name}: {phrases.value(before)} -> {phrases.value(after)}{apart}"
     if len(divergence.fields) > _MAX_LISTED:
         yield f"    ... {len(divergence.fields) - _MAX_LISTED} more values"
-
-
-def _record(record: Record | None) -> str:
-    return (
-        f"step {record.seq}: {phrases.short(phrases.record_line(record))}"
-        if record is not None
-        else "has no such record"
-    )

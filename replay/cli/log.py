@@ -63,9 +63,11 @@ def run(log: Recording, options: argparse.Namespace) -> int:
             print_json(record_data(record) | {"text": line}, flush=options.follow)
         else:
             clock = f"{record.sim_step / STEPS_PER_SECOND:.3f}s" if record.world else ""
+            lifetime = log.lifetime_at(record.world, record.seq) if record.world and len(log.lifetimes) > 1 else None
+            world = f"{lifetime.title}: " if lifetime is not None else ""
             cause = f"  (by a handler of step {record.cause})" if record.cause else ""
             print_text(
-                f"{record.seq:6} {clock:>10} {kind_of(record):8} {_world(log, record)}{line}{cause}",
+                f"{record.seq:6} {clock:>10} {kind_of(record):8} {world}{line}{cause}",
                 flush=options.follow,
             )
     if not found and not options.follow:
@@ -77,12 +79,6 @@ def line_of(text: str) -> tuple[str, int | None]:
     """Return file and line of ``FILE:LINE``, or of ``FILE`` alone."""
     file, colon, number = text.rpartition(":")
     return (file, int(number)) if colon and number.isdecimal() else (text, None)
-
-
-def _world(log: Recording, record: Record) -> str:
-    """Return the world of a record, if there is more than one."""
-    lifetime = log.lifetime_at(record.world, record.seq) if record.world and len(log.lifetimes) > 1 else None
-    return f"{lifetime.title}: " if lifetime is not None else ""
 
 
 def follow(
@@ -121,8 +117,12 @@ class RecordFilter:
         """Yield the matching records with their lines."""
         if self.task is not None or self.where is not None:
             for task in log.records(Task, self._known, stop):
-                if task.phase == Task.STARTED and self.task is not None and self._is_of_task(task, self.task):
-                    self._tasks.add(task.task)
+                if task.phase == Task.STARTED and self.task is not None:
+                    pattern = self.task.casefold()
+                    by_id = pattern.isdecimal()
+                    named = task.task == int(pattern) if by_id else pattern in task.name.casefold()
+                    if named or task.parent in self._tasks:
+                        self._tasks.add(task.task)
                 if task.parent in self._led_to or self._has_line(task):
                     self._led_to.add(task.task)
             self._known = stop
@@ -162,10 +162,6 @@ class RecordFilter:
             lines = len(source.text(file).splitlines())
             if number is not None and lines and not 1 <= number <= lines:
                 raise NoSuchName(f"line of {file}", str(number), (), f"it has lines 1 to {lines}")
-
-    def _is_of_task(self, task: Task, pattern: str) -> bool:
-        named = task.task == int(pattern) if pattern.isdecimal() else pattern.casefold() in task.name.casefold()
-        return named or task.parent in self._tasks
 
     def _line(self, record: Record) -> str | None:
         """Return the line of a record; None if the record doesn't match."""

@@ -36,18 +36,14 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Write the copy, and print what it lacks."""
     target: Path = options.output or log.path.with_name(f"{log.path.stem}.sound.mcap")
     losses = write_copy(log, target, log.write_sound, overwrite=options.overwrite)
-    print_result(
-        lambda: _data(losses) | {"file": str(target), "files": len(log.assets) - len(losses.files)},
-        _lines(log, target, losses),
-        as_json=options.json,
-    )
+    data = asdict(losses) | {
+        "steps": [[gap.start, gap.stop - 1] for gap in losses.steps],
+        "chunks": {str(number): cause for number, cause in losses.chunks.items()},
+        "file": str(target),
+        "files": len(log.assets) - len(losses.files),
+    }
+    print_result(lambda: data, _lines(log, target, losses), as_json=options.json)
     return 0
-
-
-def _data(losses: Losses) -> dict[str, object]:
-    data: dict[str, object] = asdict(losses)
-    steps = [[gap.start, gap.stop - 1] for gap in losses.steps]
-    return data | {"steps": steps, "chunks": {str(number): cause for number, cause in losses.chunks.items()}}
 
 
 def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:

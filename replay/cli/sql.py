@@ -66,7 +66,8 @@ def _print_schema(*, as_json: bool) -> None:
 
 
 def _lines(answer: Answer) -> list[str]:
-    rows = [[visible(_cell(value)) for value in row] for row in answer.rows()]
+    texts = ((_text(value).replace("\n", " ").replace("\t", " ") for value in row) for row in answer.rows())
+    rows = [[visible(text if len(text) <= _WIDEST else f"{text[: _WIDEST - 3]}...") for text in row] for row in texts]
     widths = [max([len(name), *(len(row[at]) for row in rows)]) for at, name in enumerate(answer.columns)]
     numbers = [all(_is_number(row[at]) for row in answer.rows()) and bool(rows) for at in range(len(widths))]
     lines = []
@@ -77,11 +78,6 @@ def _lines(answer: Answer) -> list[str]:
         )
         lines.append("  ".join(aligned).rstrip())
     return [*lines, f"({plural(len(rows), 'row')})"]
-
-
-def _cell(value: Any) -> str:
-    text = _text(value).replace("\n", " ").replace("\t", " ")
-    return text if len(text) <= _WIDEST else text[: _WIDEST - 3] + "..."
 
 
 def _text(value: Any) -> str:

@@ -297,13 +297,10 @@ def _cause_table(folder: Path, causes: Sequence[FailureCause], links: str) -> st
     for cause in causes:
         commands = (_command(verb, folder / cause.first) for verb in ("why", "view"))
         first = "<br>".join((_link(links, cause.first), escape(cause.message[:300]), *commands))
-        what = f"{escape(cause.cause)}<br>{_bar(cause.count / most)}"
+        bar = f'<rect width="{cause.count / most * _WIDE:.1f}" height="8" fill="#b5534a"/>'
+        what = f'{escape(cause.cause)}<br><svg width="{_WIDE}" height="8">{bar}</svg>'
         rows.append((what, (cause.count, str(cause.count)), (cause.share, f"{cause.share:.0%}"), first))
     return _table(("cause", "#runs", "#share", "first"), rows)
-
-
-def _bar(share: float) -> str:
-    return f'<svg width="{_WIDE}" height="8"><rect width="{share * _WIDE:.1f}" height="8" fill="#b5534a"/></svg>'
 
 
 def _figure(folder: Path, cause: FailureCause, links: str) -> str:

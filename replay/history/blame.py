@@ -193,7 +193,10 @@ class _Search:
         """Return whether a change is more than settling, or than rounding."""
         if commanded(record) == self._body:
             return True
-        return _is_far(part, after, before, _SETTLING if is_physics(record) else _ROUNDING)
+        limits = _SETTLING if is_physics(record) else _ROUNDING
+        if part == "orientation":
+            return turn(before, after) >= limits[1]
+        return math.dist(before, after) >= limits[0]
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
         """Return the body's values in a record: position and orientation, or the joint's value."""
@@ -277,12 +280,6 @@ def commanded(record: Mutation | Keyframe) -> str:
     """Return the body that a record's command is about; empty if it is about none."""
     command = record.WhichOneof("command") if isinstance(record, Mutation) else None
     return str(getattr(getattr(record, command), "body", "")) if command else ""
-
-
-def _is_far(part: str, after: Sequence[float], before: Sequence[float], limits: tuple[float, float]) -> bool:
-    if part == "orientation":
-        return turn(before, after) >= limits[1]
-    return math.dist(before, after) >= limits[0]
 
 
 def _size(before: Pose | float | None, after: Pose | float) -> tuple[float, float]:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from recorder import records
-    from recorder.geometry import Pose, Quaternion, Vector
+    from recorder.geometry import Quaternion, Vector
     from replay.file.lifetimes import Lifetime
     from replay.file.record_reader import RecordReader
 
@@ -236,12 +236,8 @@ class WorldBuilder:
             removed=effect.removed,
             carriers=carriers,
             robots=[name for name, body in self.bodies.items() if body.loaded.type == "robot"] if carriers else (),
-            pose_of=self._pose,
+            pose_of=lambda name: (known.position, known.orientation) if (known := self.bodies.get(name)) else _NOWHERE,
         )
-
-    def _pose(self, body: str) -> Pose:
-        known = self.bodies.get(body)
-        return (known.position, known.orientation) if known is not None else _NOWHERE
 
     def _follow(self, command: str | None, record: Mutation) -> None:
         if command == "begin_trajectory":

@@ -141,14 +141,12 @@ class World:
             what: name or type of objects; None for all.
             robot: name of the robot; None for all.
         """
+        types = {name: body.type for name, body in self.bodies.items()}
         return [
             belief
             for belief in reversed(list(self.beliefs.values()))
-            if robot in (None, belief.robot) and what in (None, belief.object, self._type(belief.object))
+            if robot in (None, belief.robot) and what in (None, belief.object, types.get(belief.object, ""))
         ]
-
-    def _type(self, body: str) -> str:
-        return self.bodies[body].type if body in self.bodies else ""
 
 
 @dataclass(frozen=True, slots=True)

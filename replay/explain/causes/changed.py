@@ -249,7 +249,12 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
     robot = case.world.robot
     for name in dict.fromkeys((*names, *obstacles, *hiders, *([robot] if named else []))):
         before, after = then.bodies.get(name), case.world.bodies.get(name)
-        if after is None or (before is not None and not _has_moved(before, after)):
+        if after is None:
+            continue
+        if before is not None and not (
+            math.dist(before.position, after.position) > _MOVED[0]
+            or turn(before.orientation, after.orientation) > _MOVED[1]
+        ):
             continue
         removal = removal_of(case, name, step) if before is not None else None
         if removal is not None:  # the body with that name is another one
@@ -304,11 +309,6 @@ def _relevant_joints(robot: Body, query: str) -> tuple[str, ...]:
     """Return the joints that affect an answer, without the joints that the query varies."""
     head = joints_of(robot, "head") if query in ("visible", "occluding") else ()
     return (*joints_of(robot, "torso"), *head)
-
-
-def _has_moved(before: Body, after: Body) -> bool:
-    far = math.dist(before.position, after.position) > _MOVED[0]
-    return far or turn(before.orientation, after.orientation) > _MOVED[1]
 
 
 def _removal(case: FailureCase) -> tuple[str, Mutation | None]:

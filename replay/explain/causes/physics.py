@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from recorder.geometry import Pose
-    from recorder.tasks import Node
     from replay.history.source import Line
     from replay.state.state import Body, State
 
@@ -112,7 +111,10 @@ class _Fate:
                 continue
             if name in record.effect.removed:
                 break
-            if not is_physics(record) and self._touches(record):
+            gripped = [*record.effect.attached, *record.effect.detached]
+            grips = record.HasField("attach_body") or record.HasField("detach_body") or record.HasField("remove_body")
+            touches = self._pose_in(record) or (grips and any(each.body == name for each in gripped))
+            if not is_physics(record) and touches:
                 self.base = record
                 break
             if is_physics(record) and self._pose_in(record):
@@ -120,7 +122,8 @@ class _Fate:
         successes = (
             motion.last_step
             for motion in case.failed.motions
-            if motion.name in _WANTED and not motion.failed and motion.last_step < case.began and self._is_about(motion)
+            if motion.name in _WANTED and not motion.failed and motion.last_step < case.began
+            if about(motion, body=name) or name in objects_in(result(motion))
         )
         base = self.base.seq if self.base is not None else 0
         self.since = max(base, max(successes, default=0))
@@ -251,17 +254,9 @@ class _Fate:
         spins = [math.hypot(*velocity[3:]) for velocity in velocities if len(velocity) == 6]
         return math.hypot(*velocities[0][:3]) if velocities else 0.0, max(spins, default=0.0)
 
-    def _touches(self, record: Mutation) -> bool:
-        gripped = [*record.effect.attached, *record.effect.detached]
-        grips = record.HasField("attach_body") or record.HasField("detach_body") or record.HasField("remove_body")
-        return self._pose_in(record) or (grips and any(each.body == self._name for each in gripped))
-
     def _pose_in(self, record: Mutation) -> bool:
         state = next((each for each in record.effect.bodies if each.body == self._name), None)
         return state is not None and bool(state.position or state.orientation)
-
-    def _is_about(self, motion: Node) -> bool:
-        return about(motion, body=self._name) or self._name in objects_in(result(motion))
 
     def _body(self, state: State, name: str) -> Body | None:
         world = state.worlds.get(self._world)

@@ -154,7 +154,9 @@ class Timeout(Cause):
             seconds, clock = case.task.parameters.get("seconds"), str(case.task.parameters.get("clock"))
             took = sorted(_ended(scope), key=lambda node: -_duration(node, clock))[:_MAX_TOOK]
             simulated = _longest_simulated(case, scope) if clock == _SIMULATED_TIME else ()
-            yield _timeout(case, seconds, clock, doing, tuple(took), _stopped_at(case), simulated)
+            stop = next((error for error in case.traced if error.type == "Cancelled" and error.lines), None)
+            line = case.line(stop.lines) if stop is not None else None  # that the deadline stopped
+            yield _timeout(case, seconds, clock, doing, tuple(took), line, simulated)
             return
         for wait in list(answers(case))[-1:]:
             if isinstance(wait, Task) and from_json(wait.result_json) is False:
@@ -404,9 +406,3 @@ def _timeout(
     steps = {case.step, *(step for each in doing for step in each.steps()), *(node.last_step for node in took)}
     steps |= {each.steps[-1] for each in simulated}
     return Timeout(tuple(sorted(steps)), limit, clock, doing, line, took, simulated)
-
-
-def _stopped_at(case: FailureCase) -> Line | None:
-    """Return the plan's line that the deadline stopped, by the traceback."""
-    stop = next((error for error in case.traced if error.type == "Cancelled" and error.lines), None)
-    return case.line(stop.lines) if stop is not None else None
