@@ -242,30 +242,26 @@ def _finish(log: Journal, title: str, start: int, error: BaseException | None) -
         if isinstance(error, KeyboardInterrupt):
             ending.callback(drop_pending)
         ending.callback(journal.close_journal, log)
-        _append_end(log, title, start, error)
-
-
-def _append_end(log: Journal, title: str, start: int, error: BaseException | None) -> None:
-    succeeded = error is None or (isinstance(error, SystemExit) and not error.code)
-    end = Run(
-        phase=Run.FINISHED,
-        name=title,
-        thread=current_name(),
-        succeeded=succeeded,
-        duration_ns=time.perf_counter_ns() - start,
-    )
-    if error is not None and not succeeded:
-        end.failure.CopyFrom(failure_with_frames(error, errors=_MAX_ERRORS))
-        if isinstance(error, KeyboardInterrupt):
-            end.interrupted_by, end.checkpoint = interrupted_by(), interrupted_at()
-    with span.running() as tasks:
-        for began in reversed(tasks):
-            left = Task(phase=Task.LEFT, status=began.status, duration_ns=time.time_ns() - began.began_ns)
-            for field in ("task", "parent", "world", "sim_step", "thread", "kind", "name", "attempt"):
-                setattr(left, field, getattr(began, field))
-            log.append(left)
-        log.append(end)
-        journal.forget_journal(log)  # tasks that end now are in it no more
+        succeeded = error is None or (isinstance(error, SystemExit) and not error.code)
+        end = Run(
+            phase=Run.FINISHED,
+            name=title,
+            thread=current_name(),
+            succeeded=succeeded,
+            duration_ns=time.perf_counter_ns() - start,
+        )
+        if error is not None and not succeeded:
+            end.failure.CopyFrom(failure_with_frames(error, errors=_MAX_ERRORS))
+            if isinstance(error, KeyboardInterrupt):
+                end.interrupted_by, end.checkpoint = interrupted_by(), interrupted_at()
+        with span.running() as tasks:
+            for began in reversed(tasks):
+                left = Task(phase=Task.LEFT, status=began.status, duration_ns=time.time_ns() - began.began_ns)
+                for field in ("task", "parent", "world", "sim_step", "thread", "kind", "name", "attempt"):
+                    setattr(left, field, getattr(began, field))
+                log.append(left)
+            log.append(end)
+            journal.forget_journal(log)  # tasks that end now are in it no more
 
 
 def _leave_to_parent(sink: McapSink | None, log: Journal) -> None:

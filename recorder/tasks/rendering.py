@@ -274,7 +274,10 @@ def _drawn(row: TreeRow, top: int, clock: _Clock, begin: int, length: int) -> It
         yield f'<text x="{x}" y="{top + 14}" fill="{color}" font-style="italic">{_escape(text)}</text>'
         return
     color = COLORS[node.status]
-    yield f"<g><title>{_escape(_details(node))}</title>"
+    details = [label(node), _outcome(node), *(f"{name} = {value}" for name, value in node.parameters.items())]
+    details += [node.source] if node.source else []
+    title = "\n".join(details)
+    yield f"<g><title>{_escape(title)}</title>"
     if row.failing:
         yield f'<rect x="0" y="{top}" width="100%" height="{_ROW}" fill="#fdeceb"/>'
     yield f'<circle cx="{x + 4}" cy="{top + 10}" r="4" fill="{color}"/>'
@@ -286,11 +289,6 @@ def _drawn(row: TreeRow, top: int, clock: _Clock, begin: int, length: int) -> It
     wide = max(1.5, _BARS * (stop - clock(start)) / length)
     yield f'<rect x="{left:.1f}" y="{top + 4}" width="{wide:.1f}" height="{_ROW - 8}" rx="2" fill="{color}"/>'
     yield "</g>"
-
-
-def _details(node: Node) -> str:
-    details = [label(node), _outcome(node), *(f"{name} = {value}" for name, value in node.parameters.items())]
-    return "\n".join([*details, node.source] if node.source else details)
 
 
 def _outcome(node: Node) -> str:

@@ -170,13 +170,10 @@ class ViewerWindow:
         if self._process is None:
             return
         with suppress(subprocess.TimeoutExpired):
-            code, words = self._process.wait(timeout), _last_line(self._stderr)
+            code = self._process.wait(timeout)
+            self._stderr.seek(0)
+            lines = [line.strip() for line in self._stderr.read().decode(errors="replace").split("\n") if line.strip()]
+            words = lines[-1] if lines else "it didn't say why"
             if code or words.startswith("Error"):  # the viewer's code is 0 then, too
                 raise ViewerGone(f"the viewer didn't open ({words})")
             raise ViewerGone("the viewer was closed")
-
-
-def _last_line(stderr: IO[bytes]) -> str:
-    stderr.seek(0)
-    lines = stderr.read().decode(errors="replace").split("\n")
-    return next((line.strip() for line in reversed(lines) if line.strip()), "it didn't say why")

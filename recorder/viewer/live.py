@@ -93,7 +93,13 @@ class RerunSink:
         self._started = time.monotonic()
         self._connection, child_end = Pipe()
         with child_end:
-            self._process = _start(child_end, live, title)
+            self._process = subprocess.Popen(  # noqa: S603  our own code
+                [sys.executable, "-c", _CODE, _ROOT, str(child_end.fileno()), live, title, str(_LINGER_TIMEOUT)],
+                stdin=subprocess.PIPE,  # which is closed when this process ends, however it ends
+                stdout=subprocess.DEVNULL,
+                pass_fds=[child_end.fileno()],
+                env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # the process prints what matters
+            )
         self._thread = own(threading.Thread(target=self._run, name="live viewer", daemon=True))
         self._thread.start()
 
@@ -140,7 +146,13 @@ class RerunSink:
 
     def _hand_over(self) -> bool:
         """Sends the rest to the process, and unblocks the thread; returns whether the process took it."""
-        sender = own(threading.Thread(target=self._give_rest, name="rest for the viewer", daemon=True))
+
+        def send() -> None:
+            with self._sending, contextlib.suppress(OSError):
+                self._connection.send(self._queue.take_rest())
+                self._connection.send([])
+
+        sender = own(threading.Thread(target=send, name="rest for the viewer", daemon=True))
         sender.start()
         sender.join(_HAND_OVER_TIMEOUT)
         if sender.is_alive():  # the process doesn't read any more
@@ -153,11 +165,6 @@ class RerunSink:
             self._process.stdin.close()  # its timeout begins
         _lingering[:] = [process for process in (*_lingering, self._process) if process.poll() is None]
         return self._process in _lingering
-
-    def _give_rest(self) -> None:
-        with self._sending, contextlib.suppress(OSError):
-            self._connection.send(self._queue.take_rest())
-            self._connection.send([])
 
     def _run(self) -> None:
         try:
@@ -192,17 +199,6 @@ def _stop(process: subprocess.Popen[bytes], owner: int | None = None) -> None:
         return
     with process:  # waits for it, and closes the pipe
         process.kill()
-
-
-def _start(child_end: Connection, live: str, title: str) -> subprocess.Popen[bytes]:
-    """Starts the translating process; its standard input is closed when this one ends, however it ends."""
-    return subprocess.Popen(  # noqa: S603  our own code
-        [sys.executable, "-c", _CODE, _ROOT, str(child_end.fileno()), live, title, str(_LINGER_TIMEOUT)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        pass_fds=[child_end.fileno()],
-        env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # it prints what matters; the viewer was asked for
-    )
 
 
 Item: TypeAlias = tuple[str, bytes] | AssetFile
@@ -319,17 +315,16 @@ def main(arguments: list[str]) -> None:
     target = Target.parse(arguments[1])
     absent = threading.Event()
     threading.Thread(target=_end_with_parent, args=[absent, float(arguments[3])], name="parent", daemon=True).start()
-    status = 0
+    status = 1
     try:
         _serve(_Batches(connection), target, arguments[2], absent)
+        status = 0
     except (ViewerGone, EOFError, OSError) as end:
         if str(end):
             _print(f"{end}; the plan goes on without")
-        status = 1
-    except BaseException:  # noqa: BLE001  printed, and then it ends
-        traceback.print_exc()
-        status = 1
     finally:
+        if sys.exception() is not None:
+            traceback.print_exc()
         sys.stderr.flush()
         os._exit(status)  # the viewer's library would wait for its viewer, perhaps for ever
 

@@ -120,17 +120,14 @@ class QueryPicture:
         number = self._classes.get(body)
         if number is None:
             number = self._classes[body] = min(len(self._classes) + 1, _MAX_CLASSES)
-            classes = [
-                rr.AnnotationInfo(id=id_, label=name, color=_class_color(id_)) for name, id_ in self._classes.items()
-            ]
+            classes = []
+            for name, id_ in self._classes.items():
+                channels = colorsys.hsv_to_rgb(id_ * _GOLDEN_RATIO % 1.0, 0.65, 0.95)
+                color = [round(channel * 255) for channel in channels]
+                classes.append(rr.AnnotationInfo(id=id_, label=name, color=color))
             context = rr.AnnotationContext([(0, "nothing near", (0, 0, 0)), *classes])
             self._columns.send_static(self._path, context)
         return number
-
-
-def _class_color(number: int) -> tuple[int, int, int]:
-    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN_RATIO % 1.0, 0.65, 0.95)
-    return round(red * 255), round(green * 255), round(blue * 255)
 
 
 PLACES: Final = "places"

@@ -112,7 +112,12 @@ class Columns:
     def send(self, path: str, time: TimePoint, *archetypes: rr.AsComponents) -> None:
         """Sends one row at once: what the entity is from that time on."""
         self._flush(path)  # rows of one entity keep their order
-        self._send(path, [time], _single_row(archetypes))
+        batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
+        columns = [
+            rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
+            for batch in batches
+        ]
+        self._send(path, [time], columns)
 
     def clear(self, path: str, time: TimePoint) -> None:
         """Removes what an entity shows from that time on; entities below it stay."""
@@ -148,14 +153,6 @@ class Columns:
             rr.TimeColumn("wall", timestamp=indexes[:, 2].astype("datetime64[ns]")),
         )
         self._stream.send_columns(path, time_columns, columns)
-
-
-def _single_row(archetypes: Iterable[rr.AsComponents]) -> list[rr.ComponentColumn]:
-    return [
-        rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
-        for archetype in archetypes
-        for batch in archetype.as_component_batches()
-    ]
 
 
 Color: TypeAlias = tuple[int, int, int]

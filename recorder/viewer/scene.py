@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from recorder.records import LoadBody, Mutation
     from recorder.records.motion import BodyMotion, Frame
     from recorder.records.values import AssetFile
-    from recorder.urdf import Color, Shape
+    from recorder.urdf import Color, Shape, Urdf
     from recorder.viewer.rerun_stream import Columns, Series, TimePoint
 
 
@@ -89,13 +89,19 @@ class ViewerScene:
 
     def pose(self, world: str, body: str, link: str = "") -> Pose | None:
         """Current pose of a body's base or link in the world; None if there is no such thing."""
-        scene_body = self.bodies.get(world, {}).get(body)
-        if scene_body is None or not link:
+        if not link:
+            scene_body = self.bodies.get(world, {}).get(body)
             return scene_body.pose if scene_body is not None else None
-        model = self._frames.model(world, body)
-        if model is None or link not in model.links:
+        found = self._with_link(world, body, link)
+        if found is None:
             return None
+        scene_body, model = found
         return geometry.multiply(scene_body.pose, model.forward_kinematics(scene_body.joints, link))
+
+    def _with_link(self, world: str, body: str, link: str) -> tuple[SceneBody, Urdf] | None:
+        """Return a body and its model; None if it isn't there, or its model isn't known or has no such link."""
+        scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
+        return (scene_body, model) if scene_body is not None and model is not None and link in model.links else None
 
     def robot(self, world: str, name: str = "") -> tuple[str, SceneBody] | None:
         """The robot of that name, else the one that plans control, else any; None if the world has none."""
@@ -117,9 +123,10 @@ class ViewerScene:
 
         The other joints are as they are; there are no points without a model.
         """
-        scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
-        if scene_body is None or model is None or link not in model.links:
+        found = self._with_link(world, body, link)
+        if found is None:
             return []
+        scene_body, model = found
         points: list[Vector] = []
         pose, values = scene_body.pose, scene_body.joints | joints
         for joint in model.chain(model.root, link):
@@ -135,9 +142,10 @@ class ViewerScene:
 
         It takes positions of joints in rad or m; the other joints are as they are when it is called.
         """
-        scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
-        if scene_body is None or model is None or link not in model.links:
+        found = self._with_link(world, body, link)
+        if found is None:
             return None
+        scene_body, model = found
 
         def position(joints: Mapping[str, float]) -> Vector:
             values = {**scene_body.joints, **joints, **model.followers(joints)}
@@ -157,10 +165,11 @@ class ViewerScene:
         if bodies is None:
             bodies = self.bodies[record.world] = {}
             self._columns.set_frame(self._columns.path(record.world), self.frame(record.world))
-        for name in _removed(record, bodies):
+        removed, added = _changed_bodies(record, bodies)
+        for name in removed:
             for path in bodies.pop(name).shapes:
                 self._columns.clear(path, now)
-        for loaded in _added(record, bodies):
+        for loaded in added:
             bodies[loaded.body] = self._load(record.world, loaded, now)
         if isinstance(record, Keyframe):
             self.robots[record.world] = record.robot
@@ -223,39 +232,29 @@ class ViewerScene:
             paint: Any = _COLLISION_COLOR if entity == COLLISION else (color or None)
             for link, shapes in read_shapes(model, role).items():
                 frame = self.frame(world, loaded.body, link)
-                for name, archetypes in draw(shapes, self._mesh, paint):
+                # models in recordings name a mesh <sha256>/<file>
+                for name, archetypes in draw(shapes, lambda mesh: self._files.get(mesh.partition("/")[0]), paint):
                     path = self._columns.path(world, entity, loaded.body, link, name)
                     self._columns.set_frame(path, frame)
                     self._columns.send(path, now, *archetypes)
                     body.shapes.add(path)
 
-    def _mesh(self, name: str) -> bytes | None:
-        """The content of a mesh; models in recordings name it ``<sha256>/<file>``."""
-        return self._files.get(name.partition("/")[0])
 
-
-def _removed(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]) -> list[str]:
-    """Names of bodies that are no more, or have another model than before."""
+def _changed_bodies(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]) -> tuple[list[str], list[LoadBody]]:
+    """Return the names of bodies that are gone or have another model, and the bodies that were loaded."""
     if isinstance(record, Keyframe):
-        unchanged = {loaded.body for loaded in record.loaded if _is_same(bodies.get(loaded.body), loaded)}
-        return [name for name in bodies if name not in unchanged]
+        models = {name: [asset.sha256 for asset in body.loaded.assets] for name, body in bodies.items()}
+        added = [
+            loaded for loaded in record.loaded if models.get(loaded.body) != [asset.sha256 for asset in loaded.assets]
+        ]
+        unchanged = {loaded.body for loaded in record.loaded} - {loaded.body for loaded in added}
+        return [name for name in bodies if name not in unchanged], added
     command = record.WhichOneof("command")
-    if command == "open_world":  # what a world had when it was closed is shown on: there is nothing more to see
-        return list(bodies)
-    removed = {*record.effect.removed, record.load_body.body} if command == "load_body" else record.effect.removed
-    return [name for name in removed if name in bodies]
-
-
-def _added(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]) -> list[LoadBody]:
-    if isinstance(record, Keyframe):
-        return [loaded for loaded in record.loaded if loaded.body not in bodies]
-    return [record.load_body] if record.WhichOneof("command") == "load_body" else []
-
-
-def _is_same(body: SceneBody | None, loaded: LoadBody) -> bool:
-    return body is not None and [asset.sha256 for asset in body.loaded.assets] == [
-        asset.sha256 for asset in loaded.assets
-    ]
+    if command == "open_world":  # the bodies of a closed world are shown until a world of its name opens
+        return list(bodies), []
+    added = [record.load_body] if command == "load_body" else []
+    removed = {*record.effect.removed, *(loaded.body for loaded in added)}
+    return [name for name in bodies if name in removed], added
 
 
 def _transforms(parent: str, child: str, rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
@@ -281,10 +280,10 @@ def draw(
     ``meshes`` gives a mesh's content, None if it is not known; without a color of the body, shapes have their own.
     Yields names, unique within the link, and what is shown there.
     """
-    for kind, solids in _SOLIDS.items():
+    for kind in ("box", "cylinder", "sphere", "capsule"):
         alike = [shape for shape in shapes if shape.kind == kind]
         if alike:
-            yield kind, [solids(alike, [color or shape.color for shape in alike])]
+            yield kind, [_solids(kind, alike, [color or shape.color for shape in alike])]
     number = 0
     for shape in shapes:
         content = meshes(shape.mesh) if shape.kind == "mesh" else None
@@ -297,36 +296,21 @@ def draw(
             number += 1
 
 
-def _boxes(shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.AsComponents:
-    half = [[edge / 2 for edge in shape.size] for shape in shapes]
+def _solids(kind: str, shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.AsComponents:
     centers, turns = zip(*(shape.pose for shape in shapes), strict=True)
-    return rr.Boxes3D(half_sizes=half, centers=centers, quaternions=turns, colors=colors, fill_mode="solid")
-
-
-def _cylinders(shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.AsComponents:
-    centers, turns = zip(*(shape.pose for shape in shapes), strict=True)
-    radii, lengths = zip(*(shape.size for shape in shapes), strict=True)
-    return rr.Cylinders3D(
-        lengths=lengths, radii=radii, centers=centers, quaternions=turns, colors=colors, fill_mode="solid"
-    )
-
-
-def _spheres(shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.AsComponents:
-    radii, centers = [shape.size[0] for shape in shapes], [shape.pose[0] for shape in shapes]
-    return rr.Ellipsoids3D(radii=radii, centers=centers, colors=colors, fill_mode="solid")
-
-
-def _capsules(shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.AsComponents:
-    """The viewer's capsules begin at their origin and have no length of their caps; a URDF's are centred."""
-    radii, lengths = zip(*(shape.size for shape in shapes), strict=True)
-    turns = [shape.pose[1] for shape in shapes]
+    sizes = [shape.size for shape in shapes]
+    look: dict[str, Any] = {"colors": colors, "fill_mode": "solid"}
+    if kind == "box":
+        half = [[edge / 2 for edge in size] for size in sizes]
+        return rr.Boxes3D(half_sizes=half, centers=centers, quaternions=turns, **look)
+    if kind == "sphere":
+        return rr.Ellipsoids3D(radii=[radius for (radius,) in sizes], centers=centers, **look)
+    radii, lengths = zip(*sizes, strict=True)
+    if kind == "cylinder":
+        return rr.Cylinders3D(lengths=lengths, radii=radii, centers=centers, quaternions=turns, **look)
+    # the viewer's capsules begin at their origin and have no length of their caps; a URDF's are centred
     feet = [geometry.transform(shape.pose, (0.0, 0.0, -shape.size[1] / 2)) for shape in shapes]
-    return rr.Capsules3D(
-        lengths=lengths, radii=radii, translations=feet, quaternions=turns, colors=colors, fill_mode="solid"
-    )
-
-
-_SOLIDS: Final = {"box": _boxes, "cylinder": _cylinders, "sphere": _spheres, "capsule": _capsules}
+    return rr.Capsules3D(lengths=lengths, radii=radii, translations=feet, quaternions=turns, **look)
 
 
 def table(robot: LoadBody, name: str) -> Mapping[str, Any]:

@@ -136,7 +136,8 @@ class TaskGraph:
         edges = []
         for row, (depth, node) in enumerate(_shown(self._tree), 1):
             ids.append(str(node.id))
-            labels.append(_node_label(node))
+            name = node.name if len(node.name) <= _MAX_LETTERS else f"{node.name[: _MAX_LETTERS - 1]}\u2026"
+            labels.append(name + _MARKS.get(node.status, ""))
             colors.append(_COLORS.get(node.status, _COLORS[State.CREATED]))
             positions.append(((depth + 1) * _ACROSS, row * _DOWN))
             edges.append((str(node.parent.id) if node.parent is not None else _PLAN, ids[-1]))
@@ -166,8 +167,3 @@ def _latest(nodes: Sequence[Node], failing: set[int]) -> list[Node]:
         for number, node in enumerate(nodes)
         if number >= first or node.id in failing or node.status in (State.RUNNING, State.CREATED)
     ]
-
-
-def _node_label(node: Node) -> str:
-    name = node.name if len(node.name) <= _MAX_LETTERS else f"{node.name[: _MAX_LETTERS - 1]}\u2026"
-    return name + _MARKS.get(node.status, "")

@@ -112,7 +112,10 @@ class Translator:
         for motion in motions:
             if motion.sim_step != step:
                 step = motion.sim_step
-                time = now if step == end else _within(record, step, now, self._previous_ns)
+                steps = max(record.simulate.steps, 1) if isinstance(record, Mutation) else 1
+                share = min(max((step - end + steps) / steps, 0.0), 1.0)  # of the wall time since the record before
+                wall = self._previous_ns + round((now.wall - self._previous_ns) * share)
+                time = now if step == end else TimePoint(now.step, sim_ns(step), wall)
             body = self.scene.move(world, motion, time)
             if body is not None:
                 self._plots.show(world, body, motion, time)
@@ -121,13 +124,6 @@ class Translator:
         if not only_moves or effect is None or effect.attached or effect.detached:
             self._attachments.show(record, now)
             self._cameras.show(world, now)
-
-
-def _within(record: Mutation | Keyframe, sim_step: int, now: TimePoint, previous_ns: int) -> TimePoint:
-    """Time of a simulated step within a record; its wall time is interpolated from the record before."""
-    steps = max(record.simulate.steps, 1) if isinstance(record, Mutation) else 1
-    share = min(max((sim_step - record.sim_step + steps) / steps, 0.0), 1.0)
-    return TimePoint(now.step, sim_ns(sim_step), previous_ns + round((now.wall - previous_ns) * share))
 
 
 _SETUP: Final = ("open_world", "load_body", "set_gravity", "set_realtime", "set_robot", "set_color")

@@ -26,11 +26,12 @@ import subprocess
 import sys
 import tempfile
 import threading
+from functools import cache
 from http import HTTPStatus
 from http.client import OK, HTTPConnection, HTTPException
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 from urllib.parse import quote, urlsplit
 
 import rerun as rr
@@ -58,20 +59,19 @@ class WebPage:
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         try:
-            self._records = _GrowingFile(stream)
+            self._records = GrowingFile(stream)
         except (OSError, RuntimeError) as error:  # the latter is the library's type for all errors
             raise ViewerGone(f"the page can't be served: {error}") from error
-        server = self._serve()
-        #: Of the page; it holds a token, so only who knows it gets anything.
-        self.address = f"{server.address}?hide_welcome_screen&url={quote(server.address + RECORDS, safe='')}"
-
-    def _serve(self) -> PageServer:
         for _ in range(_MAX_TRIES):
             try:
-                return PageServer(free_port(_PORT), _Files().read, self._records)
-            except OSError:  # somebody has just taken it
+                server = PageServer(free_port(_PORT), cache(read_viewer_files), self._records.pieces)
+                break
+            except OSError:  # another program has just taken the port
                 continue
-        raise ViewerGone("the page can't be served: no port is free")
+        else:
+            raise ViewerGone("the page can't be served: no port is free")
+        #: Of the page; it holds a token, so only who knows it gets anything.
+        self.address = f"{server.address}?hide_welcome_screen&url={quote(server.address + RECORDS, safe='')}"
 
     def flush(self) -> None:
         """Sends the pages what the stream has got."""
@@ -91,24 +91,8 @@ def private_link(address: str) -> Iterator[str]:
         yield Path(file.name).as_uri()
 
 
-class _Files:
-    """The files of the page; read when a browser asks for the first, as many pages are never opened."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._files: dict[str, bytes] = {}
-
-    def read(self) -> dict[str, bytes]:
-        with self._lock:
-            if not self._files:
-                files = read_viewer_files()
-                files[INDEX] = _FOREIGN_LINK.sub(b"", files[INDEX])
-                self._files = files
-            return self._files
-
-
-class _GrowingFile:
-    """What a stream gets, in a file without a name; see :class:`Records`."""
+class GrowingFile:
+    """The records of a stream, in a file without a name."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._grown = threading.Condition()
@@ -119,10 +103,12 @@ class _GrowingFile:
             self._file = file.open("rb", buffering=0)
 
     def notify(self) -> None:
+        """Tell readers that the file may have grown."""
         with self._grown:
             self._grown.notify_all()
 
     def pieces(self) -> Iterator[bytes]:
+        """Yield the content from the beginning, and then what is added; never ends."""
         at = 0
         while True:
             with self._grown:
@@ -153,28 +139,21 @@ _HEADERS: Final = {
 }
 
 
-class Records(Protocol):
-    """The records that a page shows, as they come."""
-
-    def pieces(self) -> Iterable[bytes]:
-        """All from the beginning, and then what comes; waits for it."""
-
-
 class PageServer(ThreadingHTTPServer):
     """Serves the page from threads of its own until it is closed, or this process ends.
 
     Args:
         port: 0 for one that is free; OSError is raised if it isn't.
-        files: gives the content of each file of the page, when one is asked for.
-        records: the records that the page shows, at ``RECORDS`` beside the files.
+        files: called when a browser requests the first file; returns the content of each file of the page.
+        pieces: yields the content of ``RECORDS``, from the beginning for each browser.
     """
 
     daemon_threads = True
     allow_reuse_address = False  # a port that somebody has isn't free
 
-    def __init__(self, port: int, files: Callable[[], dict[str, bytes]], records: Records) -> None:
+    def __init__(self, port: int, files: Callable[[], dict[str, bytes]], pieces: Callable[[], Iterable[bytes]]) -> None:
         super().__init__((HOST, port), _Request)
-        self.files, self.records = files, records
+        self.files, self.pieces = files, pieces
         self.host = f"{HOST}:{self.server_port}"  # its own name and port, as browsers give it
         self.token = secrets.token_urlsafe(16)  # what requests have to hold
         threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
@@ -216,7 +195,7 @@ class _Request(BaseHTTPRequestHandler):
     def _send(self, name: str) -> None:
         if name == RECORDS:
             self._begin("application/octet-stream", None)
-            for piece in self.server.records.pieces():
+            for piece in self.server.pieces():
                 self.wfile.write(piece)
             return
         content = self.server.files().get(name)
@@ -236,7 +215,7 @@ class _Request(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _refuse(self, status: HTTPStatus) -> None:
-        """Answers without a content; it says nothing about what is here."""
+        """Answer without content: the answer tells strangers nothing."""
         self.close_connection = True
         with contextlib.suppress(OSError):
             self.send_response(status)
@@ -276,12 +255,14 @@ def read_viewer_files() -> dict[str, bytes]:
         overdue.start()
         try:
             port = _port(process)
-            return {name: _get(port, "" if name == INDEX else name) for name in NAMES}
+            files = {name: _get(port, "" if name == INDEX else name) for name in NAMES}
         except (OSError, HTTPException) as error:
             raise ViewerGone(f"the viewer's page can't be had ({error})") from error
         finally:
             overdue.cancel()
             process.kill()
+    files[INDEX] = _FOREIGN_LINK.sub(b"", files[INDEX])
+    return files
 
 
 def _port(process: subprocess.Popen[bytes]) -> int:

@@ -118,17 +118,14 @@ def differing(a: Image.Image, b: Image.Image) -> float:
 FILES = {"index.html": b"a page", "re_viewer.js": b"a program", "re_viewer_bg.wasm": bytes(range(256)) * 1000}
 
 
-class Two:
-    """Records that come in two pieces."""
-
-    def pieces(self) -> Iterator[bytes]:
-        yield b"the first, "
-        yield b"the second"
+def pieces() -> Iterator[bytes]:
+    yield b"the first, "
+    yield b"the second"
 
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[PageServer]:
-    made = PageServer(0, lambda: FILES, Two())
+    made = PageServer(0, lambda: FILES, pieces)
     yield made
     made.shutdown()
     made.server_close()
@@ -284,7 +281,7 @@ def test_the_page_may_contact_its_own_server_only(server: PageServer) -> None:
 
 def test_a_port_that_somebody_has_is_refused(server: PageServer) -> None:
     with pytest.raises(OSError, match="in use"):
-        PageServer(server.server_port, lambda: FILES, Two())
+        PageServer(server.server_port, lambda: FILES, pieces)
 
 
 def test_the_browser_is_called_with_a_file_that_only_its_user_can_read() -> None:
