@@ -11,8 +11,8 @@ import numpy as np
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlaceFailed, UnknownName
-from pycram.models.shapes import pieces_of
 from pycram.models.surfaces import Surface
+from pycram.models.visual import pieces_of
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.boxes import concatenate
 from pycram.reasoning.collision.checker import CollisionChecker
@@ -26,14 +26,14 @@ from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.goals import PutDown, Putting, description_of
 from pycram.reasoning.places.maps import Grid, arm_reach, generator, room, spread
-from pycram.reasoning.places.search import Batch, ConstraintCounts, Place, Spot
+from pycram.reasoning.places.search import Batch, Place, Search, Spot
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
 from pycram.scheduling.future import unwrap
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -119,180 +119,13 @@ def free_places(
     point = None if near is None else checks.vector("near", (*near, 0.0) if len(near) == 2 else near)
     off = None if away is None else checks.vector("away", (*away, 0.0) if len(away) == 2 else away)
     turn = None if orientation is None else checks.quaternion("orientation", orientation)
-    return _Search(body, surfaces, point, (name, reference), turn, robot, chosen, off, seed).places()
+    return SurfaceSearch(body, surfaces, point, (name, reference), turn, robot, chosen, off, seed).places()
 
 
 def _surface(furniture: Object, surface: Surface | str) -> tuple[Object, Surface]:
     """Return a surface that is given, or named, with its furniture."""
     world_of(furniture)
     return furniture, surface if isinstance(surface, Surface) else furniture.surface(surface)
-
-
-class _Search:
-    """Places for an object, one after the other."""
-
-    def __init__(
-        self,
-        body: Object,
-        surfaces: Sequence[tuple[Object, Surface]],
-        near: Vector | None,
-        side: tuple[str | None, Object | None],
-        orientation: Quaternion | None,
-        robot: Object | None,
-        arms: Sequence[Arm],
-        away: Vector | None,
-        seed: int | None,
-    ) -> None:
-        self._body, self._orientation = body, orientation
-        self._robot, self._arms, self._seed = robot, arms, seed
-        self._surfaces = [SearchedSurface(furniture, surface) for furniture, surface in surfaces]
-        self._done: list[Vector] = []
-        self._counts = ConstraintCounts(f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}")
-        self._arguments: Mapping[str, object] = {
-            "object": body,
-            **({"near": near} if near is not None else {}),
-            **({"side": [side[0], *([side[1]] if side[1] else [])]} if side[0] else {}),
-            **({"away": away} if away is not None else {}),
-            **({"orientation": orientation} if orientation is not None else {}),
-            **({"reachable_for": robot, "arms": [arm.name for arm in arms]} if robot is not None else {}),
-        }
-        self._maps = SurfaceMaps(body, near, away, *side, orientation, robot, arms)
-
-    def places(self) -> Iterator[Place]:
-        """Yield places, each from a query of its own."""
-        found = False
-        for number in itertools.count():
-            batch = Batch("free_places", self._arguments)
-            with batch.asked(self._body.world, trace=False):
-                clone_of(self._body.world, "reach").sync()
-                searched, spots = self._drawn(batch, number)
-                place = self._first(batch, spots, searched)
-                if place is None:
-                    searched.failed = searched.failed + 1 if spots else _BATCHES
-                over = all(each.failed >= _BATCHES for each in self._surfaces)
-                if over and not found:
-                    raise self._counts.failure()
-            if place is not None:
-                found, searched.failed, searched.share = True, 0, searched.share * _LATER
-                yield place
-            elif over:
-                return
-
-    # --- all places at once ------------------------------------------------------------------------------------------
-
-    def _scored(self, searched: SearchedSurface) -> tuple[Grid, Array, float]:
-        """Return the cells of a surface, the product (cells,) of its maps, and how good the best cell is."""
-        grid, factors = self._maps.of(searched, self._done)
-        return grid, *self._counts.product(factors)
-
-    def _drawn(self, batch: Batch, number: int) -> tuple[SearchedSurface, Sequence[Spot]]:
-        """Return the surface that promises most, and places drawn from its maps, for the n-th batch from 0."""
-        left = [searched for searched in self._surfaces if searched.failed < _BATCHES]
-        found = [self._scored(searched) for searched in left]
-        best = max(range(len(left)), key=lambda each: left[each].share * found[each][2])
-        searched, (grid, scores, _) = left[best], found[best]
-        batch.arguments = {**self._arguments, "on": [searched.furniture, searched.surface.name]}
-        random = generator(self._seed, "free_places", number, repr(batch.arguments))
-        start = self._maps.heading(searched)
-        (_, _, height), _ = searched.pose()
-        spots = []
-        for cell, (x, y) in spread(grid, scores, _SPOTS, random):
-            step = int(random.integers(_YAWS))
-            if self._stays() and step % 2:  # an arm that has taken it puts it down most easily as it stood
-                step = 0
-            yaw = start + 2 * math.pi * step / _YAWS
-            turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
-            pose = (x, y, height - float(self._maps.corners(turn)[:, 2].min())), turn
-            spots.append(Spot(f"[{x:.3f}, {y:.3f}]", pose, yaw_of(turn), float(scores[cell])))
-        return searched, batch.draw(grid, scores, spots)
-
-    # --- one place after the other -----------------------------------------------------------------------------------
-
-    def _first(self, batch: Batch, spots: Sequence[Spot], searched: SearchedSurface) -> Place | None:
-        """Return the first place that will do."""
-        outline = searched.outline()
-        obstacles = [geometry.convex_hull(each) for each in self._maps.obstacles(searched).corners().reshape(-1, 4, 2)]
-        for spot in spots:
-            self._done.append(spot.pose[0])
-            excluded = self._excluded(spot, searched, outline, obstacles)
-            if isinstance(excluded, Place):
-                batch.take(
-                    spot.name,
-                    {"position": excluded.position, "orientation": excluded.orientation, "arms": excluded.arms},
-                )
-                return excluded
-            self._counts.exclude(batch, spot, *excluded)
-        return None
-
-    def _excluded(
-        self, spot: Spot, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
-    ) -> Place | tuple[str, Rejection]:
-        """Return a place that will do, or which constraint excludes it, and why."""
-        (x, y, z), turn = spot.pose
-        own = geometry.convex_hull(self._maps.corners(turn)[:, :2] + (x, y))
-        taken = self._no_room(own, searched, outline, obstacles)
-        if taken is not None:
-            return taken
-        try:
-            rest = placing.set_down(self._body, (x, y, z), turn)
-        except PlaceFailed as failure:
-            return "room", NoRoom(failure.reason)
-        if abs(rest[2] - z) > _RESTS:
-            return "room", NoRoom(f"it would not rest on {searched.surface.name}")
-        reasons = {arm.name: self._unreached(arm, (rest, turn)) for arm in self._arms if self._stays()}
-        missed = [reason for reason in reasons.values() if reason is not None]
-        if reasons and len(missed) == len(reasons):
-            return "reach", min(missed, key=lambda each: each.miss())
-        reached = tuple(name for name, reason in reasons.items() if reason is None)
-        return Place(rest, turn, reached, spot.score, searched.surface.name)
-
-    def _no_room(
-        self, own: Polygon, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
-    ) -> tuple[str, Rejection] | None:
-        """Return why there is no room on a surface for the object's outline."""
-        if any(geometry.margin_in_polygon(outline, corner) < EDGE for corner in own):
-            return "edge", NoRoom(f"it would stick out over the edge of {searched.surface.name}")
-        wide = _widened(own, FINGERS)
-        if any(len(geometry.polygon_intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
-            return "room", NoRoom("something is there already, or no finger fits between")
-        return None
-
-    def _stays(self) -> bool:
-        """Return whether the robot that shall reach can't drive there."""
-        return self._robot is not None and not drives(self._robot)
-
-    def _unreached(self, arm: Arm, pose: Pose) -> Rejection | None:
-        """Return why an arm of the robot can't put the object to a pose from where the robot stands; None if it can."""
-        robot = self._robot
-        assert robot is not None  # noqa: S101  as was asked before
-        position, turn = robot.get_position_and_orientation()
-        base: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
-        if self._body in held(robot, arm):
-            found = Putting(robot, PutDown(pose[0], pose[1], self._body)).reached(arm, base)
-            return None if isinstance(found, str) else found
-        moved = geometry.multiply(pose, geometry.invert(self._body.get_position_and_orientation()))
-        tools = [
-            geometry.multiply(moved, (grasp.position, grasp.orientation))
-            for grasp in candidates(self._body, robot, arm)
-        ]
-        nearest: list[Rejection] = [OutOfReach(None)]
-        for postures in Solver(robot, arm.tool_frame).search([(*tool, None) for tool in tools], quick=True):
-            for posture in postures:
-                if not posture.reaches():
-                    nearest.append(OutOfReach(posture.position_error, posture.turn_error))
-                    continue
-                pairs = [pair for pair in checker.in_the_way(robot, posture.positions) if pair.body != self._body.name]
-                if not pairs:
-                    return None
-                nearest.append(Touching(pairs))
-        return min(nearest, key=lambda each: each.miss())
-
-
-def _widened(outline: Polygon, margin: float) -> Polygon:
-    """Return a convex polygon around another one, wider by a margin in m: the hull of circles about its corners."""
-    around = [(margin * math.cos(angle), margin * math.sin(angle)) for angle in np.arange(8) * (math.pi / 4)]
-    corners = [(x + dx, y + dy) for x, y in outline for dx, dy in around]
-    return geometry.convex_hull(np.array(corners))
 
 
 @dataclass(slots=True)
@@ -315,49 +148,87 @@ class SearchedSurface:
         return geometry.convex_hull(np.array(corners))
 
 
-class SurfaceMaps:
-    """Maps of surfaces for an object.
+class SurfaceSearch(Search):
+    """A search for places of an object on surfaces."""
 
-    Args:
-        near: that it shall be near, m; None for anywhere.
-        away: that it shall be away from, m; None for nothing.
-        side: of each surface or of the reference, as in :func:`pycram.reasoning.places.free_places`; None for any.
-        reference: the object beside which it shall be; None for none.
-        orientation: xyzw of the object there; None for any about the vertical.
-        robot: that shall reach there; None for nobody.
-        arms: its arms that may.
-    """
+    query = "free_places"
 
     def __init__(
         self,
         body: Object,
+        surfaces: Sequence[tuple[Object, Surface]],
         near: Vector | None,
-        away: Vector | None,
-        side: str | None,
-        reference: Object | None,
+        side: tuple[str | None, Object | None],
         orientation: Quaternion | None,
         robot: Object | None,
         arms: Sequence[Arm],
+        away: Vector | None,
+        seed: int | None,
     ) -> None:
-        self._body, self._near, self._away = body, near, away
+        arguments = {
+            "object": body,
+            "near": near,
+            "side": [each for each in side if each is not None] if side[0] else None,
+            "away": away,
+            "orientation": orientation,
+            "reachable_for": robot,
+            "arms": [arm.name for arm in arms] if robot is not None else None,
+        }
+        wanted = f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}"
+        super().__init__(body.world, wanted, arguments)
+        self._body, self._orientation, self._near, self._away = body, orientation, near, away
+        self._side, self._reference = side  # the object beside which it shall be; None for a side of each surface
+        self._robot, self._arms, self._seed = robot, arms, seed
+        self._surfaces = [SearchedSurface(furniture, surface) for furniture, surface in surfaces]
+        self._done: list[Vector] = []  # places that were offered or tried
         self._turn = orientation or geometry.IDENTITY[1]
-        self._side, self._reference = side, reference
-        self._robot, self._arms = robot, arms
         self._corners = np.concatenate([corners for _, corners in pieces_of(body.model.path)])
         self._own = {body, *held(body)}
 
-    def of(self, searched: SearchedSurface, done: Sequence[Vector]) -> tuple[Grid, list[tuple[str, Array]]]:
-        """Return the cells of a surface, and a map (cells,) for each constraint, by its name.
+    def _next(self, batch: Batch, number: int) -> Place | None:
+        searched, spots = self._draw(batch, number)
+        place = self._first(batch, spots, searched)
+        if place is not None:
+            searched.failed, searched.share = 0, searched.share * _LATER
+        else:
+            searched.failed = searched.failed + 1 if spots else _BATCHES
+        self._over = all(each.failed >= _BATCHES for each in self._surfaces)
+        return place
 
-        Args:
-            done: places that were offered or tried.
-        """
+    def _draw(self, batch: Batch, number: int) -> tuple[SearchedSurface, Sequence[Spot]]:
+        """Return the most promising surface, and places drawn from its maps, for the n-th batch from 0."""
+        left = [searched for searched in self._surfaces if searched.failed < _BATCHES]
+        found = []
+        for searched in left:
+            grid, factors = self._maps(searched)
+            found.append((grid, *self._product(factors)))
+        best = max(range(len(left)), key=lambda each: left[each].share * found[each][2])
+        searched, (grid, scores, _) = left[best], found[best]
+        batch.arguments = {**self._arguments, "on": [searched.furniture, searched.surface.name]}
+        random = generator(self._seed, self.query, number, repr(batch.arguments))
+        start = self._heading(searched)
+        (_, _, height), _ = searched.pose()
+        spots = []
+        for cell, (x, y) in spread(grid, scores, _SPOTS, random):
+            step = int(random.integers(_YAWS))
+            if self._stays() and step % 2:  # an arm that has taken it puts it down most easily as it stood
+                step = 0
+            yaw = start + 2 * math.pi * step / _YAWS
+            turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
+            pose = (x, y, height - float(self._turned_corners(turn)[:, 2].min())), turn
+            spots.append(Spot(f"[{x:.3f}, {y:.3f}]", pose, yaw_of(turn), float(scores[cell])))
+        return searched, batch.draw(grid, scores, spots)
+
+    # --- maps: all places together -----------------------------------------------------------------------------------
+
+    def _maps(self, searched: SearchedSurface) -> tuple[Grid, list[tuple[str, Array]]]:
+        """Return the cells of a surface, and a map (cells,) for each constraint, by its name."""
         outline = searched.outline()
         (_, _, height), _ = searched.pose()
         corners = np.array(outline)
-        stands = self.corners(self._turn)
+        stands = self._turned_corners(self._turn)
         inner, outer = maps.radii(stands[:, :2])
-        strip = geometry.narrowest_width(outline)[0] - 2 * (inner + EDGE)
+        strip = geometry.narrowest(outline)[0] - 2 * (inner + EDGE)
         resolution = min(max(strip / _CELLS, _FINEST), _RESOLUTION)
         grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, resolution)
         centers = grid.centers()
@@ -365,7 +236,7 @@ class SurfaceMaps:
         factors = [
             ("clearance", np.full(len(centers), float(fits))),
             ("edge", self._within(centers, outline, inner, outer)),
-            ("room", maps.clear(centers, self.obstacles(searched), inner, outer + FINGERS)),
+            ("room", maps.clear(centers, self._obstacles(searched), inner, outer + FINGERS)),
         ]
         if self._near is not None:
             factors.append(("near", maps.near(centers, self._near, _NEAR, _FAR)))
@@ -375,20 +246,21 @@ class SurfaceMaps:
             factors.append((f"side {self._side}", self._beside(centers, searched)))
         if self._robot is not None:
             factors.append(("reach", self._reach(grid)))
-        factors.append(("tried", maps.away(centers, done, _APART)))
+        factors.append(("tried", maps.away(centers, self._done, _APART)))
         return grid, factors
 
-    def heading(self, searched: SearchedSurface) -> float:
+    def _heading(self, searched: SearchedSurface) -> float:
         """Return a natural yaw of the object on a surface, rad: as it is now, or along what is hardly wider than it."""
-        width, along = geometry.narrowest_width(searched.outline())
-        _, outer = maps.radii(self.corners(self._turn)[:, :2])
+        width, along = geometry.narrowest(searched.outline())
+        _, outer = maps.radii(self._turned_corners(self._turn)[:, :2])
         return along if width < 2 * (outer + EDGE) else yaw_of(self._body.get_orientation())
 
-    def corners(self, turn: Quaternion) -> Array:
+    def _turned_corners(self, turn: Quaternion) -> Array:
         """Return the object's corners (n, 3) from its origin when it is turned, m."""
         corners: Array = self._corners @ geometry.to_matrix(turn).T
         return corners
 
+    @staticmethod
     @staticmethod
     def _within(centers: Array, outline: Polygon, inner: float, outer: float) -> Array:
         """Return 0 where an object would stick out over the edge however it is turned, 1 where it wouldn't."""
@@ -400,7 +272,7 @@ class SurfaceMaps:
         ramp: Array = np.clip((margins - inner - EDGE) / max(outer - inner, 1e-3), 0.0, 1.0)
         return np.where(margins < inner, 0.0, 0.3 + 0.7 * ramp)
 
-    def obstacles(self, searched: SearchedSurface) -> maps.Footprints:
+    def _obstacles(self, searched: SearchedSurface) -> maps.Footprints:
         """Return what stands on a surface, or hangs above it as low as the object is high.
 
         So do robots that are bolted down; others drive away.
@@ -409,7 +281,7 @@ class SurfaceMaps:
         carried = held(self._robot) if self._robot else ()
         others = [each for each in self._body.world.objects if each not in self._own and each not in carried]
         (_, _, height), _ = searched.pose()
-        size = float(np.ptp(self.corners(self._turn)[:, 2]))
+        size = float(np.ptp(self._turned_corners(self._turn)[:, 2]))
         boxes = concatenate([_parked(each) if each.is_robot else clone.boxes(each) for each in others])
         return maps.Footprints(boxes, height + _ABOVE, height + size)
 
@@ -463,6 +335,94 @@ class SurfaceMaps:
     def _lift(self) -> float:
         """Return how far above what it stands on an object is taken, roughly: at half of its height, m."""
         return float(np.ptp(self._corners[:, 2])) / 2
+
+    # --- checks: one place after the other ---------------------------------------------------------------------------
+
+    def _first(self, batch: Batch, spots: Sequence[Spot], searched: SearchedSurface) -> Place | None:
+        """Return the first place that will do."""
+        outline = searched.outline()
+        obstacles = [geometry.convex_hull(each) for each in self._obstacles(searched).corners().reshape(-1, 4, 2)]
+        for spot in spots:
+            self._done.append(spot.pose[0])
+            excluded = self._excluded(spot, searched, outline, obstacles)
+            if isinstance(excluded, Place):
+                batch.take(
+                    spot.name,
+                    {"position": excluded.position, "orientation": excluded.orientation, "arms": excluded.arms},
+                )
+                return excluded
+            self._exclude(batch, spot, *excluded)
+        return None
+
+    def _excluded(
+        self, spot: Spot, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
+    ) -> Place | tuple[str, Rejection]:
+        """Return a place that will do, or which constraint excludes it, and why."""
+        (x, y, z), turn = spot.pose
+        own = geometry.convex_hull(self._turned_corners(turn)[:, :2] + (x, y))
+        taken = self._no_room(own, searched, outline, obstacles)
+        if taken is not None:
+            return taken
+        try:
+            rest = placing.set_down(self._body, (x, y, z), turn)
+        except PlaceFailed as failure:
+            return "room", NoRoom(failure.reason)
+        if abs(rest[2] - z) > _RESTS:
+            return "room", NoRoom(f"it would not rest on {searched.surface.name}")
+        reasons = {arm.name: self._unreached(arm, (rest, turn)) for arm in self._arms if self._stays()}
+        missed = [reason for reason in reasons.values() if reason is not None]
+        if reasons and len(missed) == len(reasons):
+            return "reach", min(missed, key=lambda each: each.miss())
+        reached = tuple(name for name, reason in reasons.items() if reason is None)
+        return Place(rest, turn, reached, spot.score, searched.surface.name)
+
+    def _no_room(
+        self, own: Polygon, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
+    ) -> tuple[str, Rejection] | None:
+        """Return why there is no room on a surface for the object's outline."""
+        if any(geometry.margin(outline, corner) < EDGE for corner in own):
+            return "edge", NoRoom(f"it would stick out over the edge of {searched.surface.name}")
+        wide = _widened(own, FINGERS)
+        if any(len(geometry.intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
+            return "room", NoRoom("something is there already, or no finger fits between")
+        return None
+
+    def _stays(self) -> bool:
+        """Return whether the robot that shall reach can't drive there."""
+        return self._robot is not None and not drives(self._robot)
+
+    def _unreached(self, arm: Arm, pose: Pose) -> Rejection | None:
+        """Return why an arm of the robot can't put the object to a pose from where the robot stands; None if it can."""
+        robot = self._robot
+        assert robot is not None  # noqa: S101  as was asked before
+        position, turn = robot.get_position_and_orientation()
+        base: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
+        if self._body in held(robot, arm):
+            found = Putting(robot, PutDown(pose[0], pose[1], self._body)).reached(arm, base)
+            return None if isinstance(found, str) else found
+        moved = geometry.multiply(pose, geometry.invert(self._body.get_position_and_orientation()))
+        tools = [
+            geometry.multiply(moved, (grasp.position, grasp.orientation))
+            for grasp in candidates(self._body, robot, arm)
+        ]
+        nearest: list[Rejection] = [OutOfReach(None)]
+        for postures in Solver(robot, arm.tool_frame).search([(*tool, None) for tool in tools], quick=True):
+            for posture in postures:
+                if not posture.reaches():
+                    nearest.append(OutOfReach(posture.position_error, posture.turn_error))
+                    continue
+                pairs = [pair for pair in checker.in_the_way(robot, posture.positions) if pair.body != self._body.name]
+                if not pairs:
+                    return None
+                nearest.append(Touching(pairs))
+        return min(nearest, key=lambda each: each.miss())
+
+
+def _widened(outline: Polygon, margin: float) -> Polygon:
+    """Return a convex polygon around another one, wider by a margin in m: the hull of circles about its corners."""
+    around = [(margin * math.cos(angle), margin * math.sin(angle)) for angle in np.arange(8) * (math.pi / 4)]
+    corners = [(x + dx, y + dy) for x, y in outline for dx, dy in around]
+    return geometry.convex_hull(np.array(corners))
 
 
 def _parked(robot: Object) -> Boxes:

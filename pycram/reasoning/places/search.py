@@ -1,26 +1,29 @@
-"""Places, and what a robot is to reach from one."""
+"""A search for places: drawn from a map, checked one by one, and offered one after the other."""
 
 from __future__ import annotations
 
+import itertools
 import zlib
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from pycram.foundation.failures import NoPlace
 from pycram.reasoning.choosing import Choice
+from pycram.reasoning.collision.simulation_clone import clone_of
 from recorder import records
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from pycram.reasoning.places.maps import Grid
     from pycram.reasoning.rejections import Rejection
+    from pycram.world.world import BulletWorld
     from recorder.geometry import Pose, Quaternion, Vector
 
     Array = NDArray[np.float64]
@@ -28,71 +31,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a robot can stand, or an object."""
+    """A place where a robot can stand, or where an object can be put down."""
 
-    position: Vector  # of the robot's base, or of the object, in the world, m
-    orientation: Quaternion  # of it, xyzw
-    arms: tuple[str, ...] = ()  # that reach from there, or to there; empty if that wasn't asked
+    position: Vector  # of the robot's base or of the object, in the world, m
+    orientation: Quaternion  # of the robot's base or of the object, xyzw
+    arms: tuple[str, ...] = ()  # arms that reach the target from there, or reach the place; empty if not asked for
     score: float = 1.0  # of the maps, 0 to 1
-    surface: str = ""  # name of the surface that it is on; "" for the ground
-    # by arm the side from which it takes the object that is to be reached, if one is
-    grasps: Mapping[str, str] = field(default_factory=dict)
-
-
-class ConstraintCounts:
-    """Counts of the places that each constraint excluded.
-
-    Args:
-        wanted: for what a place is wanted, in words.
-    """
-
-    def __init__(self, wanted: str) -> None:
-        self._wanted = wanted
-        self._counts: dict[str, int] = {}
-        self._last = ""
-
-    def product(self, maps: Iterable[tuple[str, Array]]) -> tuple[Array, float]:
-        """Return the product (cells,) of maps by their constraints, the best cell 1, and how good that one is.
-
-        All cells are 0 if none is left.
-        """
-        scores = np.ones(1)
-        for constraint, score in maps:
-            left = scores.any()
-            scores = scores * score
-            if left and not scores.any() and not self._counts:
-                self._counts[constraint], self._last = len(scores), constraint
-        best = float(scores.max())
-        return scores / (best or 1.0), best
-
-    def exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
-        """Say that a constraint excludes a place, and why."""
-        batch.reject(spot.name, reason)
-        self._counts[constraint] = self._counts.get(constraint, 0) + 1
-        self._last = constraint
-
-    def failure(self) -> NoPlace:
-        """Return the failure that says so."""
-        return NoPlace(self._wanted, self._counts, self._last)
+    surface: str = ""  # name of the surface below; "" for the ground
+    grasps: Mapping[str, str] = field(default_factory=dict)  # by arm the side from which it takes the target object
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
     """A place that is considered."""
 
-    name: str  # what tells it from others
+    name: str  # unique in its batch
     pose: Pose  # of the base or of the object in the world
     yaw: float  # rad about the vertical
     score: float  # 0 to 1
 
 
 class Batch(Choice):
-    """A choice among places that were drawn from a grid.
-
-    Args:
-        name: what is asked for.
-        arguments: what about, by name.
-    """
+    """A choice among places that were drawn from a grid."""
 
     __slots__ = ("_drawn",)
 
@@ -101,17 +61,17 @@ class Batch(Choice):
         self._drawn: tuple[Grid, Array, Sequence[Spot]] | None = None
 
     def draw(self, grid: Grid, scores: Array, spots: Sequence[Spot]) -> Sequence[Spot]:
-        """Say what is considered, and return it.
+        """Remember the considered places for the record, and return them.
 
         Args:
-            scores: (cells,) of them, 0 to 1.
-            spots: those that were drawn, best first.
+            scores: (cells,) of the grid, 0 to 1.
+            spots: the places that were drawn, best first.
         """
         self._drawn = grid, scores, spots
         return spots
 
     def add_candidates(self, record: records.Query) -> Mapping[str, int]:
-        """Put the candidates into a record, and the grid."""
+        """Put the candidates and the grid into a record."""
         groups = super().add_candidates(record)
         if self._drawn is None:
             return groups
@@ -134,3 +94,64 @@ class Batch(Choice):
             )
         )
         return groups
+
+
+class Search(ABC):
+    """A search that offers places one after the other, each from a query of its own.
+
+    Args:
+        wanted: the purpose of a place, in words.
+        arguments: of the queries; arguments that are None are left out.
+    """
+
+    query: ClassVar[str]  # name of the queries
+
+    def __init__(self, world: BulletWorld, wanted: str, arguments: Mapping[str, object]) -> None:
+        self._world, self._wanted = world, wanted
+        self._arguments = {name: value for name, value in arguments.items() if value is not None}
+        self._over = False  # whether the search has ended
+        self._counts: dict[str, int] = {}  # of the places that each constraint excluded
+        self._last = ""  # the constraint that excluded the last place
+
+    def places(self) -> Iterator[Place]:
+        """Yield places until the search has ended.
+
+        Raises:
+            NoPlace: The search has ended without any place.
+        """
+        found = False
+        for number in itertools.count():
+            batch = Batch(self.query, self._arguments)
+            with batch.asked(self._world, trace=False):
+                clone_of(self._world, "reach").sync()
+                place = self._next(batch, number)
+                if place is None and self._over and not found:
+                    raise NoPlace(self._wanted, self._counts, self._last)
+            if place is not None:
+                found = True
+                yield place
+            if self._over:
+                return
+
+    @abstractmethod
+    def _next(self, batch: Batch, number: int) -> Place | None:
+        """Return a place from a new batch, which is numbered from 0; None if all of the batch are excluded."""
+
+    def _product(self, maps: Iterable[tuple[str, Array]]) -> tuple[Array, float]:
+        """Return the product (cells,) of maps by their constraints, scaled to a best cell of 1, and that cell's score.
+
+        All cells are 0 if the constraints exclude each other.
+        """
+        scores = np.ones(1)
+        for constraint, score in maps:
+            left = scores.any()
+            scores = scores * score
+            if left and not scores.any() and not self._counts:
+                self._counts[constraint], self._last = len(scores), constraint
+        best = float(scores.max())
+        return scores / (best or 1.0), best
+
+    def _exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
+        batch.reject(spot.name, reason)
+        self._counts[constraint] = self._counts.get(constraint, 0) + 1
+        self._last = constraint

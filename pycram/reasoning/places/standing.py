@@ -12,14 +12,13 @@ from pycram.foundation import checks
 from pycram.foundation.failures import MissingPart, UnknownName
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.driving import drives
 from pycram.reasoning.grasping.grasps import GRASPS
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.goals import Pulling, Taking, Target, description_of, goal_of, promising
 from pycram.reasoning.places.maps import Grid, arm_reach, generator, room, spread, surroundings
-from pycram.reasoning.places.search import Batch, ConstraintCounts, Place, Spot
+from pycram.reasoning.places.search import Batch, Place, Search, Spot
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE, seen_share
 from pycram.reasoning.rejections import OutOfReach, Touching, Unseen, Untried
@@ -28,7 +27,7 @@ from pycram.world.trajectory import BaseFrame
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -109,15 +108,17 @@ def standing_places(
         raise UnknownName("side", grasp, "a grasp", GRASPS)
     goals = [goal_of(robot, target, grasp) for target in targets]
     avoided = [each for each in points[1:] if each]
-    return _Search(robot, goals, chosen, both, see, points[0], avoided, grasp, seed).places()
+    return StandingSearch(robot, goals, chosen, both, see, points[0], avoided, grasp, seed).places()
 
 
 def _point(name: str, given: Sequence[float]) -> Vector:
     return checks.vector(name, (*given, 0.0) if len(given) == 2 else given)
 
 
-class _Search:
-    """Places for a robot, one after the other."""
+class StandingSearch(Search):
+    """A search for places of a robot."""
+
+    query = "standing_places"
 
     def __init__(
         self,
@@ -131,207 +132,58 @@ class _Search:
         grasp: str | None,
         seed: int | None,
     ) -> None:
-        self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
-        self._see, self._seed = see, seed
-        self._avoid: list[Vector] = list(avoid)  # with the places that were offered
-        self._vain: list[Vector] = []  # places that won't do
         wanted = [f"reach {goal.named()}" for goal in goals] + ([f"see {see.name}"] if see is not None else [])
-        purpose = " and ".join(wanted) or "stand"
-        self._counts = ConstraintCounts(f"{robot.name} to {purpose}")
-        self._maps = StandingMaps(robot, goals, arms, both, see, near, purpose)
-        self._arguments: Mapping[str, object] = {
+        self._purpose = " and ".join(wanted) or "stand"
+        arguments = {
             "robot": robot,
-            **({"reach": [goal.named() for goal in goals]} if goals else {}),
-            **({"arms": [arm.name for arm in arms]} if goals else {}),
-            **({"see": see} if see is not None else {}),
-            **({"near": near} if near is not None else {}),
-            **({"avoid": list(avoid)} if avoid else {}),
-            **({"grasp": grasp} if grasp is not None else {}),
+            "reach": [goal.named() for goal in goals] if goals else None,
+            "arms": [arm.name for arm in arms] if goals else None,
+            "see": see,
+            "near": near,
+            "avoid": list(avoid) or None,
+            "grasp": grasp,
         }
+        super().__init__(robot.world, f"{robot.name} to {self._purpose}", arguments)
+        self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
+        self._see, self._near, self._seed = see, near, seed
+        self._offered: list[Vector] = list(avoid)  # with the places to avoid
+        self._rejected: list[Vector] = []
+        self._failed = 0  # batches without a place since the last place
 
-    def places(self) -> Iterator[Place]:
-        """Yield places, each from a query of its own."""
-        world, found, vain = self._robot.world, False, 0
-        for number in itertools.count():
-            batch = Batch("standing_places", self._arguments)
-            with batch.asked(world, trace=False):
-                clone_of(world, "reach").sync()
-                spots = self._drawn(batch, number, vain)
-                place = self._first(batch, spots)
-                vain = 0 if place else vain + 1
-                over = not spots or not drives(self._robot) or vain == len(_SPOTS)
-                if place is None and over and not found:
-                    raise self._counts.failure()
-            if place is not None:
-                found = True
-                yield place
-            if over:
-                return
+    def _next(self, batch: Batch, number: int) -> Place | None:
+        spots = self._draw(batch, number)
+        place = self._first(batch, spots)
+        self._failed = 0 if place is not None else self._failed + 1
+        self._over = not spots or not drives(self._robot) or self._failed == len(_SPOTS)
+        return place
 
-    # --- all places at once ------------------------------------------------------------------------------------------
-
-    def _scored(self) -> tuple[Grid, Array, Array]:
-        """Return the cells, the product (cells,) of the maps, and the heading (cells,) for each, rad."""
-        grid, factors, yaws = self._maps.of()
-        scores, _ = self._counts.product(factors)
-        scores[scores < _POOR] = 0.0
-        centers = grid.centers()
-        left = maps.away(centers, self._avoid, _APART) * maps.away(centers, self._vain, _TRIED)
-        return grid, scores * left, yaws
-
-    def _drawn(self, batch: Batch, number: int, vain: int) -> Sequence[Spot]:
-        """Return places that are drawn from the maps, for the n-th batch from 0, after some others in vain."""
+    def _draw(self, batch: Batch, number: int) -> Sequence[Spot]:
+        """Draw places from the maps for the n-th batch from 0; the robot's present place comes first."""
         robot = self._robot
         position, turn = robot.get_position_and_orientation()
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
-        grid, scores, yaws = self._scored()
+        grid, factors, yaws = self._maps()
+        scores, _ = self._product(factors)
+        scores[scores < _POOR] = 0.0
+        centers = grid.centers()
+        scores = scores * (maps.away(centers, self._offered, _APART) * maps.away(centers, self._rejected, _TRIED))
         spots = []
-        known = (*self._avoid, *self._vain)
-        if self._maps.is_near(here[0]) and not any(math.dist(here[0][:2], each[:2]) < _APART for each in known):
+        known = (*self._offered, *self._rejected)
+        near = self._near is None or math.dist(here[0][:2], self._near[:2]) <= _ROOM
+        if near and not any(math.dist(here[0][:2], each[:2]) < _APART for each in known):
             spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
         if drives(robot):
-            random = generator(self._seed, "standing_places", number, repr(self._arguments), here)
+            random = generator(self._seed, self.query, number, repr(self._arguments), here)
             base = BaseFrame.of(here)
-            for cell, (x, y) in spread(grid, scores, _SPOTS[vain], random):
-                yaw = round(float(yaws[cell] + random.uniform(-_JITTER[vain], _JITTER[vain])), 4)
+            jitter = _JITTER[self._failed]
+            for cell, (x, y) in spread(grid, scores, _SPOTS[self._failed], random):
+                yaw = round(float(yaws[cell] + random.uniform(-jitter, jitter)), 4)
                 spots.append(Spot(f"[{x:.2f}, {y:.2f}]", base.pose((x, y, yaw)), yaw, float(scores[cell])))
         return batch.draw(grid, scores, spots)
 
-    # --- one place after the other -----------------------------------------------------------------------------------
+    # --- maps: all places together -----------------------------------------------------------------------------------
 
-    def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
-        """Return the first place that will do."""
-        quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
-        tries = _TRIES if quick else _FEWER
-        place: Place | None = None
-        closely: list[tuple[Spot, str, Rejection]] = []  # counted after the others: they came farther
-        for some in _growing(spots) if quick else (spots,):
-            left = []
-            for spot, known in zip(some, self._at_first_sight(some), strict=True):
-                if known is None:
-                    left.append(spot)
-                else:
-                    self._exclude(batch, spot, *known)
-            for spot in left[tries:]:
-                batch.reject(spot.name, Untried())
-            for spot in left[:tries]:
-                excluded = self._excluded(spot)
-                if isinstance(excluded, Place):
-                    place = excluded
-                    break
-                closely.append((spot, *excluded))
-            if place is not None:
-                break
-            tries = max(0, tries - len(left))
-        for each in closely:
-            self._exclude(batch, *each)
-        if place is not None:
-            self._avoid.append(spot.pose[0])
-            batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": place.arms})
-        return place
-
-    def _exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
-        """Say that a constraint excludes a place, which isn't drawn again."""
-        self._vain.append(spot.pose[0])
-        self._counts.exclude(batch, spot, constraint, reason)
-
-    def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
-        """Return which constraint excludes each place at first sight, of all at once; None for those that may do."""
-        found = self._collisions(spots)
-        for goal, look in itertools.product(self._goals, (self._struck, self._out_of_reach)):
-            left = [number for number, excluded in enumerate(found) if excluded is None]
-            for number, reason in zip(left, look(goal, [spots[each].pose for each in left]), strict=True):
-                if reason is not None:
-                    found[number] = f"reach {goal.named()}", reason
-        return found
-
-    def _struck(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
-        """Return for each place what a drawer or door would hit there, where that is what is to be reached."""
-        return goal.struck(self._arms, bases) if isinstance(goal, Pulling) else [None] * len(bases)
-
-    def _out_of_reach(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
-        promises = promising(self._robot, goal, self._arms, bases)
-        return [None if promising else OutOfReach(None) for promising in promises]
-
-    def _collisions(self, spots: Sequence[Spot]) -> list[tuple[str, Rejection] | None]:
-        """Return for each place what the robot would touch there; None for nothing, and where it stands."""
-        found: list[tuple[str, Rejection] | None] = []
-        if not spots:
-            return found
-        with CollisionChecker(self._robot, (), all_links=True) as checker:
-            for spot, candidate in zip(spots, checker.predict_at([spot.pose for spot in spots]), strict=True):
-                first = None if spot.name == _HERE else next(checker.collisions(candidate), None)
-                if first is None:
-                    found.append(None)
-                else:
-                    pair, touches = first
-                    depth = max(-touch.distance for touch in touches)
-                    found.append((f"collision with {pair[2].name}", Touching([checker.named(pair, depth)])))
-        return found
-
-    def _excluded(self, spot: Spot) -> Place | tuple[str, Rejection]:
-        """Return a place that will do, or which constraint excludes it, and why."""
-        able = list(self._arms)
-        grasps: dict[str, str] = {}
-        for goal in self._goals:
-            reasons: list[Rejection] = []
-            reached: list[Arm] = []
-            for arm in self._arms:
-                found = goal.reached(arm, spot.pose)
-                if isinstance(found, str):
-                    reached.append(arm)
-                    grasps.update({arm.name: found} if found else {})
-                else:
-                    reasons.append(found)
-            if not reached or (self._both and reasons):
-                return f"reach {goal.named()}", min(reasons, key=lambda reason: reason.miss())
-            able = [arm for arm in able if arm in reached]
-        if self._see is not None:
-            seen = seen_share(self._robot, self._see, spot.pose)
-            if seen.share <= VISIBLE_SHARE:
-                return f"see {self._see.name}", Unseen(seen.share, list(seen.hiding))
-        names = tuple(arm.name for arm in able) if self._goals else ()
-        return Place(*spot.pose, names, spot.score, "", {name: grasps[name] for name in names if name in grasps})
-
-
-def _growing(spots: Sequence[Spot]) -> Iterator[Sequence[Spot]]:
-    """Yield places in their order, a few at first, then twice as many each time."""
-    start, size = 0, _AT_FIRST
-    while start < len(spots):
-        yield spots[start : start + size]
-        start, size = start + size, 2 * size
-
-
-class StandingMaps:
-    """Maps of the floor for a robot.
-
-    Args:
-        goals: what shall be reached, all of it.
-        arms: that may reach.
-        both: whether each of these arms shall.
-        see: what the camera shall see; None for nothing.
-        near: that the robot shall be near, m; None for anywhere.
-        purpose: what it stands there for, in words.
-    """
-
-    def __init__(
-        self,
-        robot: Object,
-        goals: Sequence[Goal],
-        arms: Sequence[Arm],
-        both: bool,
-        see: Object | None,
-        near: Vector | None,
-        purpose: str,
-    ) -> None:
-        self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
-        self._see, self._near, self._purpose = see, near, purpose
-
-    def is_near(self, place: Sequence[float]) -> bool:
-        """Whether a place is as near as it shall be."""
-        return self._near is None or math.dist(place[:2], self._near[:2]) <= _ROOM
-
-    def of(self) -> tuple[Grid, list[tuple[str, Array]], Array]:
+    def _maps(self) -> tuple[Grid, list[tuple[str, Array]], Array]:
         """Return the cells, a map (cells,) for each constraint by its name, and the heading (cells,) for each, rad."""
         robot = self._robot
         here, turn = robot.get_position_and_orientation()
@@ -406,3 +258,107 @@ class StandingMaps:
             every.append(arm_reach(self._robot, arm).scores(height - shoulder[2], distance, bearing))
         together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
         return together
+
+    # --- checks: one place after the other ---------------------------------------------------------------------------
+
+    def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
+        """Return the first place that will do."""
+        quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
+        tries = _TRIES if quick else _FEWER
+        place: Place | None = None
+        closely: list[tuple[Spot, str, Rejection]] = []  # counted after the others: they came farther
+        for some in _growing(spots) if quick else (spots,):
+            left = []
+            for spot, known in zip(some, self._at_first_sight(some), strict=True):
+                if known is None:
+                    left.append(spot)
+                else:
+                    self._exclude(batch, spot, *known)
+            for spot in left[tries:]:
+                batch.reject(spot.name, Untried())
+            for spot in left[:tries]:
+                excluded = self._excluded(spot)
+                if isinstance(excluded, Place):
+                    place = excluded
+                    break
+                closely.append((spot, *excluded))
+            if place is not None:
+                break
+            tries = max(0, tries - len(left))
+        for each in closely:
+            self._exclude(batch, *each)
+        if place is not None:
+            self._offered.append(spot.pose[0])
+            batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": place.arms})
+        return place
+
+    def _exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
+        """Say that a constraint excludes a place, which isn't drawn again."""
+        self._rejected.append(spot.pose[0])
+        super()._exclude(batch, spot, constraint, reason)
+
+    def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
+        """Return which constraint excludes each place at first sight, of all at once; None for those that may do."""
+        found = self._collisions(spots)
+        for goal, look in itertools.product(self._goals, (self._struck, self._out_of_reach)):
+            left = [number for number, excluded in enumerate(found) if excluded is None]
+            for number, reason in zip(left, look(goal, [spots[each].pose for each in left]), strict=True):
+                if reason is not None:
+                    found[number] = f"reach {goal.named()}", reason
+        return found
+
+    def _struck(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
+        """Return for each place what a drawer or door would hit there, where that is what is to be reached."""
+        return goal.struck(self._arms, bases) if isinstance(goal, Pulling) else [None] * len(bases)
+
+    def _out_of_reach(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
+        promises = promising(self._robot, goal, self._arms, bases)
+        return [None if promising else OutOfReach(None) for promising in promises]
+
+    def _collisions(self, spots: Sequence[Spot]) -> list[tuple[str, Rejection] | None]:
+        """Return for each place what the robot would touch there; None for nothing, and where it stands."""
+        found: list[tuple[str, Rejection] | None] = []
+        if not spots:
+            return found
+        with CollisionChecker(self._robot, (), all_links=True) as checker:
+            for spot, candidate in zip(spots, checker.predict_at([spot.pose for spot in spots]), strict=True):
+                first = None if spot.name == _HERE else next(checker.collisions(candidate), None)
+                if first is None:
+                    found.append(None)
+                else:
+                    pair, touches = first
+                    depth = max(-touch.distance for touch in touches)
+                    found.append((f"collision with {pair[2].name}", Touching([checker.named(pair, depth)])))
+        return found
+
+    def _excluded(self, spot: Spot) -> Place | tuple[str, Rejection]:
+        """Return a place that will do, or which constraint excludes it, and why."""
+        able = list(self._arms)
+        grasps: dict[str, str] = {}
+        for goal in self._goals:
+            reasons: list[Rejection] = []
+            reached: list[Arm] = []
+            for arm in self._arms:
+                found = goal.reached(arm, spot.pose)
+                if isinstance(found, str):
+                    reached.append(arm)
+                    grasps.update({arm.name: found} if found else {})
+                else:
+                    reasons.append(found)
+            if not reached or (self._both and reasons):
+                return f"reach {goal.named()}", min(reasons, key=lambda reason: reason.miss())
+            able = [arm for arm in able if arm in reached]
+        if self._see is not None:
+            seen = seen_share(self._robot, self._see, spot.pose)
+            if seen.share <= VISIBLE_SHARE:
+                return f"see {self._see.name}", Unseen(seen.share, list(seen.hiding))
+        names = tuple(arm.name for arm in able) if self._goals else ()
+        return Place(*spot.pose, names, spot.score, "", {name: grasps[name] for name in names if name in grasps})
+
+
+def _growing(spots: Sequence[Spot]) -> Iterator[Sequence[Spot]]:
+    """Yield places in their order, a few at first, then twice as many each time."""
+    start, size = 0, _AT_FIRST
+    while start < len(spots):
+        yield spots[start : start + size]
+        start, size = start + size, 2 * size
