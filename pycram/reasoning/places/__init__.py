@@ -1,8 +1,8 @@
-"""Places: where a robot can stand, and where an object can be put down, found lazily and best first.
+"""Places where a robot can stand, and where an object can be put down: searched lazily, best first.
 
-What can be known of all places at once is drawn as maps over a grid, which are multiplied
+Constraints that can be scored for all places together are maps over a grid, which are multiplied
 (:mod:`pycram.reasoning.places.maps`; CRAM's location costmaps, thesis 2.1). Places are drawn from the product with the
-run's seed, and each is checked by the very rules that the motions apply to it, so that a place that is offered works.
+run's seed. Each place is checked by the rules of the motion that would use it, so every offered place works.
 """
 
 from pycram.reasoning.places.free import free_places

@@ -1,4 +1,4 @@
-"""Where an object can be put down on surfaces: with room for its outline and for fingers around it (CRAM's ``on``)."""
+"""Free places on surfaces: with room for an object's outline and for fingers around it (CRAM's ``on``)."""
 
 from __future__ import annotations
 
@@ -47,26 +47,26 @@ if TYPE_CHECKING:
 
 
 SIDES: Final = ("front", "back", "left", "right")
-"""Of a surface or an object, as its robot sees it: "front" is the side that faces the robot."""
+"""Sides of a surface or an object as its robot sees it: "front" faces the robot."""
 
-_SPOTS: Final = 40  # that are drawn at once
-_BATCHES: Final = 3  # without a place, after which a surface is given up
-_LATER: Final = 0.6  # of its score that a surface keeps with each place that it has given
-_RESTS: Final = 0.01  # m by which an object may rest higher or lower than on the surface
-_YAWS: Final = 12  # orientations about the vertical, as they are tried where something is placed
-EDGE: Final = 0.01  # m from an object to the edge of what it stands on
-FINGERS: Final = 0.025  # m from an object to others: a finger fits between
-_RESOLUTION: Final = 0.025  # m
-_FINEST: Final = 0.005  # m, where a surface is hardly wider than the object
-_CELLS: Final = 3  # across the strip of a surface in which the object's middle may be
-_ABOVE: Final = 0.003  # m above a surface from which on something stands in the way; the surface's own boxes are wider
-_NEAR: Final = 0.15  # m at which a place near a point counts half
-_FAR: Final = 1.0  # m from a point or an object at which a place isn't near it, or beside it, any more
-_AWAY: Final = 0.4  # m from what a place is to be away from
-_APART: Final = 0.04  # m between places that are offered, or were tried
-_EASY: Final = 0.5  # m from the nearest place of the robot, at which a place counts half
-_FLOOR: Final = 0.15  # m between places of the robot from which a surface may be reached
-_COARSE: Final = 0.1  # m between places of a surface for which that is asked
+_SPOTS: Final = 40  # places in a batch
+_BATCHES: Final = 3  # batches without a place, after which a surface is given up
+_LATER: Final = 0.6  # factor of a surface's score for each place that it has given
+_RESTS: Final = 0.01  # m of tolerance between the height of the surface and the height at which the object rests
+_YAWS: Final = 12  # orientations about the vertical; placing tries the same ones
+EDGE: Final = 0.01  # m from an object to the edge of its surface
+FINGERS: Final = 0.025  # m from an object to others, so that a finger fits between
+_RESOLUTION: Final = 0.025  # m between cells
+_FINEST: Final = 0.005  # m between cells, at least, on a surface that is hardly wider than the object
+_CELLS: Final = 3  # cells across the strip of a surface in which the object's middle can be
+_ABOVE: Final = 0.003  # m above a surface at which obstacles begin: the surface's own boxes are a little too high
+_NEAR: Final = 0.15  # m from a point, at which a score is halved
+_FAR: Final = 1.0  # m from a point or an object, from which on a place isn't near it
+_AWAY: Final = 0.4  # m from a point that a place must be away from
+_APART: Final = 0.04  # m from places that were offered or tried
+_EASY: Final = 0.5  # m from the nearest place of the robot, at which a score is halved
+_FLOOR: Final = 0.15  # m between the robot's places from which the reach is estimated
+_COARSE: Final = 0.1  # m between points of a surface for which the reach is estimated
 
 
 def free_places(
@@ -81,27 +81,27 @@ def free_places(
     away: Sequence[float] | None = None,
     seed: int | None = None,
 ) -> Iterator[Place]:
-    """Return places where an object can be put down on surfaces, best first, each checked when its turn comes.
+    """Return places where an object can be put down on surfaces, best first. Each is checked when it is asked for.
 
-    A place is where `place` would set it down: it stands on the surface with all of its outline, and nothing that
-    stands there is nearer than a finger is thick. Each place that is asked for is one query on record. The world may
-    have changed before the next one is asked for.
+    A place is where `place` would set the object down: its outline is on the surface, and other objects are farther
+    away than a finger is thick. Each request for a place is one query on record. The world may change between requests.
 
     Args:
-        body: the object, upright; wherever it is now.
-        on: surfaces, or their names, each with the furniture that it belongs to: (kitchen, "island").
-        near: xyz or xy of a point that it shall be near, m: at most 1 m away.
-        side: of each surface, or of an object (side, object), as the robot sees it: "front", "back", "left", "right".
+        body: upright; its present place doesn't matter.
+        on: surfaces or their names, each with its furniture: (kitchen, "island").
+        near: xyz or xy in m of a point, at most 1 m away.
+        side: "front", "back", "left" or "right" of each surface, or (side, object) for a side of an object, as the
+            robot sees it.
         orientation: xyzw of the object there; any about the vertical by default.
-        reachable_for: a robot that shall reach there: from where it stands if it is bolted down, else from somewhere.
-        arms: names of its arms that may reach; all by default.
-        away: xyz or xy of a point that it shall be at least 0.4 m away from.
-        seed: of the places; the run's by default.
+        reachable_for: a robot that must reach the place: from its present pose if it can't drive, else from any pose.
+        arms: names of its arms that may reach the place; all by default.
+        away: xyz or xy in m of a point, at least 0.4 m away.
+        seed: of the draws; the run's by default.
 
     Raises:
-        BadArgument: an impossible value.
-        UnknownName: an unknown side, arm or surface.
-        NoPlace: when the first is asked for: there is none.
+        BadArgument: A value is impossible.
+        UnknownName: A side, arm or surface is unknown.
+        NoPlace: There is no place; raised at the first request.
     """
     body, robot = unwrap(body), unwrap(reachable_for)
     surfaces = [_surface(unwrap(furniture), surface) for furniture, surface in on]
@@ -123,19 +123,19 @@ def free_places(
 
 
 def _surface(furniture: Object, surface: Surface | str) -> tuple[Object, Surface]:
-    """Return a surface that is given, or named, with its furniture."""
+    """Return a surface, which may be given by name, with its furniture."""
     world_of(furniture)
     return furniture, surface if isinstance(surface, Surface) else furniture.surface(surface)
 
 
 @dataclass(slots=True)
 class SearchedSurface:
-    """A surface that is looked at."""
+    """The state of the search on one surface."""
 
-    furniture: Object  # whose it is
-    surface: Surface  # the surface
-    share: float = 1.0  # of its score that it has kept
-    failed: int = 0  # batches without a place, one after the other
+    furniture: Object
+    surface: Surface
+    share: float = 1.0  # factor of its score, lower after each place that it has given
+    failed: int = 0  # batches without a place since its last place
 
     def pose(self) -> Pose:
         """Return the pose of its middle in the world."""
@@ -177,7 +177,7 @@ class SurfaceSearch(Search):
         wanted = f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}"
         super().__init__(body.world, wanted, arguments)
         self._body, self._orientation, self._near, self._away = body, orientation, near, away
-        self._side, self._reference = side  # the object beside which it shall be; None for a side of each surface
+        self._side, self._reference = side  # the object beside which the place must be; None for a side of each surface
         self._robot, self._arms, self._seed = robot, arms, seed
         self._surfaces = [SearchedSurface(furniture, surface) for furniture, surface in surfaces]
         self._done: list[Vector] = []  # places that were offered or tried
@@ -211,7 +211,9 @@ class SurfaceSearch(Search):
         spots = []
         for cell, (x, y) in spread(grid, scores, _SPOTS, random):
             step = int(random.integers(_YAWS))
-            if self._stays() and step % 2:  # an arm that has taken it puts it down most easily as it stood
+            if (
+                self._stays() and step % 2
+            ):  # an arm puts an object down most easily in the orientation in which it took it
                 step = 0
             yaw = start + 2 * math.pi * step / _YAWS
             turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
@@ -222,13 +224,13 @@ class SurfaceSearch(Search):
     # --- maps: all places together -----------------------------------------------------------------------------------
 
     def _maps(self, searched: SearchedSurface) -> tuple[Grid, list[tuple[str, Array]]]:
-        """Return the cells of a surface, and a map (cells,) for each constraint, by its name."""
+        """Return the cells of a surface, and for each constraint its name and its map (cells,)."""
         outline = searched.outline()
         (_, _, height), _ = searched.pose()
         corners = np.array(outline)
         stands = self._turned_corners(self._turn)
         inner, outer = maps.radii(stands[:, :2])
-        strip = geometry.narrowest(outline)[0] - 2 * (inner + EDGE)
+        strip = geometry.narrowest_width(outline)[0] - 2 * (inner + EDGE)
         resolution = min(max(strip / _CELLS, _FINEST), _RESOLUTION)
         grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, resolution)
         centers = grid.centers()
@@ -250,20 +252,20 @@ class SurfaceSearch(Search):
         return grid, factors
 
     def _heading(self, searched: SearchedSurface) -> float:
-        """Return a natural yaw of the object on a surface, rad: as it is now, or along what is hardly wider than it."""
-        width, along = geometry.narrowest(searched.outline())
+        """Return a natural yaw of the object in rad: its present yaw, or the direction of a narrow surface."""
+        width, along = geometry.narrowest_width(searched.outline())
         _, outer = maps.radii(self._turned_corners(self._turn)[:, :2])
         return along if width < 2 * (outer + EDGE) else yaw_of(self._body.get_orientation())
 
     def _turned_corners(self, turn: Quaternion) -> Array:
-        """Return the object's corners (n, 3) from its origin when it is turned, m."""
+        """Return the object's corners (n, 3) in m from its origin, turned."""
         corners: Array = self._corners @ geometry.to_matrix(turn).T
         return corners
 
     @staticmethod
     @staticmethod
     def _within(centers: Array, outline: Polygon, inner: float, outer: float) -> Array:
-        """Return 0 where an object would stick out over the edge however it is turned, 1 where it wouldn't."""
+        """Return 0 where an object sticks out over the edge in all orientations, up to 1 where it never does."""
         margins = np.full(len(centers), np.inf)
         for (ax, ay), (bx, by) in itertools.pairwise([*outline, outline[0]]):
             length = max(math.hypot(bx - ax, by - ay), 1e-9)
@@ -273,9 +275,9 @@ class SurfaceSearch(Search):
         return np.where(margins < inner, 0.0, 0.3 + 0.7 * ramp)
 
     def _obstacles(self, searched: SearchedSurface) -> maps.Footprints:
-        """Return what stands on a surface, or hangs above it as low as the object is high.
+        """Return the footprints of objects that stand on a surface, or hang above it below the object's height.
 
-        So do robots that are bolted down; others drive away.
+        Robots that can't drive count as well; others can drive away.
         """
         clone = clone_of(self._body.world, "reach")
         carried = held(self._robot) if self._robot else ()
@@ -286,7 +288,7 @@ class SurfaceSearch(Search):
         return maps.Footprints(boxes, height + _ABOVE, height + size)
 
     def _beside(self, centers: Array, searched: SearchedSurface) -> Array:
-        """Return 0 on the other side of a surface or an object, 1 on the wanted one."""
+        """Return the score for the wanted side of a surface or an object; 0 on the other sides."""
         reference = self._reference
         middle = center(reference) if reference is not None else searched.pose()[0]
         robot = self._robot or self._body.world.robot
@@ -304,9 +306,9 @@ class SurfaceSearch(Search):
         return beside
 
     def _reach(self, grid: Grid) -> Array:
-        """Return how well a robot reaches cells, from where it stands, or from wherever it could."""
+        """Return how well the robot reaches each cell, from its present pose or from any pose that it can drive to."""
         robot = self._robot
-        assert robot is not None  # noqa: S101  as was asked before
+        assert robot is not None  # noqa: S101  the caller has checked
         (x, y, height), here = grid.origin, robot.get_position()
         low, high = (x, y), (x + grid.shape[1] * grid.resolution, y + grid.shape[0] * grid.resolution)
         shoulders = [
@@ -326,20 +328,20 @@ class SurfaceSearch(Search):
         coarse = Grid.over(low, high, height, _COARSE)
         distances = np.hypot(*(coarse.centers()[:, None] - places[None]).transpose(2, 0, 1))
         best = np.max([(reach.best(above, distances) * free).max(axis=1) for reach, above in shoulders], axis=0)
-        if drives(robot):  # an arm that stretches far over a surface meets what stands around there
+        if drives(robot):  # an arm that stretches far over a surface meets the objects on it
             best /= 1.0 + (distances.min(axis=1) / _EASY) ** 4
         column, row = ((grid.centers() - low) / coarse.resolution).astype(np.intp).T
         spread_out: Array = best.reshape(coarse.shape)[row, column]
         return spread_out
 
     def _lift(self) -> float:
-        """Return how far above what it stands on an object is taken, roughly: at half of its height, m."""
+        """Return roughly the height above its support at which an object is grasped: half of its own height, m."""
         return float(np.ptp(self._corners[:, 2])) / 2
 
     # --- checks: one place after the other ---------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot], searched: SearchedSurface) -> Place | None:
-        """Return the first place that will do."""
+        """Return the first place that fulfils all constraints."""
         outline = searched.outline()
         obstacles = [geometry.convex_hull(each) for each in self._obstacles(searched).corners().reshape(-1, 4, 2)]
         for spot in spots:
@@ -357,7 +359,7 @@ class SurfaceSearch(Search):
     def _excluded(
         self, spot: Spot, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
     ) -> Place | tuple[str, Rejection]:
-        """Return a place that will do, or which constraint excludes it, and why."""
+        """Return a place that fulfils all constraints, or the constraint that excludes it, with the reason."""
         (x, y, z), turn = spot.pose
         own = geometry.convex_hull(self._turned_corners(turn)[:, :2] + (x, y))
         taken = self._no_room(own, searched, outline, obstacles)
@@ -379,22 +381,22 @@ class SurfaceSearch(Search):
     def _no_room(
         self, own: Polygon, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
     ) -> tuple[str, Rejection] | None:
-        """Return why there is no room on a surface for the object's outline."""
-        if any(geometry.margin(outline, corner) < EDGE for corner in own):
+        """Return why a surface has no room for the object's outline; None if it has."""
+        if any(geometry.margin_in_polygon(outline, corner) < EDGE for corner in own):
             return "edge", NoRoom(f"it would stick out over the edge of {searched.surface.name}")
         wide = _widened(own, FINGERS)
-        if any(len(geometry.intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
+        if any(len(geometry.polygon_intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
             return "room", NoRoom("something is there already, or no finger fits between")
         return None
 
     def _stays(self) -> bool:
-        """Return whether the robot that shall reach can't drive there."""
+        """Return whether the place must be in reach of a robot that can't drive."""
         return self._robot is not None and not drives(self._robot)
 
     def _unreached(self, arm: Arm, pose: Pose) -> Rejection | None:
-        """Return why an arm of the robot can't put the object to a pose from where the robot stands; None if it can."""
+        """Return why an arm can't put the object to a pose while the base stays; None if it can."""
         robot = self._robot
-        assert robot is not None  # noqa: S101  as was asked before
+        assert robot is not None  # noqa: S101  the caller has checked
         position, turn = robot.get_position_and_orientation()
         base: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
         if self._body in held(robot, arm):
@@ -419,16 +421,16 @@ class SurfaceSearch(Search):
 
 
 def _widened(outline: Polygon, margin: float) -> Polygon:
-    """Return a convex polygon around another one, wider by a margin in m: the hull of circles about its corners."""
+    """Return a convex polygon that is wider by a margin in m: the hull of circles about its corners."""
     around = [(margin * math.cos(angle), margin * math.sin(angle)) for angle in np.arange(8) * (math.pi / 4)]
     corners = [(x + dx, y + dy) for x, y in outline for dx, dy in around]
     return geometry.convex_hull(np.array(corners))
 
 
 def _parked(robot: Object) -> Boxes:
-    """Return boxes around a robot that is bolted down, arms parked: where it is when it has put something down.
+    """Return boxes around a robot that can't drive, with its arms parked as they are after placing.
 
-    One that drives is somewhere else then, as far as is known here: it has none.
+    A robot that drives has no boxes: its later pose isn't known here.
     """
     arms = robot.description.arms.values() if robot.description and not drives(robot) else ()
     park = {joint: value for arm in arms if "park" in arm.poses for joint, value in arm.posture("park").items()}

@@ -1,4 +1,4 @@
-"""What is to be reached from a place, and whether an arm does: by the rules of the motion that would do it."""
+"""Goals of an arm at a place, each checked by the rules of the motion that would reach it."""
 
 from __future__ import annotations
 
@@ -41,63 +41,59 @@ if TYPE_CHECKING:
     from pycram.reasoning.rejections import Rejection
     from recorder.geometry import Pose, Quaternion, Vector
 
-_TURNS: Final = 6  # about the vertical, in which what is put down may roughly stand
-_MAX_SINGLE: Final = 30  # places; of more than these a search for all at once takes less
-_STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle has to be reached
+_TURNS: Final = 6  # orientations about the vertical that are tried for an object without a given orientation
+_MAX_SINGLE: Final = 30  # places; for more of them, one search for all is faster
+_STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle must be reached
 
 
 @dataclass(frozen=True, slots=True)
 class PutDown:
-    """Something that an arm holds is to be put down."""
+    """A goal to put down an object that an arm holds."""
 
-    position: Vector  # xyz of the object, m
-    orientation: Quaternion | None = None  # xyzw of the object; None for upright, turned as is natural
-    body: Object | None = None  # the object; None for whatever the arm holds
+    position: Vector  # of the object, m
+    orientation: Quaternion | None = None  # xyzw of the object; None for upright with a natural heading
+    body: Object | None = None  # None for any object that the arm holds
 
 
 @dataclass(frozen=True, slots=True)
 class Pull:
-    """A drawer or door is to be opened or closed by its handle."""
+    """A goal to open or close a drawer or door by its handle."""
 
     container: Object  # the furniture
-    joint: str  # its joint
-    handle: str  # the link of the handle
-    to: float  # the joint's value then, rad or m
+    joint: str
+    handle: str  # name of the handle's link
+    to: float  # the joint's value afterwards, rad or m
 
 
-#: An object that is to be taken; a position xyz that the tool is to get to; or one of the above.
+#: An object to take; a position xyz for the tool; or one of the goals above.
 Target: TypeAlias = Object | PutDown | Pull | Sequence[float]
 
 
 class Goal(Protocol):
-    """Something that is to be reached.
-
-    Attributes:
-        position: where, m.
-    """
+    """Something for an arm to reach."""
 
     @property
     def position(self) -> Vector:
-        """Where, m."""
+        """The position of the goal in the world, m."""
 
     def named(self) -> str:
-        """Return what it is called."""
+        """Return the name of the goal for messages."""
 
     def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]] | None:
-        """Return for each stage poses, roughly, to one of which the tool would have to get with the base at a pose.
+        """Return for each stage rough poses of the tool, one of which it must reach with the base at a pose.
 
-        None stands for too many to say.
+        None means any pose.
         """
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return the side that an arm would come from with the robot's base at a pose, "" for none; or why it can't."""
+        """Return the side of the grasp, or "" without a grasp; or why an arm can't reach with the base at a pose."""
 
 
 def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
-    """Return what a target means for a robot, which takes objects from a side; None for any.
+    """Return the goal for a target. ``grasp`` is the side from which an object must be taken; None for any.
 
     Raises:
-        BadArgument: it is no target, or in another world.
+        BadArgument: It is not a target, or it is in another world.
     """
     if isinstance(target, Object):
         world_of(robot, target)
@@ -120,10 +116,10 @@ def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
 
 
 def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
-    """Return for poses of a robot's base whether a goal is roughly in reach of one of some arms, all at once.
+    """Return for poses of a robot's base whether any of the arms roughly reaches a goal, solved together.
 
-    Of goals that don't say from where, it says that all are; so it does of a few where arms aren't solved in closed
-    form: a search for all takes longer than looking at the first of them.
+    The answer is True without a check for goals without known poses of the tool. It is True as well for a few poses if
+    an arm has no closed form, because checking them one by one is faster.
     """
     within = np.zeros(len(bases), dtype=bool)
     for arm in arms:
@@ -149,7 +145,7 @@ def description_of(argument: str, robot: object) -> RobotDescription:
     """Return a robot's description.
 
     Raises:
-        BadArgument: it is no robot, or has none.
+        BadArgument: It is not a robot, or has no description.
     """
     if not isinstance(robot, Object) or robot.description is None:
         raise BadArgument(argument, robot, "a robot with a description")
@@ -157,40 +153,32 @@ def description_of(argument: str, robot: object) -> RobotDescription:
 
 
 class Taking:
-    """An object that is to be picked up.
-
-    Attributes:
-        body: the object.
-
-    Args:
-        robot: who takes it.
-        grasps: the sides that are allowed; None for all.
-    """
+    """A goal to pick up an object. ``grasps`` are the allowed sides; None for all."""
 
     def __init__(self, robot: Object, body: Object, grasps: Sequence[str] | None = None) -> None:
         self._robot, self.body, self._grasps = robot, body, grasps
 
     @property
     def position(self) -> Vector:
-        """Its middle, m."""
+        """The middle of the object, m."""
         return center(self.body)
 
     def named(self) -> str:
-        """Return its name."""
+        """Return the name of the object."""
         return self.body.name
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  whichever arm
-        """Return the tool in its middle, from all sides that are allowed."""
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  for any arm
+        """Return poses of the tool in the middle of the object, one for each allowed side."""
         return [[(self.position, grasp_orientation(side, self._robot, base)) for side in self._grasps or GRASPS]]
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return the side of the first grasp that would hold it."""
+        """Return the side of the first grasp that would hold the object."""
         if self.body.fixed:
             return Unfit(f"{self.body.name} is fixed")
         unfit = _no_free_hand(self._robot, arm)
         if unfit is not None:
             return unfit
-        solver = Solver(self._robot, arm.tool_frame)  # most places are out of reach: that is quickly known
+        solver = Solver(self._robot, arm.tool_frame)  # a cheap test, as most places are out of reach
         grasps = [
             *candidates(self.body, self._robot, arm, self._grasps, base=base),
             *candidates(self.body, self._robot, arm, self._grasps, base=base, off_center=True),
@@ -205,7 +193,7 @@ class Taking:
 
 
 class Putting:
-    """Something held that is to be put down."""
+    """A goal to put down an object that an arm holds."""
 
     def __init__(self, robot: Object, target: PutDown) -> None:
         self._robot, self._target = robot, target
@@ -213,20 +201,20 @@ class Putting:
 
     @property
     def position(self) -> Vector:
-        """Where it is put, m."""
+        """The position of the object afterwards, m."""
         return self._target.position
 
     def named(self) -> str:
-        """Return where it is put."""
+        """Return the position of the object afterwards."""
         return _named(self._target.position)
 
     def _held(self, arm: Arm) -> Object | None:
-        """Return what an arm holds, if it is what shall be put down."""
+        """Return the object in an arm's hand if it is the object to put down."""
         in_hand = held(self._robot, arm)
         return in_hand[0] if in_hand and self._target.body in (None, in_hand[0]) else None
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  wherever it stands
-        """Return where the tool would be that holds the object there, turned about the vertical."""
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  for any place
+        """Return poses of the tool with the object at the goal, in several headings."""
         body = self._held(arm)
         if body is None:
             return [[]]
@@ -238,7 +226,7 @@ class Putting:
         return [[geometry.multiply((self._target.position, turn), body_T_tool) for turn in turns]]
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return "" if the arm can put down there what it holds."""
+        """Return "" if the arm can put the object down there."""
         body = self._held(arm)
         if body is None:
             return Unfit(f"it doesn't hold {self._target.body.name if self._target.body else 'anything'}")
@@ -255,14 +243,14 @@ class Putting:
 
 
 class Pulling:
-    """A handle that is to be moved."""
+    """A goal to move a handle."""
 
     def __init__(self, robot: Object, target: Pull) -> None:
         self._robot, self._target = robot, target
 
     @property
     def position(self) -> Vector:
-        """Where the handle is now, m."""
+        """The present position of the handle, m."""
         x, y, z = self._target.container.get_link_position(self._target.handle)
         return x, y, z
 
@@ -271,7 +259,7 @@ class Pulling:
         return self._target.handle
 
     def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:
-        """Return the tool at the handle as it is, and when it is opened or closed, turned about its bar."""
+        """Return poses of the tool at the handle before and after the motion, in several angles about its bar."""
         target = self._target
         handle = self._handle()
         grip = handle.grips(self._robot, arm.gripper, base)[0]
@@ -279,7 +267,7 @@ class Pulling:
         return [[geometry.multiply(handle.pose(value), grip.tool(angle)) for angle in ANGLES[::2]] for value in values]
 
     def struck(self, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[Touching | None]:
-        """Return what of the robot, but of these arms, is where the drawer or door ends, with its base at poses."""
+        """Return for poses of the base which links would touch the moved drawer or door, except the arms' links."""
         robot, container, handle = self._robot, self._target.container, self._handle()
         clone = clone_of(robot.world, "reach")
         moving = set(attachment.moved_links(robot.urdf, [joint for arm in arms for joint in arm.joints]))
@@ -300,14 +288,14 @@ class Pulling:
         return found
 
     def _handle(self) -> Handle:
-        """Return the handle, with the furniture as it is now."""
+        """Return the handle of the furniture in its present state."""
         target = self._target
         clone = clone_of(self._robot.world, "reach")
         joint, link = target.joint, target.handle
         return clone.cached(target.container, (Handle, joint, link), lambda: Handle(target.container, joint, link))
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return "" if the arm can hold the handle all the way."""
+        """Return "" if the arm can hold the handle during the whole motion."""
         unfit = _no_free_hand(self._robot, arm)
         if unfit is not None:
             return unfit
@@ -321,20 +309,20 @@ class Pulling:
 
 
 class Touch:
-    """A position that the tool is to get to, in any orientation."""
+    """A goal to bring the tool to a position, in any orientation."""
 
     def __init__(self, robot: Object, position: Vector) -> None:
         self._robot, self.position = robot, position
 
     def named(self) -> str:
-        """Return where it is."""
+        """Return the position."""
         return _named(self.position)
 
     def tools(self, arm: Arm, base: Pose) -> None:
-        """Return None: it may come from anywhere."""
+        """Return None: any orientation is allowed."""
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return "" if the tool gets there with nothing in the way."""
+        """Return "" if the tool gets there without a collision."""
         solver = Solver(self._robot, arm.tool_frame)
         (postures,) = solver.search([(self.position, None, base)], thorough=True)
         if not postures[0].reaches():
@@ -351,7 +339,7 @@ class Touch:
 
 
 def _no_free_hand(robot: Object, arm: Arm) -> Unfit | None:
-    """Return why an arm can take hold of nothing; None if it can."""
+    """Return why an arm can't take an object; None if it can."""
     if arm.hand is None:
         return Unfit("it has no gripper")
     in_hand = held(robot, arm)
@@ -359,7 +347,7 @@ def _no_free_hand(robot: Object, arm: Arm) -> Unfit | None:
 
 
 def _rejection(failure: PlanFailure) -> Rejection:
-    """Return why an arm can't, as records have it."""
+    """Return a failure as the reason for a rejection."""
     if isinstance(failure, Blocked):
         return Touching(failure.pairs)
     if isinstance(failure, Unreachable):

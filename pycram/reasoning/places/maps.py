@@ -1,4 +1,4 @@
-"""Maps: scores of all cells of a grid for one constraint each, 0 to 1. They are rough, and multiplied."""
+"""Maps over a grid: rough scores of its cells from 0 to 1 for one constraint each, and draws from their product."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-_UPRIGHT: Final = 0.999  # of a unit axis along the vertical
-_LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the other axes of a box, by the one that is vertical
+_UPRIGHT: Final = 0.999  # of a unit axis along the vertical, for an upright box
+_LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the horizontal axes of a box by its vertical axis
 _DIRECTIONS: Final = 36
-_BEHIND: Final = 1e-4  # of its score that a place keeps with something between: where all have that, none is better
-_AT_ONCE: Final = 1 << 15  # pairs of a rectangle and a point
-_SURE: Final = 0.85  # of the radius of a circle within an outline: boxes are a little wider than what they are around
-RESOLUTION: Final = 0.05  # m
+_BEHIND: Final = 1e-4  # factor of the score behind an obstacle; if all places are behind obstacles, none is preferred
+_AT_ONCE: Final = 1 << 15  # pairs of a rectangle and a point, so that they fit into the processor's cache
+_SURE: Final = 0.85  # share of the radius of a circle within an outline, because boxes are a little too wide
+RESOLUTION: Final = 0.05  # m between cells
 _MAX_CELLS: Final = 1 << 16
-_FLOOR: Final = 0.03  # m above the ground; lower things are driven over, or don't reach up
+_FLOOR: Final = 0.03  # m above the ground; the base drives over lower obstacles
 _LAYERS: Final = (0.35, 0.7, 1.0, 1.4)  # m: heights between which a robot has one outline
 _POSTURES: Final = 60_000
-_PARTS: Final = 30  # of them, one after the other: so many as a processor's cache holds
-_LEVEL: Final = math.sin(math.radians(30))  # of the tool's axis along the vertical
+_PARTS: Final = 30  # parts of the postures, so that each fits into the processor's cache
+_LEVEL: Final = math.sin(math.radians(30))  # of the tool's axis along the vertical, if the hand is level
 _DOWN: Final = -math.cos(math.radians(30))
 _CELL: Final = 0.08  # m of distance and height
-_SECTORS: Final = 24  # of the bearing, in a full turn
-_FULL: Final = 0.9  # quantile of the counts from which on it counts as well reached
+_SECTORS: Final = 24  # of the bearing in a full turn
+_FULL: Final = 0.9  # quantile of the counts that gets the full score
 
 
 def scattered(scores: Array, cells: NDArray[np.intp], count: int) -> Array:
@@ -58,13 +58,13 @@ def scattered(scores: Array, cells: NDArray[np.intp], count: int) -> Array:
 
 
 def near(centers: Array, point: Sequence[float], scale: float, most: float = math.inf) -> Array:
-    """Return 1 at a point, falling with the distance: half at ``scale`` m, 0 farther away than ``most`` m."""
+    """Return 1 at a point and less farther away: half at ``scale`` m, 0 beyond ``most`` m."""
     distance = np.hypot(*(centers - np.asarray(point[:2])).T)
     return np.where(distance <= most, 1.0 / (1.0 + (distance / scale) ** 2), 0.0)
 
 
 def away(centers: Array, points: Sequence[Sequence[float]], distance: float) -> Array:
-    """Return 0 within a distance in m of some points, else 1."""
+    """Return 0 within a distance in m of any of the points, else 1."""
     score = np.ones(len(centers))
     for point in points:
         score[np.hypot(*(centers - np.asarray(point[:2])).T) < distance] = 0.0
@@ -72,11 +72,11 @@ def away(centers: Array, points: Sequence[Sequence[float]], distance: float) -> 
 
 
 class Footprints:
-    """Boxes seen from above, as rectangles.
+    """Boxes as rectangles, seen from above.
 
     Args:
-        low: m above the ground; boxes that end below don't count.
-        high: m above the ground; boxes that begin above don't count.
+        low: m above the ground; boxes below are left out.
+        high: m above the ground; boxes above are left out.
     """
 
     def __init__(self, boxes: Boxes, low: float, high: float) -> None:
@@ -85,16 +85,16 @@ class Footprints:
         counted = (z + extents[:, 2] > low) & (z - extents[:, 2] < high)
         axes, halves = boxes.axes[counted], boxes.half_extents[counted]
         self.centers = boxes.centers[counted, :2]  # (k, 2), m
-        self.axes = np.repeat(np.eye(2)[None], len(axes), axis=0)  # (k, 2, 2) their unit axes are the columns
+        self.axes = np.repeat(np.eye(2)[None], len(axes), axis=0)  # (k, 2, 2) with the unit axes as columns
         self.halves = extents[counted, :2]  # (k, 2) half extents, m
-        standing = np.abs(axes[:, 2]) > _UPRIGHT  # (k, 3): which of its axes is vertical
+        standing = np.abs(axes[:, 2]) > _UPRIGHT  # (k, 3): which axis of a box is vertical
         upright = np.flatnonzero(standing.any(axis=1))
         flat = _LYING[standing[upright].argmax(axis=1)]
         self.axes[upright] = np.take_along_axis(axes[upright, :2], flat[:, None], axis=2)
         self.halves[upright] = np.take_along_axis(halves[upright], flat, axis=1)
 
     def distances(self, points: Array, most: float) -> Array:
-        """Return how far points (n, 2) are from the nearest rectangle, m: 0 inside of one, ``most`` and more alike."""
+        """Return the distances (n,) in m of points (n, 2) to the nearest rectangle: 0 inside one, at most ``most``."""
         nearest = np.full(len(points), most * most)
         around = np.hypot(*self.halves.T)[:, None] + most
         for along, halves in self._along(points, self._beside(points, around)):
@@ -105,7 +105,7 @@ class Footprints:
         return distances
 
     def between(self, points: Array, target: Sequence[float]) -> NDArray[np.bool_]:
-        """Return for points (n, 2) whether a rectangle meets the straight line to a target that isn't in it."""
+        """Return for points (n, 2) whether the line to a target meets a rectangle that isn't around the target."""
         end = np.asarray(target[:2])
         hidden = np.zeros(len(points), dtype=bool)
         ends = np.vstack([points, end])
@@ -114,22 +114,23 @@ class Footprints:
             first, last = along[..., :-1], along[..., -1:]
             way = last - first
             way[way == 0.0] = 1e-12
-            one, other = (-halves - first) / way, (halves - first) / way  # shares of the way, by slabs
+            # shares of the line at which it meets the rectangle's sides
+            one, other = (-halves - first) / way, (halves - first) / way
             enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
             met = np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)
             hidden |= (met & (np.abs(last) > halves).any(axis=1)).any(axis=0)
         return hidden
 
     def _beside(self, points: Array, around: Array) -> NDArray[np.bool_]:
-        """Return which rectangles (k,) come as near as (k, 1) or (k, 2) m to the bounds of points (n, 2)."""
+        """Return the rectangles (k,) that are within (k, 1) or (k, 2) m of the bounds of points (n, 2)."""
         low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
         counted: NDArray[np.bool_] = ((self.centers >= low - around) & (self.centers <= high + around)).all(axis=1)
         return counted
 
     def _along(self, points: Array, counted: NDArray[np.bool_]) -> Iterator[tuple[Array, Array]]:
-        """Yield where points (n, 2) are in the frames of rectangles, (m, 2, n) m, with half extents (m, 2, 1).
+        """Yield points (n, 2) in the frames of rectangles, (m, 2, n) in m, with half extents (m, 2, 1).
 
-        It yields as many rectangles at once as a processor's cache holds.
+        The rectangles come in parts that fit into the processor's cache.
         """
         centers, axes, halves = (part[counted] for part in (self.centers, self.axes, self.halves))
         some = max(1, _AT_ONCE // max(1, len(points)))
@@ -149,7 +150,7 @@ class Footprints:
 
 
 def radii(outline: Array) -> tuple[float, float]:
-    """Return radii of circles about the origin: within the hull of points (n, 2), and around it, m."""
+    """Return the radii in m of circles about the origin: one within the hull of points (n, 2), one around it."""
     angles = np.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
     reach = outline @ np.array([np.cos(angles), np.sin(angles)])
     inner = float(reach.max(axis=0, initial=0.0).min())
@@ -157,18 +158,17 @@ def radii(outline: Array) -> tuple[float, float]:
 
 
 def straight(centers: Array, target: Sequence[float], obstacles: Footprints) -> Array:
-    """Return little where something is between a place and a target, as a wall or the side of a cupboard, else 1."""
+    """Return 1 for places with a free straight line to a target; almost 0 behind a wall or the side of a cupboard."""
     return np.where(obstacles.between(centers, target), _BEHIND, 1.0)
 
 
 def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> Array:
-    """Return 0 where something is within a robot's outline whatever its heading, 1 where nothing is near.
+    """Return 0 where a circle within an outline touches an obstacle, up to 1 where a circle around it is free.
 
     Args:
         centers: (cells, 2), m.
-        obstacles: what stands around.
         inner: radius of a circle within the outline, m.
-        outer: radius of a circle around it, m.
+        outer: radius of a circle around the outline, m.
     """
     distance = obstacles.distances(centers, outer)
     sure = _SURE * inner
@@ -178,21 +178,21 @@ def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Cells of a horizontal rectangle in the world."""
+    """A grid of cells over a horizontal rectangle in the world."""
 
     origin: Vector  # corner with the lowest x and y, m
-    resolution: float  # from cell to cell, m
-    shape: tuple[int, int]  # cells along y, cells along x
+    resolution: float  # m between cells
+    shape: tuple[int, int]  # number of cells along y and along x
 
     @classmethod
     def over(cls, low: Sequence[float], high: Sequence[float], height: float, resolution: float = RESOLUTION) -> Grid:
-        """Return a grid over a rectangle, coarser than asked where that would be too many cells.
+        """Return a grid over a rectangle, coarser than asked if there would be too many cells.
 
         Args:
-            low: its lowest x and y, m.
-            high: its highest x and y, m.
-            height: z of it, m.
-            resolution: from cell to cell, m.
+            low: lowest x and y of the rectangle, m.
+            high: highest x and y of the rectangle, m.
+            height: z of the rectangle, m.
+            resolution: m between cells.
         """
         width, depth = (max(high[axis] - low[axis], resolution) for axis in (0, 1))
         resolution = max(resolution, (width * depth / _MAX_CELLS) ** 0.5)
@@ -200,7 +200,7 @@ class Grid:
         return cls((float(low[0]), float(low[1]), float(height)), resolution, shape)
 
     def centers(self) -> Array:
-        """Return the middles (cells, 2) of the cells in the world, rows along x one after the other, m."""
+        """Return the middles (cells, 2) of the cells in the world, row by row along x, m."""
         rows, columns = np.indices(self.shape).reshape(2, -1).astype(np.float64)
         x, y, _ = self.origin
         half = self.resolution / 2
@@ -208,28 +208,28 @@ class Grid:
 
 
 def generator(seed: int | None, name: str, *about: object) -> np.random.Generator:
-    """Return random numbers that depend on the run's seed and on what is asked, not on what was drawn before.
+    """Return a generator that depends only on the seed and the question, not on earlier draws.
 
     Args:
-        seed: instead of the run's.
-        about: what tells it from others.
+        seed: None for the run's.
+        about: the arguments of the question.
     """
     text = f"{name} {run_seed() if seed is None else seed} {about}"
     return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
 
 
 def spread(grid: Grid, scores: Array, count: int, random: np.random.Generator) -> list[tuple[int, tuple[float, float]]]:
-    """Return some cells, drawn without putting back with a probability by their scores, the best of them first.
+    """Draw cells without replacement with a probability proportional to their scores, and return them best first.
 
     Args:
-        scores: (cells,) 0 and more.
-        count: how many, at most.
+        scores: (cells,), not negative.
+        count: of cells at most.
 
     Returns:
-        Their numbers, each with x and y of a point in the cell, m.
+        For each cell its number, and x and y of a random point in it, m.
     """
     possible = np.flatnonzero(scores > 0.0)
-    # the largest of log scores with Gumbel noise are such a sample (Yellott 1977; Efraimidis, Spirakis 2006)
+    # the largest log scores with Gumbel noise are such a sample (Yellott 1977; Efraimidis, Spirakis 2006)
     keys = np.log(scores[possible]) + random.gumbel(size=len(possible))
     taken = possible[np.argsort(-keys, kind="stable")[:count]]
     taken = taken[np.argsort(-scores[taken], kind="stable")]
@@ -238,18 +238,18 @@ def spread(grid: Grid, scores: Array, count: int, random: np.random.Generator) -
 
 
 def surroundings(robot: Object, *without: Object) -> Boxes:
-    """Return boxes around everything but a robot, what it holds, and some other objects."""
+    """Return boxes around everything except a robot, the objects that it holds, and some other objects."""
     clone = clone_of(robot.world, "reach")
     own = {robot, *held(robot), *without}
     return clone.all_boxes(body for body in robot.world.objects if body not in own)[0]
 
 
 def room(robot: Object, centers: Array) -> Array:
-    """Return 0 where a robot would touch something whatever its heading, up to 1 where nothing is near.
+    """Return 0 where a robot would touch something in any heading, up to 1 where nothing is near.
 
     Args:
-        robot: the robot, with what it holds; its world's lock is held, and its clone in sync.
-        centers: (cells, 2) where its base would be, m.
+        robot: with the objects that it holds; its world is locked, and the clone is in sync.
+        centers: (cells, 2) positions of its base, m.
     """
     clone = clone_of(robot.world, "reach")
     others = surroundings(robot)
@@ -266,7 +266,11 @@ def room(robot: Object, centers: Array) -> Array:
 
 
 class ArmReach:
-    """How well an arm gets to places around the robot."""
+    """How well an arm reaches positions around the robot with its hand level or pointing down.
+
+    It counts random postures once for each arm (Zacharias, Borst, Hirzinger: Capturing robot workspace structure, IROS
+    2007). The map is rough; only inverse kinematics tells whether an arm really reaches.
+    """
 
     def __init__(self, urdf: Urdf, arm: Arm) -> None:
         chain = Chain(urdf, arm.base_link, arm.tool_frame, arm.joints, tool=arm.tool_offset)
@@ -280,7 +284,7 @@ class ArmReach:
         points = points[(np.abs(across) < _LEVEL) | (across < _DOWN)]
         flat = points[:, :2] + base_T_root[:2, 3]
         distance = np.hypot(*flat.T)
-        self.radius = float(distance.max(initial=0.0))  # m from the robot's axis that it gets to at most
+        self.radius = float(distance.max(initial=0.0))  # the largest distance from the robot's axis, m
         self._low = float(points[:, 2].min(initial=0.0))
         shape = (
             int((points[:, 2].max(initial=0.0) - self._low) / _CELL) + 1,
@@ -290,9 +294,9 @@ class ArmReach:
         counts = np.zeros(shape)
         bearing = np.arctan2(flat[:, 1], flat[:, 0])
         np.add.at(counts, self._cells(points[:, 2], distance, bearing, shape), 1.0)
-        for axis, wrap in ((0, False), (1, False), (2, True)):  # few postures a cell: neighbours count too
+        for axis, wrap in ((0, False), (1, False), (2, True)):  # cells have few postures, so neighbours count
             counts = _smoothed(counts, axis, wrap=wrap)
-        counts /= np.maximum(np.arange(shape[1]) + 0.5, 0.5)[None, :, None]  # cells farther out are larger
+        counts /= np.maximum(np.arange(shape[1]) + 0.5, 0.5)[None, :, None]  # outer cells are larger
         full = np.quantile(counts[counts > 0.0], _FULL) if counts.any() else 1.0
         self._scores = np.sqrt(np.minimum(counts / full, 1.0))
 
@@ -305,12 +309,12 @@ class ArmReach:
         return z, rho, sector
 
     def scores(self, height: float, distance: Array, bearing: Array) -> Array:
-        """Return how well the hand gets to points.
+        """Return how well the hand reaches points.
 
         Args:
-            height: of them above the arm's base link, m.
-            distance: (...) of them from the robot's axis, m.
-            bearing: (...) of them from its heading, counterclockwise, rad.
+            height: of the points above the arm's base link, m.
+            distance: (...) of the points from the robot's axis, m.
+            bearing: (...) of the points from the robot's heading, counterclockwise, rad.
         """
         every = np.full(distance.shape, height)
         found: Array = self._scores[self._cells(every, distance, bearing, self._scores.shape)]
@@ -318,7 +322,7 @@ class ArmReach:
         return np.where(outside, 0.0, found)
 
     def best(self, height: float, distance: Array) -> Array:
-        """Return how well the hand gets to points (...), whatever the robot's heading; see :meth:`scores`."""
+        """Return how well the hand reaches points (...) with the best heading of the robot; see :meth:`scores`."""
         z = int((height - self._low) / _CELL)
         if not 0 <= z < len(self._scores):
             return np.zeros(distance.shape)
@@ -342,7 +346,7 @@ _known: dict[tuple[Path, str, str], ArmReach] = {}  # by model, description and 
 
 
 def arm_reach(robot: Object, arm: Arm) -> ArmReach:
-    """Return where an arm of a robot gets to; it is worked out once for a model."""
+    """Return the reach of a robot's arm, which is computed once for each model."""
     key = (robot.model.path, robot.description.text if robot.description else "", arm.name)
     if key not in _known:
         _known[key] = ArmReach(robot.urdf, arm)

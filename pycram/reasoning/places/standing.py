@@ -1,4 +1,4 @@
-"""Where a robot can stand to reach or see something (CRAM's ``reachable-for``, ``visible-for``)."""
+"""Standing places, from which a robot can reach or see something (CRAM's ``reachable-for``, ``visible-for``)."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-_SPOTS: Final = (30, 120, 120)  # that are drawn at once, and again where none of them will do
-_AT_FIRST: Final = 4  # of them that are looked at together, then twice as many: mostly one of the first will do
-_TRIES: Final = 40  # of each draw that are checked one by one: of what is shut in, all others fail as well
-_FEWER: Final = 16  # where an arm isn't solved in closed form, which takes longer
-_JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # of the heading, in each of these draws
+_SPOTS: Final = (30, 120, 120)  # places in a batch: at first, and after one or two batches without a place
+_AT_FIRST: Final = 4  # places that are checked together, then twice as many: mostly one of the first is good
+_TRIES: Final = 40  # places of a batch that are checked one by one; if the target is enclosed, the others fail as well
+_FEWER: Final = 16  # likewise if an arm has no closed form, because its search takes longer
+_JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # rad about the best heading, by batch
 _APART: Final = 0.07  # m between places that are offered
-_TRIED: Final = 0.02  # m around places that won't do: another heading may
-_POOR: Final = 1e-3  # of the best score, below which a place isn't drawn
+_TRIED: Final = 0.02  # m around rejected places; farther away, another heading may be good
+_POOR: Final = 1e-3  # share of the best score, below which a place isn't drawn
 _HERE: Final = "where it stands"
-_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # of the heading from facing the target
-_FACING: Final = 0.5  # how much it counts to face the target, at right angles to it
-_SIGHT: Final = (0.6, 2.5)  # m from which something is seen well, and up to which places are looked for
-_ROOM: Final = 1.5  # m around a point that a place is to be near
-_NEAR: Final = 0.7  # m at which a place near a point counts half
-_SHORT_WAY: Final = 8.0  # m of driving that count half
-_LEVEL: Final = 0.05  # m above what is reached: what is lower isn't between
+_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # rad of the heading from the target
+_FACING: Final = 0.5  # part of the score that is lost if the target is at a right angle
+_SIGHT: Final = (0.6, 2.5)  # m of distance at which the camera sees well, and of the farthest place
+_ROOM: Final = 1.5  # m around a point that the robot must be near
+_NEAR: Final = 0.7  # m from a point, at which a score is halved
+_SHORT_WAY: Final = 8.0  # m from the robot, at which a score is halved
+_LEVEL: Final = 0.05  # m above the target; lower obstacles aren't between
 
 
 def standing_places(
@@ -70,27 +70,27 @@ def standing_places(
     grasp: str | None = None,
     seed: int | None = None,
 ) -> Iterator[Place]:
-    """Return places where a robot can stand, arms as they are now, best first, each checked when its turn comes.
+    """Return places where a robot can stand, with its arms as they are, best first.
 
-    A place is where `moving` would put the robot; an arm reaches there what `pick-up`, `place` or `accessing` would
-    reach. Each place that is asked for is one query on record, with the map and why other places won't do. A robot that
-    is bolted down has one place. The world may have changed before the next one is asked for.
+    A place is where `moving` would put the robot; an arm reaches there the targets of `pick-up`, `place` or
+    `accessing`. Each place is checked when it is asked for. Each request is one query on record, with the map and the
+    reasons against other places. A robot that can't drive has one place. The world may change between requests.
 
     Args:
-        reach: what shall be reached from there, all of it.
-        arms: names of arms that may reach; all by default.
-        both: each of these arms shall reach, not only one of them.
-        see: what its camera shall see from there.
-        near: xyz or xy of a point that it shall be near, m: at most 1.5 m away.
-        avoid: positions xyz or xy of places that are left out, with what is right beside them, m.
-        grasp: the side from which objects are taken, "front", "top", "left" or "right"; any by default.
-        seed: of the places; the run's by default.
+        reach: targets; all of them must be reached.
+        arms: names of the arms that may reach; all by default.
+        both: whether each of these arms must reach, not only one of them.
+        see: an object that the camera must see.
+        near: xyz or xy in m of a point, at most 1.5 m away.
+        avoid: xyz or xy in m of places that are left out, with their surroundings.
+        grasp: the side from which objects are taken: "front", "top", "left" or "right"; any by default.
+        seed: of the draws; the run's by default.
 
     Raises:
-        BadArgument: an impossible value.
-        UnknownName: the robot has no such arm, or there is no such side.
-        MissingPart: it has no arm, or no camera, that is needed.
-        NoPlace: when the first is asked for: there is none.
+        BadArgument: A value is impossible.
+        UnknownName: The robot has no such arm, or there is no such side.
+        MissingPart: The robot has no arm or camera, but needs it.
+        NoPlace: There is no place; raised at the first request.
     """
     robot = unwrap(robot)
     description = description_of("robot", robot)
@@ -146,7 +146,7 @@ class StandingSearch(Search):
         super().__init__(robot.world, f"{robot.name} to {self._purpose}", arguments)
         self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
         self._see, self._near, self._seed = see, near, seed
-        self._offered: list[Vector] = list(avoid)  # with the places to avoid
+        self._offered: list[Vector] = list(avoid)  # also the places to avoid
         self._rejected: list[Vector] = []
         self._failed = 0  # batches without a place since the last place
 
@@ -184,14 +184,14 @@ class StandingSearch(Search):
     # --- maps: all places together -----------------------------------------------------------------------------------
 
     def _maps(self) -> tuple[Grid, list[tuple[str, Array]], Array]:
-        """Return the cells, a map (cells,) for each constraint by its name, and the heading (cells,) for each, rad."""
+        """Return the cells, for each constraint its name and its map (cells,), and the best heading (cells,) in rad."""
         robot = self._robot
         here, turn = robot.get_position_and_orientation()
         grid = self._grid(here)
         centers = grid.centers()
         factors: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
         yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
-        cells = np.arange(len(centers))  # what isn't excluded yet: the others need no further look
+        cells = np.arange(len(centers))  # cells that aren't excluded yet; the others need no further maps
         if self._goals or self._see is not None:
             faced, yaws = self._faced(centers, here[2])
             cells = np.flatnonzero(faced)
@@ -206,14 +206,14 @@ class StandingSearch(Search):
         return grid, factors, yaws
 
     def _straight(self, centers: Array, goal: Goal) -> Array:
-        """Return little where something is between a place and a goal, at the height of what would be reached."""
+        """Return almost 0 where an obstacle as high as the goal is between a place and the goal, else 1."""
         x, y, z = goal.position
         target = [goal.body] if isinstance(goal, Taking) else []
         between = maps.Footprints(surroundings(self._robot, *target), z, z + _LEVEL)
         return maps.straight(centers, (x, y), between)
 
     def _grid(self, here: Sequence[float]) -> Grid:
-        """Return the cells from which everything may be reached and seen."""
+        """Return the cells from which all goals may be reached and seen."""
         areas: list[tuple[Sequence[float], float]] = []
         if self._goals:
             radius = max(arm_reach(self._robot, arm).radius for arm in self._arms)
@@ -227,7 +227,7 @@ class StandingSearch(Search):
         return Grid.over(low, high, here[2])
 
     def _faced(self, centers: Array, ground: float) -> tuple[Array, Array]:
-        """Return for all cells how well everything is reached or seen with the best heading, and that heading."""
+        """Return for all cells the best score of a heading, for reaching or seeing everything, and that heading."""
         points = [goal.position for goal in self._goals] or ([center(self._see)] if self._see is not None else [])
         offsets = np.asarray(points)[None, :, :2] - centers[:, None]  # (cells, points, 2)
         distances, bearings = np.hypot(offsets[..., 0], offsets[..., 1]), np.arctan2(offsets[..., 1], offsets[..., 0])
@@ -262,11 +262,11 @@ class StandingSearch(Search):
     # --- checks: one place after the other ---------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
-        """Return the first place that will do."""
+        """Return the first place that fulfils all constraints."""
         quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
         tries = _TRIES if quick else _FEWER
         place: Place | None = None
-        closely: list[tuple[Spot, str, Rejection]] = []  # counted after the others: they came farther
+        closely: list[tuple[Spot, str, Rejection]] = []  # counted last, because these places fulfil most constraints
         for some in _growing(spots) if quick else (spots,):
             left = []
             for spot, known in zip(some, self._at_first_sight(some), strict=True):
@@ -293,12 +293,12 @@ class StandingSearch(Search):
         return place
 
     def _exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
-        """Say that a constraint excludes a place, which isn't drawn again."""
+        """Count a place that a constraint excludes; it isn't drawn again."""
         self._rejected.append(spot.pose[0])
         super()._exclude(batch, spot, constraint, reason)
 
     def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
-        """Return which constraint excludes each place at first sight, of all at once; None for those that may do."""
+        """Return for each place the constraint that excludes it by a quick check of all; None if there is none."""
         found = self._collisions(spots)
         for goal, look in itertools.product(self._goals, (self._struck, self._out_of_reach)):
             left = [number for number, excluded in enumerate(found) if excluded is None]
@@ -308,7 +308,7 @@ class StandingSearch(Search):
         return found
 
     def _struck(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
-        """Return for each place what a drawer or door would hit there, where that is what is to be reached."""
+        """Return for each place which collision a drawer or door would have there, if the goal is to pull it."""
         return goal.struck(self._arms, bases) if isinstance(goal, Pulling) else [None] * len(bases)
 
     def _out_of_reach(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
@@ -316,7 +316,7 @@ class StandingSearch(Search):
         return [None if promising else OutOfReach(None) for promising in promises]
 
     def _collisions(self, spots: Sequence[Spot]) -> list[tuple[str, Rejection] | None]:
-        """Return for each place what the robot would touch there; None for nothing, and where it stands."""
+        """Return for each place what the robot would touch there; None for nothing, and at its present place."""
         found: list[tuple[str, Rejection] | None] = []
         if not spots:
             return found
@@ -332,7 +332,7 @@ class StandingSearch(Search):
         return found
 
     def _excluded(self, spot: Spot) -> Place | tuple[str, Rejection]:
-        """Return a place that will do, or which constraint excludes it, and why."""
+        """Return a place that fulfils all constraints, or the constraint that excludes it, with the reason."""
         able = list(self._arms)
         grasps: dict[str, str] = {}
         for goal in self._goals:
