@@ -378,7 +378,7 @@ def touched(
     """Return what a robot would collide with in another posture or at another pose, deepest first.
 
     Args:
-        robot: the robot; its world's lock is held.
+        robot: its world is locked.
         positions: joint values in rad or m by name that differ from the present ones.
         base: pose of the robot's base; the present one by default.
         all_links: check all links of the robot, not just those that the joints move.
@@ -392,7 +392,7 @@ def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None 
     """Return what a robot would collide with in a posture, by the links that overlap most, and which of its own links.
 
     Args:
-        robot: the robot; its world's lock is held.
+        robot: its world is locked.
         positions: joint values in rad or m by name that differ from the present ones.
         base: pose of the robot's base; the present one by default.
     """
@@ -405,7 +405,7 @@ def newly_touched(robot: Object, positions: Mapping[str, float], base: Pose | No
     """Return what a robot would collide with in a posture, but for what it touches already, as on purpose.
 
     Args:
-        robot: the robot; its world's lock is held.
+        robot: its world is locked.
         positions: joint values in rad or m by name that differ from the present ones.
         base: pose of the robot's base there; the present one by default.
 

@@ -64,7 +64,7 @@ class RayCaster:
     """Casts rays at one object, as it stands.
 
     Args:
-        body: the object; its world's lock is held.
+        body: its world is locked.
         lean: rotation xyzw about the center of its bounds that is undone before: what leans is described as if it
             stood upright.
 

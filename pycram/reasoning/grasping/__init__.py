@@ -1,1 +1,1 @@
-"""How hands take objects, and where objects come to rest."""
+"""Grasps, fingers, handles, and putting objects down."""

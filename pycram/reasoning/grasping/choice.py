@@ -1,4 +1,4 @@
-"""Which grasp is taken, and with which posture of the arm: the one that touches least (thesis 4.4.6)."""
+"""The choice of a grasp and of the arm's posture for it: the pair that touches least (thesis 4.4.6)."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ if TYPE_CHECKING:
     Cost = tuple[bool, float, float, float]
 
 
-_FREE: Final = (False, 0, 0, 0.0)  # what a posture costs that touches nothing
-_INFINITE: Final = (True, math.inf, math.inf, math.inf)  # more than any posture costs
-_HAND: Final = -1  # stands for the hand alone, before all postures for the same grasp
-_MAX_GRASPS: Final = 6  # that are tried, one after the other
-_LEANING: Final = math.radians(5)  # that the message tells
+_FREE: Final = (False, 0, 0, 0.0)  # cost of a posture that touches nothing
+_INFINITE: Final = (True, math.inf, math.inf, math.inf)  # higher than the cost of any posture
+_HAND: Final = -1  # stands for the hand alone, which is checked before the postures for a grasp
+_MAX_GRASPS: Final = 6  # grasps that are tried, one after the other
+_LEANING: Final = math.radians(5)  # rad from which on a message mentions that the object leans
 
 
 @dataclass(frozen=True, slots=True)
 class GraspPlan:
-    """A grasp with the posture for it."""
+    """A grasp with the arm's posture for it."""
 
-    grasp: Grasp | None  # the grasp, None if nothing reaches
-    posture: Posture | None  # of the arm; the nearest miss if nothing reaches
-    # what the arm would touch there, deepest first, and how
+    grasp: Grasp | None  # None if no grasp is reached
+    posture: Posture | None  # the nearest miss if no grasp is reached
+    # by link and object what the arm would touch there, deepest first
     obstacles: Mapping[Object, Collision] = field(default_factory=dict)
-    # pairs of the robot's own links that would touch, if that is why nothing reaches
+    # pairs of the robot's own links that would touch, if they are why no grasp is reached
     self_collisions: Sequence[CollisionPair] = ()
-    penetrating: CollisionPair | None = None  # links of the open hand, and of the target, that would overlap there
+    penetrating: CollisionPair | None = None  # pair of links of the open hand and of the target that would overlap
 
     def evidence(self) -> dict[str, object]:
-        """Return it as records carry it."""
+        """Return the plan as evidence for a record."""
         fields: dict[str, object] = {"reached": self.grasp is not None}
         if self.grasp is not None:
             fields |= {"grasp": self.grasp.name, "position": self.grasp.position, "orientation": self.grasp.orientation}
@@ -75,19 +75,19 @@ def best(
     choice: Choice = UNRECORDED,
     base: Pose | None = None,
 ) -> GraspPlan:
-    """Return the grasp that touches least: in the middle of the object; beside it if it is long and only that is free.
+    """Return the grasp that touches least. Grasps off the center are tried if only they are free.
 
     Args:
-        link: an arm's tool frame, or any other link, which then just has to get to the target's center.
-        names: the sides that are allowed; all by default.
+        link: an arm's tool frame; or any other link, which then only has to reach the target's center.
+        names: the allowed sides; all by default.
         refused: grasps that are left out.
-        choice: gets why the others aren't taken.
-        base: pose that the robot's base is taken to have; where it stands by default.
+        choice: receives the reasons against the other grasps.
+        base: assumed pose of the robot's base; its present pose by default.
     """
     arm = robot.description.arm_of(link) if robot.description else None
     takes = arm if arm is not None and arm.hand is not None else None
     grasping = _Grasping(body, robot, Solver(robot, link), takes, choice, base)
-    if takes is None:  # it takes nothing, and gets to places as any link does
+    if takes is None:  # a link without a gripper reaches a place without grasping
         return grasping.best_of([Grasp("any", center(body), IDENTITY[1], 0.0)])
     central = candidates(body, robot, takes, names, base=base, choice=choice)
     plan = grasping.best_of([grasp for grasp in central if grasp not in refused])
@@ -101,17 +101,17 @@ def best(
 
 @dataclass(frozen=True, slots=True)
 class _Grasping:
-    """Who takes what."""
+    """The search for the best grasp of one object by one arm."""
 
     body: Object  # the target
-    robot: Object  # the robot
+    robot: Object
     solver: Solver  # of the arm's inverse kinematics
-    arm: Arm | None  # the arm, None if it takes nothing
-    choice: Choice  # gets why grasps aren't taken
-    base: Pose | None  # pose that the robot's base is taken to have; None where it stands
+    arm: Arm | None  # None if the link has no gripper
+    choice: Choice  # receives the reasons against grasps
+    base: Pose | None  # assumed pose of the robot's base; None for its present pose
 
     def best_of(self, grasps: Sequence[Grasp], limit: Cost = _INFINITE) -> GraspPlan:
-        """Return the one of some grasps that touches least, and costs no more than ``limit``."""
+        """Return the grasp that touches least, if its cost is at most ``limit``."""
         if not grasps:
             return GraspPlan(None, None)
         solver = self.solver
@@ -120,7 +120,7 @@ class _Grasping:
                 grasps, solver.search([(grasp.position, None, self.base) for grasp in grasps]), limit
             )
         targets = [(grasp.position, grasp.orientation, self.base) for grasp in grasps]
-        # a long search finds what is at the edge of what the arm can: only if there is need
+        # a long search finds postures at the limit of the arm's reach; only if they are needed
         solved = solver.closed_form(targets) if solver.in_closed_form else solver.search(targets, quick=True)
         if any(posture.reaches() for postures in solved for posture in postures):
             quick = not solver.in_closed_form
@@ -132,7 +132,7 @@ class _Grasping:
     def _least_touching(
         self, grasps: Sequence[Grasp], solved: Sequence[Sequence[Posture]], limit: Cost, *, quick: bool = False
     ) -> GraspPlan:
-        """Return the grasp that touches least of those that postures were found for; a quick miss proves nothing."""
+        """Return the grasp that touches least among those with known postures; a quick miss proves nothing."""
         options = []
         for grasp, postures in zip(grasps, solved, strict=True):
             reaching = [posture for posture in postures if posture.reaches()]
@@ -140,7 +140,7 @@ class _Grasping:
                 options.append((grasp, reaching))
             elif quick:
                 self.choice.reject(str(grasp), Untried())
-            else:  # the closed form doesn't say by how much
+            else:  # the closed form doesn't tell the distance
                 nearest = postures[0] if postures else None
                 miss = (nearest.position_error, nearest.turn_error) if nearest else (None, 0.0)
                 self.choice.reject(str(grasp), OutOfReach(*miss))
@@ -155,19 +155,19 @@ class _Grasping:
 
 
 class _Choice:
-    """The choice of the posture that touches least, of several the first: a best-first search.
+    """A best-first search for the posture that touches least; of equal ones the first.
 
-    It goes on with the posture that costs least by what is known of it, and checks the next pair of links there,
-    until that one is known completely: no other can cost less then. The hand is where it is whatever the arm does, so
-    it is checked once for each grasp, and its cost is a lower bound for all postures for that grasp.
+    The search continues with the posture of least known cost, and checks its next pair of links, until that posture is
+    checked completely: no other posture can cost less. For one grasp, all postures bring the hand to the same pose. So
+    the hand is checked once for each grasp, and its cost is a lower bound for these postures.
 
     Args:
-        target: the object, which the open hand shouldn't be in.
+        target: the object; the open hand mustn't be in it.
         options: grasps, each with the postures for it.
         opened: joint values of the open gripper.
-        hand: links that all postures for a grasp bring to one pose.
-        choice: gets what is known of the grasps in the end.
-        base: pose that the robot's base is taken to have; None where it stands.
+        hand: links that all postures for a grasp bring to the same pose.
+        choice: receives the results for the grasps.
+        base: assumed pose of the robot's base; None for its present pose.
     """
 
     def __init__(
@@ -185,27 +185,27 @@ class _Choice:
         self._checker = checker
         self._options = options
         every = [{**posture.positions, **opened} for _, postures in options for posture in postures]
-        candidates = iter(checker.predict(every, base))  # all at once: it takes little longer than one
+        candidates = iter(checker.predict(every, base))  # all together: that takes little longer than one
         self._candidates = [list(itertools.islice(candidates, len(postures))) for _, postures in options]
         self._hand = hand
         self._arm = checker.moving - set(hand)
 
     def best(self, limit: Cost) -> GraspPlan:
-        """Return the grasp, its posture, and what is touched there; none of those that cost more than ``limit``."""
+        """Return the grasp with its posture and the touched links, if its cost is at most ``limit``."""
         plan = self._least(limit)
         if self._choice.wanted:
             self._record(plan)
         return plan
 
     def _record(self, plan: GraspPlan) -> None:
-        """Record what is known of the grasps: of the best all, of the others what was checked until they were worse."""
+        """Record the results: for the best grasp all, for the others those that were found before they became worse."""
         for (grasp, postures), tried in zip(self._options, self._candidates, strict=True):
             known = [self._checker.known(candidate) for candidate in tried]
             by_hand = [pair for pair in known[0] if pair.link in self._hand]
             if grasp is plan.grasp:
                 pairs = [collision["pair"] for collision in plan.obstacles.values()]
                 pairs += [plan.penetrating] if plan.penetrating else []
-            else:  # one posture of which nothing is known may do
+            else:  # an unchecked posture may be good
                 pairs = by_hand or min(known, key=len)
             self._choice.reject(str(grasp), Touching(pairs) if pairs else Untried(), len(postures))
 
@@ -237,13 +237,13 @@ class _Choice:
         return contorted[max(contorted)] if contorted else GraspPlan(None, None)
 
     def _check(self, touches: Iterator[Touch], depths: dict[Object, float], cost: Cost, enough: Cost) -> Cost:
-        """Check what a posture touches, and return what that costs.
+        """Check for touches of a posture until its cost exceeds ``enough``, and return the cost.
 
         Args:
-            touches: what is found by and by; it goes on where it was left.
-            depths: of what is touched, m; what is found is added.
-            cost: of what is touched so far.
-            enough: as soon as it costs more, the rest doesn't matter yet.
+            touches: an iterator, which continues where the last check stopped.
+            depths: m by object; found touches are added.
+            cost: of the touches so far.
+            enough: cost above which the other touches don't matter yet.
         """
         for (_, _, body, _), points in touches:
             depth = max(-point.distance for point in points)
@@ -255,7 +255,7 @@ class _Choice:
         return cost
 
     def _cost(self, depths: Mapping[Object, float]) -> Cost:
-        """Furniture stays, other things can be moved first, little overlap is better."""
+        """Return the cost of touches. Furniture can't be moved, other objects can; little overlap is better."""
         counted = {body: depth for body, depth in depths.items() if body is not self._target}
         furniture = sum(body.fixed for body in counted)
         return self._target in depths, furniture, len(counted) - furniture, sum(sorted(counted.values()))
@@ -270,14 +270,15 @@ def ways_to_hold(
     choice: Choice,
     base: Pose | None = None,
 ) -> Iterator[tuple[Grasp, Posture, Closing]]:
-    """Yield grasps with the arm's posture and how the gripper closes then, the one that touches least first.
+    """Yield grasps with the arm's posture and the closed gripper; the grasp that touches least comes first.
 
     Args:
-        robot: the robot; its world's lock is held.
-        names: the sides that are allowed; None for all.
-        failures: gets why others won't do; the caller may add its own, and it ends after a few of either.
-        choice: gets the same, by grasp.
-        base: pose that the robot's base is taken to have; where it stands by default.
+        robot: its world is locked.
+        names: the allowed sides; None for all.
+        failures: receives the reasons against other grasps. The caller may add failures; after a few of both the
+            search ends.
+        choice: receives the reasons by grasp.
+        base: assumed pose of the robot's base; its present pose by default.
     """
     refused: list[Grasp] = []
     while len(failures) < _MAX_GRASPS:
@@ -299,13 +300,13 @@ def ways_to_hold(
 def _nothing(
     robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, plan: GraspPlan, base: Pose | None
 ) -> PlanFailure:
-    """Return why no grasp was found."""
+    """Return why there is no grasp."""
     if plan.posture is None:
         tilt = geometry.angle(leaning(body), geometry.IDENTITY[1])
         lies = f"as it leans, by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
         if arm.gripper.suction:
             return GraspFailed(arm.name, body.name, f"{lies}it is nowhere flat enough for the suction cup")
-        sides = Choice("grasp", {})  # also where nobody records
+        sides = Choice("grasp", {})  # needed even if nothing is recorded
         candidates(body, robot, arm, names, base=base, choice=sides)
         misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]
         widths = [misfit.width for misfit in misfits if misfit.width is not None]
@@ -316,7 +317,7 @@ def _nothing(
 
 
 def _problem(arm: Arm, body: Object, plan: GraspPlan, closing: Closing | None) -> PlanFailure | None:
-    """Return why a grasp doesn't do; None if it does."""
+    """Return why a grasp won't hold the object; None if it will."""
     if plan.obstacles:
         return Blocked(arm.name, center(body), [collision["pair"] for collision in plan.obstacles.values()])
     if plan.penetrating is not None:

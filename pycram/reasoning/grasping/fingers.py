@@ -1,4 +1,4 @@
-"""Fingers that open or close until something stops them: found in a simulation clone, before they move."""
+"""The motion of fingers until something stops them: computed in a simulation clone before they move."""
 
 from __future__ import annotations
 
@@ -28,38 +28,38 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
-    #: Depths in m of what fingers overlap: finger, object, the object's link.
+    #: Depths of overlaps in m, by finger, object, and link of the object.
     Depths: TypeAlias = Mapping[tuple[str, Object, str], float]
 
-CLEAR: Final = 0.002  # m of air around what is let go of: the engine pads shapes by less
-_SLACK: Final = 5e-4  # m of overlap that is a touch
-_STEPS: Final = 16  # of the way between open and closed: no finger of the PR2 moves by more than 3 mm in one
-_HALVINGS: Final = 6  # of such a step
+CLEAR: Final = 0.002  # m of air around a released object; the engine pads shapes by less
+_SLACK: Final = 5e-4  # m of overlap from which on it is a touch
+_STEPS: Final = 16  # steps between open and closed; no finger of the PR2 moves by more than 3 mm in a step
+_HALVINGS: Final = 6  # bisections of a step
 _AT_CUP: Final = 0.004  # m from a suction cup that its lip bridges
-_CLOSING_STEPS: Final = 8  # from open to closed, less than a finger's thickness each
-_CLOSING_HALVINGS: Final = 5  # of such a step: 0.4 mm of the PR2's aperture
-_MANY: Final = 3  # fingers from which on each closes until it touches; two jaws are one mechanism
-_ALONE: Final = 64  # of the way between open and closed, by which each of them goes on
-_REACH: Final = 0.005  # m to the other finger: hand and object give way by half of that
-_ACROSS: Final = 0.5  # of a unit normal along the way of two jaws
-_AROUND: Final = 0.4  # of fingers around a centre: two of three meet a carton's edges at 60 degrees to y
+_CLOSING_STEPS: Final = 8  # steps from open to closed, each less than the thickness of a finger
+_CLOSING_HALVINGS: Final = 5  # bisections of a closing step, down to 0.4 mm of the PR2's aperture
+_MANY: Final = 3  # moving parts from which on each closes on its own; two jaws are one mechanism
+_ALONE: Final = 64  # steps between open and closed for a part that closes on its own
+_REACH: Final = 0.005  # m to a finger on the other side; hand and object each give way by half of that
+_ACROSS: Final = 0.5  # component of a unit normal along the jaws' direction
+_AROUND: Final = 0.4  # likewise for fingers around a centre: two of three touch a carton's edges at 60 degrees to y
 _CACHED: Final = 32
-_SWEPT: Final = 8  # steps between open and closed, between which fingers stay within their boxes' margins
+_SWEPT: Final = 8  # steps between open and closed; between them, fingers stay within the margins of their boxes
 
 
 @dataclass(frozen=True, slots=True)
 class FingerMotion:
-    """How far fingers get."""
+    """The result of a motion of fingers."""
 
-    positions: Mapping[str, float]  # joint values of the gripper there, by name
-    share: float  # how far it is open then: 0 is closed, 1 is open
-    # what stops the fingers, deepest first; nothing if they get as far as they should
+    positions: Mapping[str, float]  # final joint values of the gripper by name
+    share: float  # how far the gripper is open: 0 is closed, 1 is open
+    # pairs of links that stop the fingers, deepest first; empty if the fingers reach the goal
     stopped_by: Sequence[CollisionPair] = ()
-    gap: float = 2 * CLEAR  # m of air between the fingers and what is let go of, at most 2 * CLEAR
+    gap: float = 2 * CLEAR  # m of air between the fingers and the released object, at most 2 * CLEAR
 
 
 def _share_open(gripper: Gripper, now: Mapping[str, float]) -> float:
-    """Return how far a gripper is open where a robot's joints are so, rad or m by name: 0 is closed, 1 is open."""
+    """Return how far a gripper is open at joint values, which are in rad or m by name: 0 is closed, 1 is open."""
     closed, opened = gripper.at(0.0), gripper.at(1.0)
     shares = [(now[name] - at) / (opened[name] - at) for name, at in closed.items() if opened[name] != at]
     return min(1.0, max(0.0, sum(shares) / len(shares))) if shares else 0.0
@@ -75,17 +75,17 @@ def moved(
     pose: Pose | None = None,
     base: Pose | None = None,
 ) -> FingerMotion:
-    """Return how far the fingers of an arm get from where they are.
+    """Return how far the fingers of an arm can move.
 
-    What they overlap already doesn't stop them unless they go deeper.
+    Present overlaps don't stop the fingers unless they get deeper.
 
     Args:
-        robot: the robot; its world's lock is held.
-        goal: how far the gripper shall be open: 0 is closed, 1 is open.
+        robot: its world is locked.
+        goal: how far the gripper should be open: 0 is closed, 1 is open.
         posture: joint values of the arm by name; the present ones by default.
-        release: what is let go of, which doesn't stop the fingers.
-        pose: of that; where it is by default.
-        base: pose that the robot's base is taken to have; where it stands by default.
+        release: the object that is released; it doesn't stop the fingers.
+        pose: of the released object; its present pose by default.
+        base: assumed pose of the robot's base; its present pose by default.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
@@ -98,7 +98,7 @@ def moved(
         frame = robot.urdf.forward_kinematics(there, gripper.palm)
         palm = geometry.multiply(base or robot.get_position_and_orientation(), frame)
     others = _near(clone, robot, gripper, palm, there, [o for o in robot.world.objects if o not in (robot, release)])
-    if not others and release is None:  # in free air, without a copy of the hand
+    if not others and release is None:  # in free air no copy of the hand is needed
         return FingerMotion(gripper.at(goal), goal)
     engine, hand = clone.engine, clone.body(robot.name)
 
@@ -129,22 +129,22 @@ class Closing:
     """A gripper that has closed on an object."""
 
     positions: Mapping[str, float]  # joint values of the gripper, by name
-    sides: int  # on how many sides of the object a finger is: 0, 1 or 2; a suction cup needs no other and counts as 2
-    obstacles: Sequence[CollisionPair] = ()  # what else the fingers would overlap, deepest first
+    sides: int  # sides of the object with a finger: 0, 1 or 2; a suction cup counts as 2
+    obstacles: Sequence[CollisionPair] = ()  # other links that the fingers would overlap, deepest first
 
 
 def closed_around(
     robot: Object, arm: Arm, posture: Mapping[str, float], body: Object, base: Pose | None = None
 ) -> Closing | None:
-    """Return how a gripper closes on an object, from open until the first finger touches it; None if none ever does.
+    """Return how a gripper closes on an object, from open until the first touch; None if it never touches the object.
 
-    Of a hand with many fingers the others go on, each until it touches, as their motors would.
+    In a hand with many fingers, the other fingers continue until they touch as well, as their motors would.
 
     Args:
-        robot: the robot; its world's lock is held.
-        posture: joint values by name that bring its gripper to the object.
-        body: the object, which stays where it is.
-        base: pose that the robot's base is taken to have; where it stands by default.
+        robot: its world is locked.
+        posture: joint values by name that bring the gripper to the object.
+        body: stays in its place.
+        base: assumed pose of the robot's base; its present pose by default.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
@@ -169,7 +169,7 @@ def closed_around(
         if gripper.suction:
             at_cup = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)
             return Closing({}, 2) if at_cup else None
-        # something hollow may be touched on the way only: closed, the fingers would be within it
+        # a hollow object may be touched only on the way: the closed fingers would be within it
         tried = (step / _CLOSING_STEPS for step in reversed(range(_CLOSING_STEPS)))
         stuck = next((share for share in tried if touches(share)), None)
         if stuck is None:
@@ -182,7 +182,7 @@ def closed_around(
             else:
                 free = share
         positions = gripper.at(stuck)
-        for own, joints in parts if len(parts) >= _MANY else ():  # each of many fingers goes on until it touches
+        for own, joints in parts if len(parts) >= _MANY else ():  # each of many fingers continues until it touches
             shares = (stuck - step / _ALONE for step in range(math.ceil(stuck * _ALONE)))
             end = gripper.at(next((share for share in shares if touches(share, own, joints)), 0.0))
             positions |= {joint: end[joint] for joint in joints}
@@ -198,7 +198,7 @@ def closed_around(
 
 
 def held(robot: Object, arm: Arm | None = None) -> list[Object]:
-    """Return what a robot carries, directly and through other things; with an arm, what hangs on its tool frame."""
+    """Return the objects that a robot carries, also indirectly; with an arm, the objects on its tool frame."""
     found = [each.body for each in robot.carried if arm is None or each.carrier_link == arm.tool_frame]
     for body in found:
         found.extend(each.body for each in body.carried)
@@ -206,7 +206,7 @@ def held(robot: Object, arm: Arm | None = None) -> list[Object]:
 
 
 def sides_held(robot: Object, arm: Arm, body: Object) -> int:
-    """Return on how many sides of an object the fingers of an arm are now: 0, 1 or 2; see :class:`Closing`."""
+    """Return on how many sides of an object an arm has fingers now: 0, 1 or 2; see :class:`Closing`."""
     engine, gripper = robot.world.engine, arm.gripper
     if gripper.suction:
         return 2 if engine.link_closest_points(robot.handle, gripper.palm, body.handle, _AT_CUP) else 0
@@ -214,7 +214,7 @@ def sides_held(robot: Object, arm: Arm, body: Object) -> int:
 
 
 def _sides(engine: Engine, hand: Body, target: Body, arm: Arm, parts: int) -> int:
-    """Return on how many sides of a body fingers are, of which so many could move alone."""
+    """Return on how many sides of a body fingers are. ``parts`` is the number of parts that move on their own."""
     _, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
     across = geometry.rotate(turn, (0.0, 1.0, 0.0))
     least = _AROUND if parts >= _MANY else _ACROSS
@@ -227,7 +227,7 @@ def _sides(engine: Engine, hand: Body, target: Body, arm: Arm, parts: int) -> in
 
 
 def _parts(robot: Object, gripper: Gripper) -> list[tuple[list[str], list[str]]]:
-    """Return the fingers that move, as parts that could move alone: links, and the gripper's joints that move them."""
+    """Return the parts of a gripper that move on their own: for each its finger links and its joints."""
     urdf, opened, closed = robot.urdf, gripper.at(1.0), gripper.at(0.0)
     parts: dict[str, tuple[list[str], list[str]]] = {}
     for finger in gripper.fingers:
@@ -242,7 +242,7 @@ def _parts(robot: Object, gripper: Gripper) -> list[tuple[list[str], list[str]]]
 
 
 def _depths(engine: Engine, hand: Body, gripper: Gripper, others: Mapping[Part, Body]) -> Depths:
-    """Return how deep fingers are in other objects."""
+    """Return how deep fingers overlap other objects."""
     found: dict[tuple[str, Object, str], float] = {}
     for finger in gripper.fingers:
         for (body, link), copy in others.items():
@@ -267,13 +267,13 @@ def _near(
     there: Mapping[str, float],
     bodies: Sequence[Object],
 ) -> Mapping[Part, Body]:
-    """Return copies of what fingers could meet on their way between open and closed.
+    """Return the copies of objects that fingers could touch between open and closed.
 
     Args:
-        clone: where the copies are.
-        palm: pose of that's palm in the world.
-        there: the robot's joint values, by name.
-        bodies: what is looked at.
+        clone: has the copies.
+        palm: pose of the gripper's palm in the world.
+        there: the robot's joint values by name.
+        bodies: the objects to check.
     """
     path = robot.model.path
     others = tuple((name, there[name]) for name in _between(path, gripper) if name in there)
@@ -283,7 +283,7 @@ def _near(
 @lru_cache(maxsize=_CACHED)
 @notable
 def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
-    """Return the joints between a gripper's palm and its fingers that don't move with it, of a canonical URDF."""
+    """Return the joints of a canonical URDF between palm and fingers that the gripper doesn't move."""
     urdf = stored_tree(path)
     to_palm = {joint.name for joint in urdf.chain(urdf.root, gripper.palm)}
     to_fingers = {joint.name for finger in gripper.fingers for joint in urdf.chain(urdf.root, finger)}
@@ -295,11 +295,11 @@ def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
 @lru_cache(maxsize=_CACHED)
 @notable
 def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) -> Boxes:
-    """Return boxes in the palm's frame around what fingers sweep between open and closed.
+    """Return boxes in the palm's frame around the space that fingers sweep between open and closed.
 
     Args:
         path: the robot's canonical URDF.
-        others: values of further joints between the palm and the fingers.
+        others: values of other joints between the palm and the fingers.
     """
     urdf = stored_tree(path)
     paths: dict[str, list[Pose]] = {finger: [] for finger in gripper.fingers}
@@ -315,7 +315,7 @@ def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) 
 
 
 def _sweep(depths: Callable[[float], Depths], start: float, goal: float) -> tuple[float, Depths]:
-    """Return the last share on the way from one to another at which nothing stops the fingers, and what does then."""
+    """Return the last share before something stops the fingers on their way from start to goal, and what stops them."""
     known = depths(start)
 
     def stopping(share: float) -> Depths:

@@ -1,9 +1,9 @@
-"""How a gripper can take an object: from which side, and where.
+"""Candidates for grasps: from which side and where a gripper can take an object.
 
-Candidates come from ray casts at the object: from the front, the top, the left and the right where it fits between the
-fingers, else over its rim from the top. The gripper is turned with an object that lies across or leans, and takes it in
-the middle between its fingers. A suction cup takes it where it is flat, opposite its middle. Which of them the arm
-takes is chosen elsewhere (:mod:`pycram.reasoning.grasping.choice`).
+Ray casts find the candidates: from the front, the top, the left and the right if the object fits between the fingers,
+else from the top over its rim. If the object lies across or leans, the gripper is turned with it. The object is
+centered between the fingers. A suction cup takes a flat place opposite the object's middle. The choice among
+candidates is in :mod:`pycram.reasoning.grasping.choice`.
 """
 
 from __future__ import annotations
@@ -35,39 +35,39 @@ if TYPE_CHECKING:
 
 
 FREE: Final = 0.004
-"""Metres of the aperture that have to stay free."""
-_CLEARANCE: Final = 0.002  # m that the finger tips keep from what the object stands on
-_PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, where an object's surface is looked for
-_STEP: Final = 0.004  # m between such points along the fingers
-_LEVELS: Final = 6  # at which the wall below a rim is looked for
-_EDGE: Final = 0.004  # m below a rim where its wall begins
-_UPRIGHT: Final = 0.7  # of a unit axis along the vertical: an axis that stands
-_FLAT: Final = 0.002  # m that a surface may be uneven below a suction cup
-_SKEW: Final = math.radians(2)  # that an object may be turned from the gripper as if it weren't
-_LONG: Final = 2.0  # times as long as it is wide
-_BESIDE: Final = 0.01  # m from the middle of something long, seen from the top, that are another place
-_LEANING: Final = math.radians(5)  # from which on the gripper leans as the object does
+"""Metres of the aperture that must stay free."""
+_CLEARANCE: Final = 0.002  # m between the finger tips and the support of the object
+_PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, at which rays are cast
+_STEP: Final = 0.004  # m between rays along the fingers
+_LEVELS: Final = 6  # levels below a rim at which its wall is measured
+_EDGE: Final = 0.004  # m below a rim at which its wall begins
+_UPRIGHT: Final = 0.7  # of a unit axis along the vertical, for an upright axis
+_FLAT: Final = 0.002  # m by which the surface below a suction cup may be uneven
+_SKEW: Final = math.radians(2)  # rad between object and gripper that are ignored
+_LONG: Final = 2.0  # ratio of length and width of a long object
+_BESIDE: Final = 0.01  # m from the middle of a long object, seen from the top, that count as another place
+_LEANING: Final = math.radians(5)  # rad from which on the gripper leans with the object
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
 _biases: WeakKeyDictionary[Object, dict[str, float]] = WeakKeyDictionary()
 GRASPS: Final[Mapping[str, Quaternion]] = {
     "front": (0.0, 0.0, 0.0, 1.0),
     "top": geometry.from_rpy(0.0, math.pi / 2, 0.0),
-    "left": geometry.from_rpy(0.0, 0.0, -math.pi / 2),  # from the robot's left side to its right
+    "left": geometry.from_rpy(0.0, 0.0, -math.pi / 2),  # from the robot's left to its right
     "right": geometry.from_rpy(0.0, 0.0, math.pi / 2),
 }
-"""Tool orientations in a frame that has the robot's heading."""
+"""Orientations of the tool in a frame with the robot's heading."""
 
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
     """A pose of the tool that takes an object."""
 
-    name: str  # the side that the gripper comes from
+    name: str  # the side from which the gripper comes
     position: Vector  # of the tool frame in the world, m
     orientation: Quaternion  # of the tool frame in the world, xyzw
-    width: float  # m between the fingers when they hold it
-    label: str = ""  # what tells it from others, as "top across"; the side alone if empty
+    width: float  # m between the fingers when they hold the object
+    label: str = ""  # unique among the candidates, as "top across"; the side if empty
 
     def __str__(self) -> str:
         return self.label or self.name
@@ -86,12 +86,12 @@ def candidates(
     """Return grasps of an object, best first.
 
     Args:
-        robot: the robot; its heading says what is front.
+        robot: its heading defines the front.
         arm: the arm whose gripper is to take it.
-        names: the sides that are allowed; all by default.
-        off_center: something long from the top, between its middle and its ends; else everything in the middle.
-        base: pose that the robot's base is taken to have; where it stands by default.
-        choice: gets from which sides it doesn't fit, and why.
+        names: the allowed sides; all by default.
+        off_center: return only grasps of a long object from the top, between its middle and its ends.
+        base: assumed pose of the robot's base; its present pose by default.
+        choice: receives for each side the reason why the object doesn't fit.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     if off_center:
@@ -120,7 +120,7 @@ def candidates(
 
 
 def _distinguished(grasps: Sequence[Grasp]) -> Sequence[Grasp]:
-    """Return grasps with labels that differ."""
+    """Return the grasps with unique labels."""
     seen: dict[str, int] = {}
     found = []
     for grasp in grasps:
@@ -130,7 +130,7 @@ def _distinguished(grasps: Sequence[Grasp]) -> Sequence[Grasp]:
 
 
 def _shifts(offsets: Sequence[Vector], lying: Quaternion | Sequence[float]) -> list[Vector]:
-    """Return how offsets in an object's frame move a grasp from the top, m: of what stands, its ends are no places."""
+    """Return the shifts in m of a grasp from the top for offsets in an object's frame; none along an upright object."""
     turned = (geometry.rotate(lying, offset) for offset in offsets)
     return [
         (x, y, 0.0)
@@ -140,7 +140,7 @@ def _shifts(offsets: Sequence[Vector], lying: Quaternion | Sequence[float]) -> l
 
 
 def _along_length(body: Object) -> Sequence[Vector]:
-    """Return offsets in its frame from the middle of something long to places between there and its ends, m."""
+    """Return offsets in m from the middle of a long object to places towards its ends, in its frame."""
     solids = solids_of(body.model.path)
     size = solids.high.max(axis=0) - solids.low.min(axis=0)
     longest = int(size.argmax())
@@ -152,7 +152,7 @@ def _along_length(body: Object) -> Sequence[Vector]:
 
 
 def leaning(body: Object) -> Quaternion:
-    """Return the rotation by which an object leans: from the vertical to the nearest of its axes."""
+    """Return the rotation from the vertical to the nearest axis of an object."""
     return _lean(body.get_orientation())
 
 
@@ -178,7 +178,7 @@ def _upright(
     shift: Vector,
     choice: Choice,
 ) -> list[Grasp]:
-    """Return grasps of an object that stands upright, or is taken to, with an orientation; moved aside by a shift."""
+    """Return grasps of an object that is treated as upright, in an orientation and moved by a shift."""
     beside = " off center" if any(shift) else ""
     dx, dy, _ = shift
     x, y, z = caster.center
@@ -201,7 +201,7 @@ def _upright(
         (_, turn), *_ = options
         tried = list(itertools.islice(fitting, len(options)))
         fit = [grasp for grasp in tried if isinstance(grasp, Grasp)]
-        if fit:  # as the robot stands, unless the object lies across
+        if fit:  # in the robot's heading, unless the object lies across
             widths = [grasp.width + (grasp.orientation != turn) * FREE for grasp in fit]
             found.append(replace(fit[widths.index(min(widths))], label=label))
         else:
@@ -214,21 +214,21 @@ def _upright(
 
 
 def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
-    """Yield the same orientation turned about the vertical so that the fingers close along one of the object's axes."""
+    """Yield an orientation turned about the vertical such that the fingers close along an axis of the object."""
     x, y, _ = geometry.rotate(turn, (0.0, 1.0, 0.0))
     for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
         along = geometry.rotate(lying, axis)
         if abs(along[2]) > _UPRIGHT:
             continue
         skew = math.atan2(along[1], along[0]) - math.atan2(y, x)
-        skew = (skew + math.pi / 4) % (math.pi / 2) - math.pi / 4  # the object's faces look alike to fingers
+        skew = (skew + math.pi / 4) % (math.pi / 2) - math.pi / 4  # the object's faces are alike for fingers
         if abs(skew) > _SKEW:
             yield geometry.product(geometry.from_rpy(0.0, 0.0, skew), turn)
         return
 
 
 def _bias(robot: Object, arm: Arm) -> float:
-    """Return how unevenly the sides of an arm's gripper close; it is worked out once for a robot."""
+    """Return how unevenly the sides of an arm's gripper close, which is computed once for each robot."""
     known = _biases.setdefault(robot, {})
     if arm.name not in known:
         known[arm.name] = arm.bias(robot.urdf)
@@ -238,7 +238,7 @@ def _bias(robot: Object, arm: Arm) -> float:
 def _between_fingers(
     caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector, bias: float
 ) -> Iterator[Grasp | Misfit]:
-    """Yield for each side and orientation the grasp with the object centered between the fingers, or why not."""
+    """Yield for each option the grasp with the object centered between the fingers, or why it doesn't fit."""
     if not options:
         return
     gripper = arm.gripper
@@ -277,26 +277,26 @@ def _between_fingers(
 
 
 def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | Uneven]:
-    """Yield for each side and orientation the grasp with a suction cup on a flat place, or why not."""
+    """Yield for each side and orientation the grasp of a suction cup on a flat place, or why there is none."""
     gripper = arm.gripper
     radius = gripper.suction
     for name, turn in options:
         x, y, z = caster.center
         if name != "top":
             z = max(z, caster.low[2] + gripper.underside)
-        frame = (x, y, z), geometry.product(turn, geometry.from_rpy(0.0, 0.0, -math.pi / 2))  # y is into the object
+        frame = (x, y, z), geometry.product(turn, geometry.from_rpy(0.0, 0.0, -math.pi / 2))  # y points into the object
         scan = Scan(frame, -radius, radius)
         points = [caster.extents([scan], 3, (across,))[0, :, 0] for across in (-radius, 0.0, radius)]
         uneven = float(np.ptp(points))
         on_surface = geometry.transform(frame, (0.0, float(points[1][1]), 0.0))
-        if uneven <= _FLAT:  # nan where there is nothing
+        if uneven <= _FLAT:  # nan outside of the object
             yield Grasp(name, on_surface, turn, 0.0)
         else:
             yield Uneven(None if math.isnan(uneven) else uneven)
 
 
 def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice: Choice) -> Iterator[Grasp]:
-    """Yield grasps over the wall of something hollow that is too wide: on the arm's side, in front, on the far side."""
+    """Yield grasps over the wall of a wide hollow object: on the arm's side, in front, and on the far side."""
     gripper, bias = arm.gripper, _bias(robot, arm)
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
     side = 1.0 if shoulder[1] >= 0 else -1.0
@@ -318,7 +318,7 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice
             choice.reject(label, Misfit(None, gripper.gap, gripper.aperture - FREE))
             continue
         tips = height
-        if floor < _LEVELS:  # tips stay above the floor of the hollow
+        if floor < _LEVELS:  # the finger tips stay above the bottom of the hollow
             tips = max(tips, first + floor * step + gripper.tips + _CLEARANCE)
         inside, outside = float(wall[:floor, 0].min()), float(wall[:floor, 1].max())
         if not gripper.gap <= outside - inside <= gripper.aperture - FREE:
@@ -336,11 +336,11 @@ def grasp_orientation(grasp: str, robot: Object, base: Pose | None = None) -> Qu
 
     Args:
         grasp: "front", "top", "left" or "right".
-        robot: whose heading says what is front.
-        base: pose that its base is taken to have.
+        robot: its heading defines the front.
+        base: assumed pose of the robot's base; its present pose by default.
 
     Raises:
-        UnknownName: another grasp.
+        UnknownName: There is no such grasp.
     """
     if checks.text("grasp", grasp) not in GRASPS:
         raise UnknownName("grasp", grasp, "a gripper", GRASPS)
@@ -353,11 +353,11 @@ def heading(robot: Object, base: Pose | None = None) -> Quaternion:
 
 
 def yaw(body: Object) -> float:
-    """Return the angle about the vertical by which an object's x axis is turned, rad."""
+    """Return the angle in rad about the vertical of an object's x axis."""
     return yaw_of(body.get_orientation())
 
 
 def yaw_of(orientation: Sequence[float]) -> float:
-    """Return the angle about the vertical by which an orientation turns the x axis, rad."""
+    """Return the angle in rad about the vertical by which an orientation turns the x axis."""
     x, y, _ = geometry.rotate(orientation, (1.0, 0.0, 0.0))
     return math.atan2(y, x)

@@ -1,8 +1,9 @@
-"""Handles of doors and drawers: where they are at each value of their joint, and how a gripper may hold them.
+"""Handles of doors and drawers: how a gripper holds them, and the path of an arm that moves them.
 
-A handle is a bar. A gripper takes it from the front, as the robot faces it when it is closed, the fingers across the
-bar; what was opened is closed in the same way. The gripper may be turned about the bar, also while it moves, and sit
-beside its middle.
+A handle is a bar. A gripper takes it from the front, as the robot faces the closed door or drawer, with the fingers
+across the bar; it closes a door in the same way. The gripper may turn about the bar, also during the motion, and may
+hold the bar beside its middle. If an arm has no path, :func:`remedies` finds another arm or another place of the
+robot.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.foundation.failures import CollisionPair
-from pycram.models.shapes import shapes_of
+from pycram.foundation.collision_pair import CollisionPair
 from pycram.models.surfaces import closed_position
+from pycram.models.visual import shapes_of
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
@@ -47,32 +48,32 @@ if TYPE_CHECKING:
 
 
 ANGLES: Final = tuple(math.radians(angle) for angle in range(-90, 91, 30))
-"""Rad about the bar, by which a gripper may be turned from the front."""
+"""Angles in rad about the bar, by which a gripper may be turned from the front."""
 
-#: Of the way from the bar's middle to where the gripper would reach over its end.
+#: Shares of the distance from the bar's middle to where the gripper would reach over its end.
 _SHIFTS: Final = {"middle": 0.0, "one side": 0.5, "other side": -0.5}
-_MAX_TURN: Final = math.radians(31)  # about the bar from one value to the next
-_MAX_JUMP: Final = 1.6  # rad of a joint from one value to the next
-_TURNED: Final = 1.0  # cost of a square rad about the bar, against a square rad of a joint
-_TURNING: Final = 1.0  # of a square rad about the bar from one value to the next
-_APPROACH: Final = 0.01  # of a square rad of a joint from the present posture to the first
-_MAX_PATHS: Final = 40  # that are checked
+_MAX_TURN: Final = math.radians(31)  # rad about the bar between neighbouring values of the joint
+_MAX_JUMP: Final = 1.6  # rad of an arm's joint between neighbouring values
+_TURNED: Final = 1.0  # cost of a square rad about the bar, relative to a square rad of a joint
+_TURNING: Final = 1.0  # cost of a square rad about the bar between neighbouring values
+_APPROACH: Final = 0.01  # cost of a square rad of a joint from the present posture to the first
+_MAX_PATHS: Final = 40  # paths that are checked
 _MAX_QUICK_PATHS: Final = 8
 _SAME_HEIGHT: Final = 0.02  # m
-_STEP: Final = 0.15  # m between places that are tried
-_STEPS: Final = 5  # to each side
-_MAX_PLACES: Final = 4  # for which a path is looked for
+_STEP: Final = 0.15  # m between places of the robot that are tried
+_STEPS: Final = 5  # places to each side
+_MAX_PLACES: Final = 4  # places for which a path is searched
 
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """How a gripper holds a handle."""
+    """A grip of a gripper on a handle."""
 
-    name: str  # which part of the bar it holds
-    position: Vector  # of the middle of what it holds, in the handle's frame, m
-    axis: Vector  # along the bar, in the handle's frame
-    front: Quaternion  # orientation of the tool in the handle's frame when it comes from the front
-    back: float  # m that the tool stays before the position
+    name: str  # the part of the bar
+    position: Vector  # the middle of that part, in the handle's frame, m
+    axis: Vector  # direction of the bar, in the handle's frame
+    front: Quaternion  # orientation of the tool from the front, in the handle's frame
+    back: float  # m between the tool and the position
 
     def tool(self, angle: float) -> Pose:
         """Return the pose of the tool in the handle's frame, turned about the bar by an angle in rad."""
@@ -83,17 +84,17 @@ class Grip:
 
 
 class Handle:
-    """A handle of a door or drawer."""
+    """A handle of a door or drawer, with the furniture as it stands."""
 
     def __init__(self, container: Object, joint: str, link: str) -> None:
         self.container, self.joint, self.link = container, joint, link
         self._root = container.get_position_and_orientation()
         self._now = container.get_joint_positions()
-        self._poses: dict[tuple[float, str], Pose] = {}  # each is asked for in many postures of an arm
+        self._poses: dict[tuple[float, str], Pose] = {}  # cached, because each is needed for many postures of an arm
         self.closed = closed_position(container.urdf.joint(joint))
 
     def pose(self, value: float, link: str | None = None) -> Pose:
-        """Return the pose of the handle, or of another link, in the world when its joint is at a value."""
+        """Return the pose of the handle, or of another link, in the world at a value of the joint."""
         key = value, link or self.link
         if key not in self._poses:
             at = self.container.urdf.forward_kinematics({**self._now, self.joint: value}, key[1])
@@ -108,7 +109,7 @@ class Handle:
 
     @cached_property
     def contents(self) -> Mapping[Object, tuple[str, Pose]]:
-        """What lies in or on what the joint moves, and moves along: the link that carries each, and its pose there."""
+        """The objects on or in the moved links: for each the link that carries it, and its pose in the link's frame."""
         carrying = attachment.supported_bodies(
             self.container, attachment.moved_links(self.container.urdf, [self.joint])
         )
@@ -119,10 +120,10 @@ class Handle:
         return found
 
     def grips(self, robot: Object, gripper: Gripper, base: Pose | None = None) -> Sequence[Grip]:
-        """Return how a gripper may hold it, the most natural first.
+        """Return the grips of a gripper, the most natural first.
 
         Args:
-            base: pose that the robot's base is taken to have; where it stands by default.
+            base: assumed pose of the robot's base; its present pose by default.
         """
         low, high = self._box()
         middle = (low + high) / 2
@@ -142,7 +143,7 @@ class Handle:
         return grips
 
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and the highest corner of its shapes in its frame; a point if it has none."""
+        """Return the lowest and the highest corner of the handle in its frame; the origin if it has no shapes."""
         shapes = shapes_of(self.container.model.path, "collision")
         if self.link not in shapes.links:
             return np.zeros(3), np.zeros(3)
@@ -151,20 +152,20 @@ class Handle:
 
     @staticmethod
     def _front(robot: Object, turn: Quaternion, size: np.ndarray, base: Pose | None) -> Quaternion:
-        """Return the orientation of the tool in the world: from the front, the fingers across the bar."""
+        """Return the orientation of the tool in the world: from the front, with the fingers across the bar."""
         corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size
         width = np.ptp(corners @ geometry.to_matrix(turn).T, axis=0)
         tool = grasp_orientation("front", robot, base)
         _, y, _ = geometry.rotate(tool, (0.0, 1.0, 0.0))
         across = abs(y) * width[1] + math.sqrt(max(0.0, 1 - y * y)) * width[0]
-        if across > width[2]:  # a bar that lies
+        if across > width[2]:  # a horizontal bar
             tool = geometry.product(tool, geometry.from_rpy(math.pi / 2, 0.0, 0.0))
         return tool
 
 
 @dataclass(frozen=True, slots=True)
 class HandlePath:
-    """Postures of an arm, one a value of the joint; with the torso's height, if that is another one."""
+    """An arm's postures, one for each value of the joint, and the torso's height if that must change."""
 
     values: Sequence[float]
     postures: Sequence[Mapping[str, float]]
@@ -172,18 +173,18 @@ class HandlePath:
 
 @dataclass(frozen=True, slots=True)
 class DeadEnd:
-    """Why there is no path."""
+    """The reason why there is no path."""
 
-    value: float  # of the joint, which the arm doesn't get to
-    reached: float | None  # the last value that it gets to; None if not even the first
-    position: Vector  # of the tool there, in the world, m
-    orientation: Quaternion  # of the tool there when it comes from the front, xyzw
-    distance: float | None = None  # m that the tool stays away at least; None if it gets there
-    turn: float = 0.0  # rad that remain to that orientation where it comes nearest
-    pairs: Sequence[CollisionPair] = ()  # what would touch what, where it gets there
+    value: float  # of the joint, that the arm doesn't reach
+    reached: float | None  # the last value that the arm reaches; None if it doesn't reach the first
+    position: Vector  # of the tool at the value, in the world, m
+    orientation: Quaternion  # of the tool at the value when it comes from the front, xyzw
+    distance: float | None = None  # m between the tool and its goal at the nearest posture; None if the arm reaches it
+    turn: float = 0.0  # rad between the tool and its goal at the nearest posture
+    pairs: Sequence[CollisionPair] = ()  # links that would touch where the arm reaches the value
 
     def rejection(self) -> Rejection:
-        """Return it as the reason why a path is rejected."""
+        """Return the dead end as the reason why a path is rejected."""
         if self.pairs:
             return Touching(self.pairs)
         return Contorted(self.value) if self.distance is None else OutOfReach(self.distance, self.turn)
@@ -191,7 +192,7 @@ class DeadEnd:
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """Postures for one value of the joint."""
+    """Postures for one value of the joint, the nodes of a layer in the graph of the search."""
 
     joints: Array  # (n, joints) of the arm, rad or m
     angles: Array  # (n,) of the gripper about the bar, rad
@@ -208,16 +209,15 @@ def plan(
     quick: bool = False,
     choice: Choice = UNRECORDED,
 ) -> HandlePath | DeadEnd:
-    """Return the path of an arm that holds a handle while its joint goes through values.
+    """Return the path of an arm that holds a handle while the handle's joint moves through values.
 
     Args:
-        robot: the robot; its world's lock is held.
-        values: of its joint, rad or m, from the present one on.
+        robot: its world is locked.
+        values: of the handle's joint, rad or m, beginning with the present value.
         base: where the robot's base is taken to stand; where it does by default.
-        others: values at which other joints are taken to be, of other arms or of the torso, rad or m; they are where
-            they are by default.
-        quick: don't look long; a dead end then proves nothing.
-        choice: gets which ways to hold the handle end where, and which one is taken.
+        others: assumed values of other joints, of other arms or the torso, rad or m; their present values by default.
+        quick: search for a short time; a dead end then proves nothing.
+        choice: receives the results for the grips.
     """
     moved = attachment.moved_links(handle.container.urdf, [handle.joint])
     ignored = {(handle.container, link) for link in moved}
@@ -245,7 +245,7 @@ def plan(
 def plan_with_torso(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> HandlePath | None:
-    """Return the path with the torso at the nearest other height for which there is one; see :func:`plan`."""
+    """Return a path with the torso at another height, the nearest that allows one; see :func:`plan`."""
     for height in _torso_heights(robot):
         found = plan(robot, arm, handle, values, others=height, choice=choice)
         if isinstance(found, HandlePath):
@@ -254,7 +254,7 @@ def plan_with_torso(
 
 
 def _torso_heights(robot: Object) -> list[dict[str, float]]:
-    """Return heights of the torso, if it has one, but for the present one, nearest first: m by its joint."""
+    """Return other heights of the torso, if it has one, nearest first: m by its joint."""
     torso = robot.description.torso if robot.description else None
     if torso is None:
         return []
@@ -265,7 +265,7 @@ def _torso_heights(robot: Object) -> list[dict[str, float]]:
 
 
 class _Search:
-    """The search for a path; see :func:`plan` for the arguments, of which those kept are joints but the arm's."""
+    """The search for a path; see :func:`plan` for the arguments. ``kept`` are the joints except the arm's."""
 
     def __init__(
         self,
@@ -296,7 +296,7 @@ class _Search:
         self._hand = checker.links_beyond(arm.joints)
 
     def _base_lifted(self, torso: str, height: float) -> Pose:
-        """Return where the base would stand if the arm came there by the base, with the torso as it is."""
+        """Return the pose of the base that brings the arm to the same pose without the torso's motion."""
         robot, joint = self._robot, self._robot.urdf.joint(torso)
         base = robot.get_position_and_orientation()
         below = geometry.multiply(geometry.invert(base), robot.get_link_position_and_orientation(joint.parent))
@@ -305,13 +305,13 @@ class _Search:
         return geometry.multiply(self._base or base, lift)
 
     def path(self, grip: Grip, angles: Sequence[float]) -> HandlePath | DeadEnd:
-        """Return a path for one place of the gripper on the bar, or the end of the longest."""
+        """Return a path for one grip, or the dead end of the longest path."""
         layers = self._rigid(grip) if len(angles) == 1 else self._turning(grip, angles)
         edges = [self._edges(before, after) for before, after in itertools.pairwise(layers)]
-        free = [np.zeros(len(layer.angles)) for layer in layers]  # infinite where something would be touched
+        free = [np.zeros(len(layer.angles)) for layer in layers]  # infinite for nodes with a collision
         obstacles: dict[int, list[CollisionPair]] = {}
         nodes: list[int] = []
-        checked: set[tuple[int, int]] = set()  # paths have most of their nodes in common
+        checked: set[tuple[int, int]] = set()  # nodes; paths have most nodes in common
         for _ in range(_MAX_QUICK_PATHS if self._quick else _MAX_PATHS):
             nodes = self._cheapest(layers, edges, free)
             postures = [self._posture(layers[step].joints[node]) for step, node in enumerate(nodes)]
@@ -319,7 +319,7 @@ class _Search:
             checked.update((step, nodes[step]) for step in unchecked)
             touching = False
             candidates = self._checker.predict([postures[step] for step in unchecked], self._base)
-            own_pairs = self._checker.self_pairs(candidates)  # all at once: it takes little longer than one
+            own_pairs = self._checker.self_pairs(candidates)  # all together: that takes little longer than one
             for step, candidate, own in zip(unchecked, candidates, own_pairs, strict=True):
                 pairs = self._touching(candidate, own, self._values[step])
                 if pairs:
@@ -336,7 +336,7 @@ class _Search:
         return self._end(grip, layers, len(nodes), obstacles)
 
     def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
-        """Return the nodes for which the same links are at the same place: all of a robot's body, many of a hand."""
+        """Return the nodes with the same links at the same pose: all nodes for links of the body, many for the hand."""
         if any(self._links.isdisjoint(self._own_links(pair)) for pair in pairs):
             alike: Sequence[int] = range(len(layer.angles))
         elif any(pair.link in self._hand for pair in pairs):
@@ -352,14 +352,14 @@ class _Search:
         return dict(zip(self._arm.joints, joints.tolist(), strict=True)) | self._kept
 
     def _rigid(self, grip: Grip) -> list[_Layer]:
-        """Return postures in which the gripper comes from the front, each looked for from the one before."""
+        """Return layers with the gripper from the front; each search starts from the posture before."""
         layers = []
         seed = None
         for pose in self._poses:
             position, orientation = geometry.multiply(pose, grip.tool(0.0))
             target = position, orientation, self._lifted
             (found,) = self._solver.closed_form([target], seed)
-            if not found:  # an arm that has none, or can't get there so
+            if not found:  # an arm without a closed form, or one that can't reach the pose
                 (found,) = self._solver.search([target], seed=seed)
             rows = [posture.positions for posture in found if posture.reaches()]
             layers.append(self._layer([(row, 0.0) for row in rows]))
@@ -369,11 +369,11 @@ class _Search:
         return layers + [self._layer([])] * (len(self._poses) - len(layers))
 
     def _turning(self, grip: Grip, angles: Sequence[float]) -> list[_Layer]:
-        """Return postures in which the gripper is turned about the bar."""
+        """Return layers with the gripper turned about the bar."""
         tools = [geometry.multiply(pose, grip.tool(angle)) for pose in self._poses for angle in angles]
         targets = [(*tool, self._lifted) for tool in tools]
         found = self._solver.closed_form(targets)
-        if not any(found) and not (self._quick and self._solver.in_closed_form):  # it has none, or hardly gets there
+        if not any(found) and not (self._quick and self._solver.in_closed_form):  # no closed form, or hardly in reach
             found = self._solver.search(targets, quick=True)
         count = len(angles)
         return [
@@ -394,7 +394,7 @@ class _Search:
         return _Layer(joints, np.array([angle for _, angle in found]))
 
     def _edges(self, before: _Layer, after: _Layer) -> Array:
-        """Return what it costs to get from nodes of a layer to those of the next; infinite where that is impossible."""
+        """Return the costs between the nodes of a layer and of the next one; infinite for impossible steps."""
         change = self._change(before.joints, after.joints)
         turning = after.angles - before.angles[:, None]
         costs: Array = (change**2).sum(axis=2) + _TURNING * turning**2
@@ -402,7 +402,7 @@ class _Search:
         return costs
 
     def _cheapest(self, layers: Sequence[_Layer], edges: Sequence[Array], free: Sequence[Array]) -> list[int]:
-        """Return the nodes of the cheapest path through all layers, or through as many of the first as it gets to."""
+        """Return the nodes of the cheapest path through all layers, or through as many layers as possible."""
         first = _APPROACH * (self._change(self._now[None], layers[0].joints) ** 2).sum(axis=2)[0]
         costs = [first + _TURNED * layers[0].angles ** 2 + free[0]]
         origins: list[NDArray[np.intp]] = []
@@ -422,23 +422,22 @@ class _Search:
         return nodes[::-1]
 
     def _change(self, before: Array, after: Array) -> Array:
-        """Return by how much joints move (n, m, joints) between postures (n, joints) and (m, joints), rad or m."""
+        """Return the motion (n, m, joints) between postures (n, joints) and (m, joints), rad or m."""
         change = after - before[:, None]
         wrapped = (change + math.pi) % (2 * math.pi) - math.pi
         return np.where(self._endless, wrapped, change)
 
     def _touching(self, candidate: Candidate, own_pairs: Sequence[Pair], value: float) -> list[CollisionPair]:
-        """Return what would touch what while the joint is at a value: also the door or drawer, and what is in it.
+        """Return the links that would touch at a value of the joint, also of the door or drawer and its contents.
 
         Args:
-            candidate: the robot's posture.
-            own_pairs: of its links that could touch in it.
+            own_pairs: pairs of the robot's links that could touch in the candidate.
         """
         robot = self._robot.name
         pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
         for body, link, part, pose in self._moving_along(value) if not pairs else ():
             self._clone.engine.set_pose(part, pose)
-            depths: dict[str, float] = {}  # two links may touch with several shapes each
+            depths: dict[str, float] = {}  # two links may touch with several shapes
             for touch in self._checker.closest_points(candidate, part):
                 gripped = link == self._handle.link and touch.link_a in self._hand
                 if touch.distance <= -DEPTH and not gripped:
@@ -448,7 +447,7 @@ class _Search:
         return pairs or self._checker.self_collisions(candidate, own_pairs)
 
     def _moving_along(self, value: float) -> Iterator[tuple[str, str, Body, Pose]]:
-        """Yield name, link, copy and pose of what the joint moves when it is at a value: links and what they carry."""
+        """Yield name, link, copy and pose of everything that the joint moves at a value: links and carried objects."""
         container = self._handle.container
         for link in self._handle.moved:
             yield container.name, link, self._clone.link(container, link), self._handle.pose(value, link)
@@ -459,7 +458,7 @@ class _Search:
     def _end(
         self, grip: Grip, layers: Sequence[_Layer], step: int, obstacles: Mapping[int, list[CollisionPair]]
     ) -> DeadEnd:
-        """Return what ends all paths at a step."""
+        """Return the reason why all paths end at a step."""
         position, orientation = geometry.multiply(self._poses[step], grip.tool(0.0))
         reached = self._values[step - 1] if step else None
         if not len(layers[step].angles):
@@ -471,19 +470,19 @@ class _Search:
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """An arm that could do it."""
+    """An arm that could move the handle."""
 
-    arm: str  # its name
-    base: Vector | None = None  # where the robot would have to stand, m, with its present heading; None where it does
-    distance: float = 0.0  # m from where it stands
-    parked: str = ""  # name of another arm that would have to be parked first; "" for none
+    arm: str
+    base: Vector | None = None  # position of the robot with its present heading, m; None for its present place
+    distance: float = 0.0  # m from the robot's present place
+    parked: str = ""  # another arm that must be parked first; "" for none
 
     def __str__(self) -> str:
         place = "here" if self.base is None else f"[{', '.join(f'{part:.2f}' for part in self.base[:2])}]"
         return f"{self.arm} arm from {place}"
 
     def phrase(self) -> str:
-        """Return it in words."""
+        """Return the remedy in words."""
         if self.parked:
             return f"the {self.arm} arm could from here with the {self.parked} arm parked"
         if self.base is None:
@@ -494,26 +493,25 @@ class Remedy:
 
 @dataclass(frozen=True, slots=True)
 class InTheWay:
-    """An arm that is in the way even where it is parked."""
+    """An arm that is in the way even if it is parked."""
 
-    arm: str  # its name
+    arm: str
 
     def phrase(self) -> str:
-        """Return it in words."""
+        """Return the obstacle in words."""
         return f"the {self.arm} arm is in the way, also when it is parked"
 
 
 def arms_in_the_way(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], pairs: Sequence[CollisionPair]
 ) -> list[Remedy | InTheWay]:
-    """Return for the other arms that are in an arm's way whether parking them would do.
+    """Return for each other arm in an arm's way whether it is a remedy to park it.
 
     Args:
-        robot: the robot; its world's lock is held.
-        arm: the arm that can't.
-        handle: of what should be moved.
-        values: of its joint, rad or m, from the present one on.
-        pairs: what would touch what.
+        robot: its world is locked.
+        arm: the arm that has no path.
+        values: of the handle's joint, rad or m, beginning with the present value.
+        pairs: links that would touch.
     """
     found: list[Remedy | InTheWay] = []
     for other in robot.description.arms.values() if robot.description else ():
@@ -524,7 +522,7 @@ def arms_in_the_way(
 
 
 def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
-    """Whether a link of an arm, or what it holds, is one of a pair."""
+    """Return whether a pair has a link of an arm or an object in its hand."""
     links = attachment.moved_links(robot.urdf, arm.joints)
     own = {pair.link} if pair.mover == robot.name else set()
     own |= {pair.body_link} if pair.body == robot.name else set()
@@ -535,14 +533,13 @@ def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
 def remedies(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> list[Remedy]:
-    """Return what would do instead of an arm that can't, nearest first; an empty list says that nothing nearby would.
+    """Return remedies for an arm without a path, nearest first; an empty list says that there are none nearby.
 
     Args:
-        robot: the robot; its world's lock is held.
-        arm: the arm that can't.
-        handle: of what should be moved.
-        values: of its joint, rad or m, from the present one on.
-        choice: gets what was tried.
+        robot: its world is locked.
+        arm: the arm that has no path.
+        values: of the handle's joint, rad or m, beginning with the present value.
+        choice: receives the results for the remedies.
     """
     description = robot.description
     free = [
@@ -571,7 +568,7 @@ def remedies(
 
 
 def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> Remedy | None:
-    """Return the nearest place, of those on a grid, from which an arm could do it."""
+    """Return the nearest place on a grid from which an arm has a path."""
     position, heading = robot.get_position_and_orientation()
     now: Pose = (position[0], position[1], position[2]), (heading[0], heading[1], heading[2], heading[3])
     tried = 0
@@ -592,7 +589,7 @@ def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[fl
 
 
 def _places(now: Pose) -> Iterator[Pose]:
-    """Yield places around the robot, nearest first, with its heading."""
+    """Yield places around the robot with its heading, nearest first."""
     steps = [_STEP * step for step in range(-_STEPS, _STEPS + 1)]
     for x, y in sorted(itertools.product(steps, steps), key=lambda at: math.hypot(*at)):
         if (x, y) != (0.0, 0.0):
@@ -602,7 +599,7 @@ def _places(now: Pose) -> Iterator[Pose]:
 def _promising(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], bases: Sequence[Pose]
 ) -> Iterator[Pose]:
-    """Yield places from which the arm gets to the handle at the first, the middle and the last value, in some way."""
+    """Yield places from which the arm can reach the handle at the first, the middle and the last value."""
     solver = Solver(robot, arm.tool_frame)
     grip = handle.grips(robot, arm.gripper)[0]
     picked = sorted({0, len(values) // 2, len(values) - 1})

@@ -1,4 +1,4 @@
-"""Setting an object down: the height at which it touches what is below, and the hand's way out."""
+"""Putting objects down: the height at which an object rests, how an arm puts it there, and the hand's retreat."""
 
 from __future__ import annotations
 
@@ -27,32 +27,32 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Quaternion, Vector
 
 
-_ABOVE: Final = 0.05  # m by which the support may be higher than the target says
-_BELOW: Final = 0.10  # m by which it may be lower
-_STEP: Final = 0.005  # m between heights that are tried; thinner things than this are thick enough to stop a gripper
-_ACCURACY: Final = 2e-4  # m
-_BACK: Final = (0.1, 0.15, 0.2)  # m by which a hand is drawn back: fingers take in less
+_ABOVE: Final = 0.05  # m by which the support may be higher than the target
+_BELOW: Final = 0.10  # m by which the support may be lower than the target
+_STEP: Final = 0.005  # m between heights that are tried; a gripper stops at thinner objects as well
+_ACCURACY: Final = 2e-4  # m of the resting height
+_BACK: Final = (0.1, 0.15, 0.2)  # m by which a hand is drawn back; fingers are shorter
 _OVERLAP: Final = 2e-4  # m that shapes at rest overlap anyway
-_LIFTS: Final = (0.005, 0.01, 0.015)  # m from which something may fall
-_MAX_LIFTED: Final = 4  # poses that are tried so
-_FROM_BELOW: Final = 0.5  # of a unit vector pointing up, in which the hand would come
+_LIFTS: Final = (0.005, 0.01, 0.015)  # m from which an object may be dropped
+_MAX_LIFTED: Final = 4  # poses from which an object may be dropped, at most
+_FROM_BELOW: Final = 0.5  # component of a unit vector pointing up, from which on the hand comes from below
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
-_YAWS: Final = 12  # orientations about the vertical in which putting down is tried
+_YAWS: Final = 12  # orientations about the vertical that are tried
 
 
 def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> Vector:
     """Return the position at which an object rests.
 
     Args:
-        body: the object; robots and what they hold don't count as support.
-        target: xyz where it is wanted, m.
-        orientation: xyzw there.
+        body: robots and the objects that they hold don't count as its support.
+        target: xyz, m.
+        orientation: xyzw of the object at the target.
 
     Returns:
-        The target with the height at which the object first touches something when it comes from above.
+        The target, at the height at which the object first touches something on its way down.
 
     Raises:
-        PlaceFailed: there is no room, or nothing below that it could stand on.
+        PlaceFailed: There is no room, or no support below the target.
     """
     world = body.world
     clone = clone_of(world, "reach")
@@ -91,17 +91,17 @@ def _resting_height(
     touched: Callable[[float], list[CollisionPair]],
     gap: Callable[[float], float],
 ) -> float:
-    """Return the height at which an object that comes from above touches something; see :func:`set_down`.
+    """Return the height at which an object touches something on its way down; see :func:`set_down`.
 
     Args:
-        target: xyz where it is wanted, m.
-        touched: gives what it would overlap at a height.
-        gap: gives how far it is there from what it could meet, m: so far down nothing is in its way.
+        target: xyz, m.
+        touched: returns the overlaps at a height.
+        gap: returns a distance in m by which the object can be lowered from a height without a collision.
     """
     z = target[2]
     high = z + _ABOVE
     blockers = still = touched(high)
-    while still and high - _STEP >= z:  # what hangs above may leave less room, as in a shelf
+    while still and high - _STEP >= z:  # a hanging object may leave less room, as in a shelf
         high -= _STEP
         still = touched(high)
     if still:
@@ -128,10 +128,10 @@ def _resting_height(
 
 
 def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | None:
-    """Return joint values of an arm whose hand is drawn back out of what it has let go of; None if it can't be.
+    """Return joint values of an arm that draw its hand back from a released object; None if there are none.
 
     Args:
-        robot: the robot; its world's lock is held.
+        choice: receives the ways back, with the reasons against them.
         choice: takes the other ways, and why they won't do.
     """
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
@@ -158,25 +158,25 @@ def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | No
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """How an object can be put down."""
+    """A way to put an object down."""
 
-    name: str  # what tells it from others
-    pose: Pose  # of the object when it is let go of
-    tool: Pose  # pose of the tool then
+    name: str  # unique among the placements
+    pose: Pose  # of the object when it is released
+    tool: Pose  # of the tool when the object is released
     posture: Mapping[str, float]  # joint values of the arm by name
-    opened: Mapping[str, float]  # those of the open gripper
+    opened: Mapping[str, float]  # joint values of the open gripper by name
 
 
 @dataclass(slots=True)
 class Refusals:
-    """Why poses and postures won't do."""
+    """The reasons against poses and postures."""
 
-    no_room: list[PlaceFailed] = field(default_factory=list)  # there is none for the object
-    misses: list[float] = field(default_factory=list)  # m that the nearest posture stays away
-    # links that would meet, by the name of what is in the way
+    no_room: list[PlaceFailed] = field(default_factory=list)  # poses without room for the object
+    misses: list[float] = field(default_factory=list)  # m between the nearest posture and its goal
+    # links that would touch, by the name of the object in the way
     pairs: dict[str, CollisionPair] = field(default_factory=dict)
-    low: list[Pose] = field(default_factory=list)  # poses in which the hand would meet what the object is put on
-    no_path: list[NoPath] = field(default_factory=list)  # searches for a path to a posture that would do
+    low: list[Pose] = field(default_factory=list)  # poses in which the hand would touch the support of the object
+    no_path: list[NoPath] = field(default_factory=list)  # failed searches for a path to a good posture
 
 
 def placements(
@@ -192,18 +192,17 @@ def placements(
     quickly: bool = False,
     rests: dict[Quaternion, Vector | PlaceFailed] | None = None,
 ) -> Iterator[Placement]:
-    """Yield how the arm that holds an object can put it down with nothing in the way, not even when the fingers open.
+    """Yield ways for an arm to put down the object that it holds, without a collision even when the fingers open.
 
     Args:
-        robot: the robot; its world's lock is held.
+        robot: its world is locked.
         target: xyz in m.
-        orientation: xyzw; None for upright.
-        refusals: gets why other poses and postures won't do.
-        choice: gets the same, by pose.
-        base: pose that the robot's base is taken to have; where it stands by default.
-        quickly: don't look long; that nothing is found then proves nothing.
-        rests: where the object rests at the target, by orientation, or why it doesn't, as far as it is known; it gets
-            what is found.
+        orientation: xyzw; None for upright with a natural heading.
+        refusals: receives the reasons against other poses and postures.
+        choice: receives the reasons by pose.
+        base: assumed pose of the robot's base; its present pose by default.
+        quickly: search for a short time; an empty result then proves nothing.
+        rests: known results by orientation: the resting position, or why there is none; receives new results.
     """
     body_T_tool = geometry.multiply(
         geometry.invert(body.get_position_and_orientation()),
@@ -244,9 +243,9 @@ def placements(
 
 
 def _pressed(checker: CollisionChecker, candidate: Candidate, arm: Arm, body: Object) -> list[CollisionPair]:
-    """Return which links of the arm, but the hand's, would push away what is let go of: a wrist and what it holds meet.
+    """Return the links of the arm, except the hand's, that would push the released object: a wrist may overlap it.
 
-    While it is held that counts for nothing, as it doesn't for other links that are next to each other.
+    While the arm holds the object, such overlaps are allowed, as between neighbouring links.
     """
     robot = checker.robot
     points = checker.closest_points(candidate, clone_of(robot.world, "reach").body(body.name))
@@ -269,13 +268,13 @@ def _poses(
     choice: Choice,
     rests: dict[Quaternion, Vector | PlaceFailed],
 ) -> Iterator[tuple[Pose, bool, float]]:
-    """Yield poses in which an object may be put down, to be searched for quickly; then all again, thoroughly.
+    """Yield poses in which an object may be put down for a quick search, then all of them again for a thorough search.
 
-    Last come those in which only the hand would meet what is below, a little higher: what sticks out on both sides of
-    something narrow may hang lower there than where the fingers are.
+    The last poses are a little higher. From these the object is dropped, because only the hand would touch the
+    support: an object may stick out on both sides of a narrow support, and hang lower there than the fingers.
 
     Yields:
-        The pose, whether to search quickly, and by how much it is higher than where the object touches something, m.
+        The pose, whether to search quickly, and its height in m above the resting position.
     """
     tried: list[Pose] = []
     for turn in turns:
@@ -285,7 +284,7 @@ def _poses(
             except PlaceFailed as failure:
                 rests[turn] = failure
         position = rests[turn]
-        if isinstance(position, PlaceFailed):  # there may be room for it when it is turned
+        if isinstance(position, PlaceFailed):  # there may be room in other orientations
             refusals.no_room.append(position)
             choice.reject(_name(turn), NoRoom(position.reason))
             continue
@@ -298,7 +297,7 @@ def _poses(
 
 
 def _name(turn: Quaternion) -> str:
-    """Return what distinguishes an orientation from others in which an object may stand."""
+    """Return a name that is unique among the orientations of an object."""
     x, y, _ = geometry.rotate(turn, (1.0, 0.0, 0.0))
     upside_down = geometry.rotate(turn, (0.0, 0.0, 1.0))[2] < 0.0
     return f"yaw {math.degrees(math.atan2(y, x)):.0f}{' upside down' if upside_down else ''}"
@@ -309,7 +308,7 @@ def _orientations(
 ) -> Iterator[Quaternion]:
     """Yield orientations in which an object may be put down, the most natural for the arm first.
 
-    What was taken when it lay upside down would need a hand from below to be put down upright: it may lie as it lay.
+    An object that was taken upside down stays upside down if the hand would otherwise have to come from below.
     """
     if orientation is not None:
         x, y, z, w = orientation

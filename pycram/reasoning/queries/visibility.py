@@ -152,7 +152,7 @@ def _camera_of(robot: Object | None, frame: str) -> Camera:
 
 
 def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View:
-    """Return what a camera sees of an object; its world's lock is held.
+    """Return what a camera sees of an object; its world is locked.
 
     Args:
         without: objects that hide nothing, as a robot that will stand elsewhere.
@@ -235,7 +235,7 @@ def seen_share(robot: Object, body: Object, base: Pose) -> View:
     """Return what a robot's camera would see of an object; the robot itself and what it holds hide nothing.
 
     Args:
-        robot: the robot; its world's lock is held.
+        robot: its world is locked.
         base: pose of the robot's base.
     """
     return view(body, _eye(robot, center(body), base), without=(robot, *held(robot)))
@@ -245,7 +245,7 @@ def in_sight(robot: Object, point: Sequence[float], base: PoseLike) -> bool:
     """Return whether nothing fixed is between a robot's camera, with its head turned there, and a point.
 
     Args:
-        robot: the robot; its world's lock is held.
+        robot: its world is locked.
         point: xyz in the world, m.
         base: pose of the robot's base.
     """
