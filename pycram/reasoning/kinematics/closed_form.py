@@ -1,10 +1,14 @@
-"""Inverse kinematics in closed form, of arms of seven joints with a spherical shoulder and wrist.
+"""Inverse kinematics in closed form, for arms of seven joints with a spherical shoulder and wrist.
 
-Where axes 2 and 3 meet in a shoulder and axes 5, 6 and 7 in a wrist, as in the PR2's arms, one turn of joint 1 leaves
-at most eight postures for a pose of the tool, and each is a chain of :mod:`pycram.reasoning.kinematics.closed_form`.
-Joint 1 is sampled all over its range, in steps of 4 degrees. Where no orientation is asked for, joints 5 and 6 are
-sampled as well, more coarsely. A narrow range of postures can slip through; the nearest misses are returned then, to
-search from.
+Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist, as in the PR2's arms. Then a pose of the tool and
+an angle of joint 1 leave at most eight postures. A chain of Paden and Kahan's subproblems solves each (Murray, Li,
+Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2). Joint 1 is sampled over its range,
+in steps of 4 degrees. For targets without an orientation, joints 5 and 6 are sampled as well, more coarsely. The
+samples may miss a narrow range of postures; then the nearest misses are returned, as starts for a search.
+
+In the subproblems, points and vectors are the columns of arrays (3, n) or (3, 1); axes are unit vectors (3,); angles
+are (n,) in rad. If a subproblem has no solution, it returns the nearest angle with a strain: roughly the missing angle
+in rad, 0 for solutions.
 """
 
 from __future__ import annotations
@@ -30,37 +34,37 @@ if TYPE_CHECKING:
 
 _ROUNDING: Final = 1e-9  # rad beyond a limit
 _MEET: Final = 1e-6  # m between axes that meet
-_SAMPLES: Final = 44  # of joint 1 for a pose
-_SAMPLES_AROUND_A_MISS: Final = 13  # of joint 1
-_SAMPLES_FOR_A_POSITION: Final = (8, 6, 4)  # of joints 1, 5 and 6
-_ROUNDING_ANGLE: Final = 1e-9  # of a cosine: no miss
+_SAMPLES: Final = 44  # samples of joint 1 for a pose
+_SAMPLES_AROUND_A_MISS: Final = 13  # samples of joint 1
+_SAMPLES_FOR_A_POSITION: Final = (8, 6, 4)  # samples of joints 1, 5 and 6
+_ROUNDING_ANGLE: Final = 1e-9  # tolerance of a cosine
 
 
 @dataclass(frozen=True, slots=True)
 class ClosedForm:
     """The geometry of an arm that has a closed form."""
 
-    origins: Array  # (7, 3) a point of each axis at zero, in the base link, m
-    axes: Array  # (7, 3) unit vectors of the axes at zero
-    tool: Array  # (4, 4) pose of the tool at zero
-    shoulder: Array  # where axes 2 and 3 meet at zero
-    wrist: Array  # where axes 5, 6 and 7 meet at zero
-    lower: Array  # lower limits, rad; -pi where there are none
-    upper: Array  # upper limits, rad; pi where there are none
+    origins: Array  # (7, 3) a point of each axis with all joints at zero, in the base link, m
+    axes: Array  # (7, 3) unit vectors of the axes with all joints at zero
+    tool: Array  # (4, 4) pose of the tool with all joints at zero
+    shoulder: Array  # intersection of axes 2 and 3 with all joints at zero
+    wrist: Array  # intersection of axes 5, 6 and 7 with all joints at zero
+    lower: Array  # lower limits, rad; -pi for joints without limits
+    upper: Array  # upper limits, rad; pi for joints without limits
     bounded: Flags  # which joints have limits
-    span: tuple[float, float]  # least and greatest distance of the wrist from the shoulder, m
+    span: tuple[float, float]  # least and greatest distance between the wrist and the shoulder, m
     shoulders: Array  # (n, 3) positions of the shoulder for samples of joint 1
-    swing: float  # m by which the shoulder is away at most from the nearest of these
-    elbow: Hinge  # how joint 4 opens the distance between the shoulder and the wrist
+    swing: float  # m between the shoulder and the nearest of these samples, at most
+    elbow: Hinge  # how joint 4 changes the distance between the shoulder and the wrist
     # (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.forward`)
     rotations: Array
-    hand: Array  # (2, 3) unit vectors across the last axis at zero, the second a quarter of a turn after the first
+    hand: Array  # (2, 3) unit vectors perpendicular to the last axis with all joints at zero, at a right angle
 
     @classmethod
     def of(
         cls, origins: Array, axes: Array, tool: Array, lower: Array, upper: Array, bounded: Flags
     ) -> ClosedForm | None:
-        """Return it for an arm's geometry at zero; None if its axes don't meet as they have to.
+        """Return the closed form for the geometry of an arm with all joints at zero; None if its axes don't meet.
 
         Args:
             origins: (n, 3) a point of each axis.
@@ -105,28 +109,30 @@ class ClosedForm:
         )
 
     def postures(self, positions: Array, turns: Array | None, home: Array) -> tuple[Array, Array]:
-        """Return postures for targets, also those that miss.
+        """Return postures for targets, including misses.
 
         Args:
             positions: (m, 3) of the tool in the base link, m.
-            turns: (m, 3, 3) its orientations; None if any will do.
-            home: (7,) a posture whose values are tried too, so that solutions near it are found.
+            turns: (m, 3, 3) orientations of the tool; None for any.
+            home: (7,) a posture; its values are samples too, so that solutions near it are found.
 
         Returns:
-            Postures (m, n, 7) and their strains (m, n): 0 where they bring the tool there within the limits, else about
-            how many rad are missing or beyond limits.
+            Postures (m, n, 7) and their strains (m, n): 0 for solutions within the limits, else roughly the angle in
+            rad that is missing or beyond the limits.
         """
         if turns is None:
             return self._by_target(len(positions), *self._at_positions(positions, home))
         return self._by_target(len(positions), *self._at_poses(positions, turns, self._samples(0, _SAMPLES, home)))
 
     def solutions(self, positions: Array, turns: Array, home: Array) -> list[Array]:
-        """Return those of :meth:`postures` without strain, in a fraction of the time: what failed isn't solved on.
+        """Return the postures of :meth:`postures` without strain, in a fraction of the time.
+
+        It doesn't continue with branches that have failed.
 
         Args:
             positions: (m, 3) of the tool in the base link, m.
-            turns: (m, 3, 3) its orientations.
-            home: (7,) a posture whose values are tried too.
+            turns: (m, 3, 3) orientations of the tool.
+            home: (7,) a posture; its values are samples too.
 
         Returns:
             For each target postures (n, 7).
@@ -156,8 +162,8 @@ class ClosedForm:
 
         Args:
             position: (3,) of the tool in the base link, m.
-            turn: (3, 3) its orientation.
-            misses: (k, 7) postures near which a narrow range of solutions may be.
+            turn: (3, 3) orientation of the tool.
+            misses: (k, 7) postures near a possible narrow range of solutions.
 
         Returns:
             Postures (n, 7) and their strains (n,).
@@ -168,7 +174,7 @@ class ClosedForm:
         return found, strain
 
     def _by_target(self, targets: int, branches: int, found: Array, strain: Array) -> tuple[Array, Array]:
-        """Group by target what is ordered by branches of the solution, then by targets; strain grows beyond limits."""
+        """Group results by target, which are ordered by branch and then by target, and add the strain beyond limits."""
         found = self._wrapped(found)
         beyond = np.maximum(np.maximum(self.lower - found, found - self.upper) - _ROUNDING, 0.0)
         strain = strain + beyond @ self.bounded
@@ -180,13 +186,13 @@ class ClosedForm:
         )
 
     def miss(self, positions: Array, turns: Array | None) -> Array:
-        """Return a lower bound of how far the tool stays away from targets; 0 where nothing is known.
+        """Return a lower bound of the distance in m between the tool and targets; 0 if nothing is known.
 
-        With an orientation it is the wrist that counts, and that the orientation is exact.
+        For targets with an orientation, the bound is for the wrist, with the exact orientation.
 
         Args:
             positions: (m, 3) of the tool in the base link, m.
-            turns: (m, 3, 3) its orientations; None if any will do.
+            turns: (m, 3, 3) orientations of the tool; None for any.
 
         Returns:
             (m,), m.
@@ -203,7 +209,7 @@ class ClosedForm:
         return missed
 
     def _at_poses(self, positions: Array, turns: Array, samples: Array) -> tuple[int, Array, Array]:
-        """Return the number of branches of the solution, postures, and their strains, for samples of joint 1."""
+        """Return the number of branches of the solution, the postures, and their strains, for samples of joint 1."""
         rotations, wrists, q1 = self._wrists(positions, turns, samples)
         rows = q1.shape[1]
         arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, rows, axis=1))
@@ -221,7 +227,7 @@ class ClosedForm:
         """Return values (2n, 3) of the wrist's joints that turn the hand to targets (n,), and their strain (n,)."""
         w = self.axes
         first, second, third, fourth = forward.transforms(self.rotations[:4], arm.T)
-        # what the wrist has to turn: the rotation that is left when joints 1 to 4 are taken back
+        # the rotation of the wrist: the rotation of the hand without the rotations of joints 1 to 4
         left = (first @ second @ third @ fourth).transpose(0, 2, 1) @ rotations[target]
         q5, q6, short = two_turns(w[4], w[5], w[6][:, None], (left @ w[6]).T)
         outer, inner = forward.transforms(self.rotations[4:6], np.array([q5.ravel(), q6.ravel()]))
@@ -230,7 +236,7 @@ class ClosedForm:
         return np.array([q5.ravel(), q6.ravel(), np.arctan2(beside, across)]).T, short
 
     def _at_positions(self, positions: Array, home: Array) -> tuple[int, Array, Array]:
-        """As :meth:`_at_poses`, for any orientation."""
+        """Do the same as :meth:`_at_poses`, for any orientation."""
         w = self.axes
         q1, *wrist = (
             self._samples(joint, n, home) for joint, n in zip((0, 4, 5), _SAMPLES_FOR_A_POSITION, strict=True)
@@ -247,21 +253,21 @@ class ClosedForm:
         return 4, np.column_stack([arm, *rest]), strain
 
     def _to_point(self, q1: Array, point: Array, goals: Array) -> tuple[Array, Array]:
-        """Return values (4n, 4) of joints 1 to 4 that bring a forearm's point at zero to goals, and their strain."""
+        """Return values (4n, 4) of joints 1 to 4 that bring a point of the forearm to goals, and their strain."""
         elbow = _hinge(self.origins[3], self.axes[3], point, self.shoulder)
         away, q4, strain = self._bent(q1, elbow, goals)
         q2, q3, short = self._pointed(q4, twice(point), twice(away))
         return np.stack([np.tile(q1, 4), q2, q3, np.tile(q4, 2)], axis=1), np.tile(strain, 2) + short
 
     def _bent(self, q1: Array, elbow: Hinge, goals: Array) -> tuple[Array, Array, Array]:
-        """Return vectors (3, n) from shoulder to goals, joint 1 taken back; values (2n,) of joint 4; their strain."""
+        """Return vectors (3, n) from shoulder to goals without joint 1; values (2n,) of joint 4; their strain."""
         base = self.origins[0][:, None]
         away = base + turned(self.axes[0], -q1, goals - base) - self.shoulder[:, None]
         q4, strain = opened(elbow, np.sqrt((away * away).sum(axis=0)))
         return away, q4.ravel(), np.concatenate([strain, strain])
 
     def _pointed(self, q4: Array, point: Array, away: Array) -> tuple[Array, Array, Array]:
-        """Return values (2n,) of joints 2 and 3 that bring a forearm's point to vectors (3, n), and their strain."""
+        """Return values (2n,) of joints 2 and 3 that bring a point of the forearm to vectors (3, n), and strain."""
         elbow = self.origins[3][:, None]
         bent = turned(self.axes[3], q4, point - elbow) + elbow - self.shoulder[:, None]
         q2, q3, short = two_turns(self.axes[1], self.axes[2], bent, away)
@@ -269,17 +275,17 @@ class ClosedForm:
 
     @property
     def _step(self) -> float:
-        """Distance of samples of joint 1, rad."""
+        """Distance between samples of joint 1, rad."""
         return float(self.upper[0] - self.lower[0]) / (_SAMPLES - 1)
 
     def _samples(self, joint: int, count: int, home: Array) -> Array:
-        """Return values of a joint all over its range, and the one that it has."""
+        """Return samples of a joint's values over its range, and its value at home."""
         low, high = float(self.lower[joint]), float(self.upper[joint])
         spread = np.linspace(low, high, count, endpoint=bool(self.bounded[joint]))
         return np.append(spread, min(max(float(home[joint]), low), high))
 
     def _with_straight(self, points: Array, samples: Array) -> Array:
-        """Return values (m, n) of joint 1: the samples, and that which points straight at each target."""
+        """Return values (m, n) of joint 1: the samples, and for each target the value that points straight at it."""
         base = self.origins[0][:, None]
         straight = angle_between(self.axes[0], self.shoulder[:, None] - base, points.T - base)
         values = np.empty((len(points), len(samples) + 1))
@@ -288,13 +294,13 @@ class ClosedForm:
         return values
 
     def _wrapped(self, postures: Array, joints: slice = slice(None)) -> Array:
-        """Return the same angles of some joints, by full turns as near the middle of the joints' ranges as possible."""
+        """Return equivalent angles of some joints, as near to the middle of the joints' ranges as possible."""
         middle = (self.lower[joints] + self.upper[joints]) / 2
         nearest: Array = middle + (postures - middle + np.pi) % (2 * np.pi) - np.pi
         return nearest
 
     def _within(self, postures: Array, joints: slice) -> Flags:
-        """Return which rows of values (n, joints) of some joints are within limits."""
+        """Return for values (n, joints) of some joints whether they are within the limits."""
         beyond = np.maximum(self.lower[joints] - postures, postures - self.upper[joints]) > _ROUNDING
         beyond &= self.bounded[joints]
         within: Flags = ~np.any(beyond, axis=1)
@@ -302,7 +308,7 @@ class ClosedForm:
 
 
 def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None:
-    """Return the point where two axes meet."""
+    """Return the intersection of two axes; None if they don't meet."""
     if _parallel(along_a, along_b):
         return None
     (s, t), *_ = np.linalg.lstsq(np.column_stack([along_a, -along_b]), b - a, rcond=None)
@@ -311,7 +317,7 @@ def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None
 
 
 def _hinge(origin: Array, axis: Array, points: Array, end: Array) -> Hinge:
-    """Return how an axis opens the distance between points (3, n) that it turns and another."""
+    """Return the hinge for the distance between points (3, n), which an axis turns, and a fixed point."""
     return hinge(axis, points - origin[:, None], (end - origin)[:, None])
 
 
@@ -340,14 +346,14 @@ def turned(axis: Array, angle: Array, vector: Array) -> Array:
 
 
 def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
-    """Return the parts of vectors along an axis and across it, and the latter turned on by a right angle."""
+    """Return the parts of vectors along an axis and perpendicular to it, and the latter turned by a right angle."""
     along, across, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
     return along, across, beside
 
 
 @lru_cache(maxsize=256)
 def _split(axis: bytes) -> Array:
-    """Return the matrix (9, 3) of these parts, for an axis that comes again and again."""
+    """Return the matrix (9, 3) that gives these parts; cached, because arms have few axes."""
     x, y, z = unit = np.frombuffer(axis)
     along = np.outer(unit, unit)
     return np.vstack([along, np.eye(3) - along, [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])
@@ -360,11 +366,9 @@ def _dot(some: Array, others: Array) -> Array:
 
 
 def angle_between(axis: Array, start: Array, end: Array) -> Array:
-    """Return the angle about an axis through the origin that turns a vector's direction into another's: subproblem 1.
+    """Return the angle about an axis through the origin from one vector to another: subproblem 1.
 
-    Args:
-        start: the vector before.
-        end: the vector after; what of both lies along the axis doesn't count.
+    The parts of the vectors along the axis are ignored.
     """
     _, across, beside = _parts(axis, start)
     result: Array = np.arctan2(_dot(beside, end), _dot(across, end))
@@ -375,23 +379,22 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
     """Return angles about two axes through the origin, not parallel, that turn a vector into another: subproblem 2.
 
     Args:
-        first: the outer axis.
-        second: the inner axis, about which the vector is turned first.
-        start: the vector before.
-        end: the vector after; its direction counts.
+        first: the axis of the second turn.
+        second: the axis of the first turn.
+        start: the vector before the turns.
+        end: the vector after the turns; only its direction counts.
 
     Returns:
-        Angles (2, n) about the outer and about the inner axis, of both solutions, within two turns, and their strain
-        (n,).
+        Angles (2, n) about the first and the second axis, of both solutions, within two turns, and their strain (n,).
     """
     cosine, sine, outer_frame, inner_frame = _crossing(first.tobytes(), second.tobytes())
-    # the vector before, and after, each by its parts beside the other axis, across both axes, and along its own axis
+    # the parts of both vectors: along the other axis, perpendicular to both axes, and along their own axis
     x, y, z = inner_frame @ start
     squares = x * x + y * y
     lengths = squares + z * z
     ends = outer_frame @ end
     u, v, w = ends * np.sqrt(lengths / np.maximum((ends * ends).sum(axis=0), 1e-12))
-    # between both turns it has the parts along both axes, and either of two across them
+    # between the turns, the vector has the parts along both axes, and one of two parts perpendicular to them
     inner, outer = (w - cosine * z) / sine, (z - cosine * w) / sine
     rest = squares - inner * inner
     across = np.sqrt(np.maximum(rest, 0.0))
@@ -407,7 +410,7 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
 
 @lru_cache(maxsize=64)
 def _crossing(first: bytes, second: bytes) -> tuple[float, float, Array, Array]:
-    """Return cosine and sine between two axes, and frames (3, 3) around each: towards the other, across, along it."""
+    """Return cosine and sine between two axes, and frames (3, 3): towards the other axis, across both, along one."""
     a, b = np.frombuffer(first), np.frombuffer(second)
     cosine = float(a @ b)
     sine = math.sqrt(1.0 - cosine * cosine)
@@ -419,20 +422,20 @@ def _crossing(first: bytes, second: bytes) -> tuple[float, float, Array, Array]:
 
 
 def twice(vectors: Array) -> Array:
-    """Return vectors (3, n) once more beside themselves, (3, 1) as they are."""
+    """Return vectors (3, n) repeated side by side; a single one (3, 1) as it is."""
     return vectors if vectors.shape[1] == 1 else np.concatenate([vectors, vectors], axis=1)
 
 
 def hinge(axis: Array, start: Array, end: Array) -> Hinge:
-    """Return what of subproblem 3 doesn't depend on the distance.
+    """Return the part of subproblem 3 that doesn't depend on the distance.
 
     Args:
-        start: the point that turns.
-        end: the point that stays.
+        start: the point that the axis turns.
+        end: the fixed point.
 
     Returns:
-        The angle where the points are nearest, the mean of the squares of their least and greatest distance, and half
-        of what these differ by; (n,) or (1,) each.
+        The angle of the least distance; the mean of the squares of the least and the greatest distance; and half of
+        the difference of these squares; (n,) or (1,) each.
     """
     _, a, beside = _parts(axis, start)
     _, b, _ = _parts(axis, end)
@@ -443,11 +446,11 @@ def hinge(axis: Array, start: Array, end: Array) -> Hinge:
 
 
 def opened(hinge: Hinge, distance: Array) -> tuple[Array, Array]:
-    """Return the angle about an axis that brings a point to a distance from another: subproblem 3.
+    """Return the angle about an axis that brings a point to a distance from another point: subproblem 3.
 
     Args:
         hinge: of the axis and both points.
-        distance: wanted between them, (n,), m.
+        distance: between both points, (n,), m.
 
     Returns:
         Angles (2, n) of both solutions, and their strain (n,).

@@ -1,6 +1,9 @@
-"""Forward kinematics of a chain of joints with a tool at its end, in many postures at once.
+"""Forward kinematics of chains and trees of joints, for many postures together.
 
-Arithmetic on the URDF, no engine. Postures are rows of arrays, a column for each joint that may move.
+It is arithmetic on the URDF, without the engine. Postures are rows of arrays, with a column for each moving joint.
+
+The transform of a joint is a sum of constant matrices: one, one times the cosine of its value, one times the sine, and
+one times the value (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 2.2).
 """
 
 from __future__ import annotations
@@ -30,19 +33,19 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
 
 
-_OPPOSITE: Final = 1e-6  # of half a turn's sine, below which it has no axis
+_OPPOSITE: Final = 1e-6  # sine of half a turn, below which the rotation has no axis
 _CACHED: Final = 64
 
 
 class Chain:
-    """A chain of joints.
+    """A chain of joints with a tool at its end.
 
     Args:
-        base_link: the link that poses are given in.
-        tool_link: the link at the end.
-        joints: names of the joints that may move, in order; others of the chain keep their value.
-        fixed: values of those others; 0 by default.
-        tool: pose of the tool in the link at the end.
+        base_link: the frame of all poses.
+        tool_link: the last link.
+        joints: names of the joints that may move, in order; the other joints of the chain keep their values.
+        fixed: values of the other joints; 0 by default.
+        tool: pose of the tool in the last link.
     """
 
     def __init__(
@@ -54,7 +57,7 @@ class Chain:
         fixed: Mapping[str, float] | None = None,
         tool: Pose = geometry.IDENTITY,
     ) -> None:
-        self.joints = tuple(joints)  # names of those that move
+        self.joints = tuple(joints)  # names of the joints that move
         values = fixed or {}
         moving, befores = [], []
         before = np.eye(4)
@@ -69,16 +72,16 @@ class Chain:
         self._tool = before = before if tool == geometry.IDENTITY else before @ geometry.pose_matrix(tool)
         self._axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
-        self.sliding = np.flatnonzero(slides).tolist()  # indices of those that slide
+        self.sliding = np.flatnonzero(slides).tolist()  # indices of prismatic joints
         self._parts = self._before[:, None] @ constant_parts(self._axes, np.zeros_like(self._axes), slides)
         lower, upper = (np.array([getattr(joint, end) for joint in moving]) for end in ("lower", "upper"))
-        self.bounded = np.isfinite(lower)  # (joints,) which have limits
-        self.lower = np.where(self.bounded, lower, -np.pi)  # (joints,) lower limits, rad or m; -pi where there are none
-        self.upper = np.where(self.bounded, upper, np.pi)  # (joints,) upper limits, rad or m; pi where there are none
-        # where the first joint is, in the base link, m
+        self.bounded = np.isfinite(lower)  # (joints,) whether a joint has limits
+        self.lower = np.where(self.bounded, lower, -np.pi)  # (joints,) rad or m; -pi if there is no limit
+        self.upper = np.where(self.bounded, upper, np.pi)  # (joints,) rad or m; pi if there is no limit
+        # position of the first joint in the base link, m
         self.shoulder: Array = self._before[0, :3, 3] if moving else np.zeros(3)
         links = np.linalg.norm(self._before[1:, :3, 3], axis=1).sum() + np.linalg.norm(before[:3, 3])
-        # m from there that the tool is away at most
+        # greatest distance of the tool from the first joint, m
         self.length = float(links + np.maximum(np.abs(self.lower), np.abs(self.upper))[self.sliding].sum())
 
     def poses(self, postures: Array) -> Array:
@@ -87,16 +90,16 @@ class Chain:
         return poses
 
     def frames(self, postures: Array) -> Array:
-        """Return frames (joints, n, 4, 4) behind the joints in the base link for postures (n, joints)."""
+        """Return frames (joints, n, 4, 4) after the joints in the base link for postures (n, joints)."""
         return self._transforms(postures)[1:]
 
     def at_zero(self) -> tuple[Array, Array, Array]:
-        """Return for joints at zero points (joints, 3) of axes, axes (joints, 3), and the pose of the tool."""
+        """Return points (joints, 3) of the axes, the axes (joints, 3), and the tool's pose, with joints at zero."""
         poses, axes = self._frames(np.zeros((1, len(self.joints))))
         return poses[:, 0, :3, 3], axes[0].T, poses[-1, 0] @ self._tool
 
     def forward(self, postures: Array) -> tuple[Array, Array]:
-        """Return the pose of the tool, and the Jacobian.
+        """Return the poses of the tool and the Jacobians.
 
         Args:
             postures: (n, joints).
@@ -107,7 +110,7 @@ class Chain:
         poses, axes = self._frames(postures)
         pose = poses[-1] @ self._tool
         lever = pose[:, :3, 3, None] - poses[:, :, :3, 3].transpose(1, 2, 0)
-        linear = np.stack(  # the cross product, spelt out: np.cross is ten times slower on arrays this small
+        linear = np.stack(  # the cross product written out: np.cross is ten times slower on arrays this small
             [
                 axes[:, 1] * lever[:, 2] - axes[:, 2] * lever[:, 1],
                 axes[:, 2] * lever[:, 0] - axes[:, 0] * lever[:, 2],
@@ -121,12 +124,12 @@ class Chain:
         return pose, np.concatenate([linear, axes], axis=1)
 
     def _frames(self, postures: Array) -> tuple[Array, Array]:
-        """Return frames (joints, n, 4, 4) behind the joints, and their axes (n, 3, joints)."""
+        """Return frames (joints, n, 4, 4) after the joints, and the axes (n, 3, joints)."""
         poses = self.frames(postures)
-        return poses, np.einsum("jnab,jb->naj", poses[:, :, :3, :3], self._axes)  # no joint turns its own axis
+        return poses, np.einsum("jnab,jb->naj", poses[:, :, :3, :3], self._axes)  # a joint doesn't turn its own axis
 
     def _transforms(self, postures: Array) -> Array:
-        """Return poses (joints + 1, n, 4, 4) in the base link: of that itself, and of the frame behind each joint."""
+        """Return poses (joints + 1, n, 4, 4) in the base link: of the base link, and of the frame after each joint."""
         poses = np.empty((len(self.joints) + 1, len(postures), 4, 4))
         poses[0] = np.eye(4)
         for number, moved in enumerate(transforms(self._parts, postures.T)):
@@ -134,18 +137,18 @@ class Chain:
         return poses
 
     def limited(self, postures: Array) -> Array:
-        """Return postures (n, joints) brought within the limits; joints without limits, within half a turn."""
+        """Return postures (n, joints) within the limits; joints without limits within half a turn."""
         wrapped = (postures + np.pi) % (2 * np.pi) - np.pi
         inside: Array = np.where(self.bounded, np.clip(postures, self.lower, self.upper), wrapped)
         return inside
 
     def errors(self, postures: Array, goals: Array, turns: Array | None) -> Array:
-        """Return how far the tool is from targets.
+        """Return the distances of the tool from targets.
 
         Args:
             postures: (n, joints).
             goals: (3,) for all or (n, 3), m, in the base link.
-            turns: (3, 3) or (n, 3, 3) orientations; None if any will do.
+            turns: (3, 3) or (n, 3, 3) orientations; None for any.
 
         Returns:
             (n, 2) in m and rad.
@@ -159,13 +162,13 @@ class Chain:
 
 
 def rotation_error(now: Array, goal: Array) -> Array:
-    """Return rotation vectors (n, 3) that turn orientations (n, 3, 3) into a goal (3, 3) or (n, 3, 3)."""
+    """Return rotation vectors (n, 3) from orientations (n, 3, 3) to a goal (3, 3) or (n, 3, 3)."""
     difference = (goal @ now.transpose(0, 2, 1)).reshape(-1, 9)  # row by row
     vector = 0.5 * (difference[:, [7, 2, 3]] - difference[:, [5, 6, 1]])
     sine = norms(vector)
     cosine = 0.5 * (difference[:, ::4].sum(axis=1) - 1)
     angle = np.arctan2(sine, cosine)
-    # near half a turn the vector vanishes: any axis helps out of there
+    # near half a turn the vector vanishes; any axis leads away from there
     flipped = (sine < _OPPOSITE) & (cosine < 0)
     if flipped.any():
         vector[flipped] = np.array([1e-3, 2e-3, 3e-3])
@@ -175,18 +178,18 @@ def rotation_error(now: Array, goal: Array) -> Array:
 
 
 def norms(vectors: Array) -> Array:
-    """Return the norms (n,) of a few vectors (n, d), for which np.linalg.norm takes longer."""
+    """Return the norms (n,) of a few vectors (n, d), faster than np.linalg.norm."""
     found: Array = np.sqrt((vectors * vectors).sum(axis=1))
     return found
 
 
 def constant_parts(axes: Array, points: Array, slides: Flags) -> Array:
-    """Return the constant matrices that the transforms of joints are sums of.
+    """Return the constant matrices whose weighted sums are the transforms of joints.
 
     Args:
         axes: (joints, 3) unit vectors.
         points: (joints, 3) on the axes, m.
-        slides: (joints,) which of them are prismatic: they slide along their axis instead of turning about it.
+        slides: (joints,) whether a joint is prismatic.
 
     Returns:
         (joints, 4, 4, 4): the matrices for 1, cosine, sine and value.
@@ -211,7 +214,7 @@ def transforms(parts: Array, values: Array) -> Array:
     """Return the transforms of joints.
 
     Args:
-        parts: (joints, 3 or 4, m, m) matrices; without that for the value where no joint slides.
+        parts: (joints, 3 or 4, m, m) matrices; the fourth is needed only for prismatic joints.
         values: (joints, n), rad or m.
 
     Returns:
@@ -229,20 +232,20 @@ def transforms(parts: Array, values: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Drivers:
-    """Which joints, of some that will move, move which links."""
+    """The assignment of links to the joints that move them."""
 
-    joints: tuple[str, ...]  # their names, parents before their children
-    of_links: Mapping[str, int]  # for each link the number of the joint that moves it, -1 where none does
-    parents: Sequence[int]  # (joints,) the number of the joint that moves each joint, -1 where none does
-    children: Sequence[str]  # (joints,) the link that hangs on each joint
-    axes: Array  # (joints, 3) unit vectors in the frames of these
-    slides: NDArray[np.bool_]  # (joints,) which are prismatic
+    joints: tuple[str, ...]  # names of the moving joints, parents before their children
+    of_links: Mapping[str, int]  # for each link the number of the joint that moves it, -1 for none
+    parents: Sequence[int]  # (joints,) the number of the joint that moves each joint, -1 for none
+    children: Sequence[str]  # (joints,) the child link of each joint
+    axes: Array  # (joints, 3) unit vectors in the frames of the child links
+    slides: NDArray[np.bool_]  # (joints,) whether a joint is prismatic
 
 
 @lru_cache(maxsize=_CACHED)
 @notable
 def drivers(path: Path, joints: tuple[str, ...]) -> Drivers:
-    """Return which of some joints of a model with a canonical URDF move which links."""
+    """Return the assignment of links to moving joints for a model with a canonical URDF."""
     urdf = stored_tree(path)
     moving: list[Joint] = []
     of_links: dict[str, int] = {}
@@ -264,12 +267,10 @@ def drivers(path: Path, joints: tuple[str, ...]) -> Drivers:
 
 
 class Articulation:
-    """What some joints move, as a body stands in an engine.
+    """The transforms of links by moving joints, for a body as it stands in an engine.
 
     Args:
-        engine: where it stands.
-        body: the engine's side of it.
-        moved: the joints that will move.
+        body: the body in the engine.
     """
 
     def __init__(self, engine: Engine, body: Body, moved: Drivers) -> None:
@@ -281,14 +282,14 @@ class Articulation:
         self._now = np.array([positions[name] for name in moved.joints])
 
     def transforms(self, postures: Sequence[Mapping[str, float]]) -> Array:
-        """Return how joints move what hangs on them.
+        """Return the transforms of links by joints.
 
         Args:
-            postures: joint values in rad or m by name; what isn't named stays.
+            postures: joint values in rad or m by name; other joints keep their values.
 
         Returns:
-            (n, joints + 1, 4, 4): for each posture, transforms from where things are to where each joint moves them;
-            the last is for what no joint moves.
+            (n, joints + 1, 4, 4): for each posture and joint, the transform from the present pose of the joint's links
+            to their new pose; the last is for links that don't move.
         """
         now = self._now.tolist()
         values = [list(map(posture.get, self._joints, now)) for posture in postures]

@@ -1,7 +1,11 @@
-"""Inverse kinematics by damped least squares, from many starts at once, always within the joints' limits.
+"""Inverse kinematics within joint limits: in closed form if possible, else by a search from many postures.
 
-The method is that of Buss, Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least
-Squares Methods, 2004. Everything is deterministic: starting postures are spread by a Halton sequence.
+It is arithmetic on the URDF, without the engine. Arms with a closed form are solved by
+:mod:`pycram.reasoning.kinematics.closed_form`. For its misses, and for all other arms, damped least squares search from
+the nearest misses, or from the present posture, the named postures, and postures over the joints' range (Buss,
+Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least Squares Methods, 2004). Many
+targets are solved together in about the time of one. All is deterministic: a Halton sequence spreads the starting
+postures.
 """
 
 from __future__ import annotations
@@ -37,47 +41,46 @@ POSITION_TOLERANCE: Final = 1e-3  # m
 TURN_TOLERANCE: Final = 1e-2  # rad
 _DAMPING: Final = 1e-2
 _ITERATIONS: Final = 40
-_MAX_STEP: Final = 0.5  # rad or m a joint moves in one iteration
-_MAX_ERROR: Final = 0.6  # m or rad of error that are corrected at once
-_STALE: Final = (8, 0.9)  # iterations in which the least error has to fall to this share of itself, or the search ends
-_CLOSE: Final = 0.005  # m or rad of error below which a search is never given up
-THRESHOLD: Final = 1e-3  # m between tool and target that count as reached (thesis 4.4.5)
-_TURN_THRESHOLD: Final = math.radians(2)  # between orientations that count as the same
+_MAX_STEP: Final = 0.5  # rad or m of a joint in one iteration
+_MAX_ERROR: Final = 0.6  # m or rad of error that one iteration corrects
+_STALE: Final = (8, 0.9)  # iterations, and the share to which they must reduce the least error
+_CLOSE: Final = 0.005  # m or rad of error, below which a search continues
+THRESHOLD: Final = 1e-3  # m between the tool and a target that counts as reached (thesis 4.4.5)
+_TURN_THRESHOLD: Final = math.radians(2)  # rad between orientations that count as equal
 _BATCHES: Final = (4, 28)  # starting postures: a few first, as most targets are easy
-_CHUNK: Final = 32  # targets that are solved at once
-_MAX_COMPARED: Final = 60  # misses of the closed form
-_MAX_STARTS: Final = 6  # misses of the closed form that are searched from
-_DIFFERENT: Final = 0.35  # rad or m in some joint between postures that count as two
-_MAX_POSTURES: Final = 16  # that are returned
-_MAX_STRAIN: Final = 1.0  # rad of strain beyond which there is no solution nearby
-_MAX_SEARCHED: Final = 0.6  # rad of strain that a search has ever overcome
-_HOPELESS: Final = 0.02  # m of a proven miss beyond which no search is worth its time
+_CHUNK: Final = 32  # targets that are solved together
+_MAX_COMPARED: Final = 60  # misses of the closed form that are compared
+_MAX_STARTS: Final = 6  # misses of the closed form from which a search starts
+_DIFFERENT: Final = 0.35  # rad or m of some joint between distinct postures
+_MAX_POSTURES: Final = 16  # postures that are returned
+_MAX_STRAIN: Final = 1.0  # rad of strain, above which no solution is nearby
+_MAX_SEARCHED: Final = 0.6  # rad of strain, above which no search has ever succeeded
+_HOPELESS: Final = 0.02  # m of a proven miss, above which a search is useless
 _TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
-_MAX_KNOWN: Final = 8  # searches whose results are kept
-_MAX_CHAINS: Final = 16  # of a robot that are kept
+_MAX_KNOWN: Final = 8  # searches with cached results
+_MAX_CHAINS: Final = 16  # cached chains of a robot
 
 
 def descend(
     chain: Chain, start: Array, goals: Array, turns: Array | None, targets: NDArray[np.intp], *, stop_early: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Search for postures that reach targets, from several starts each, all at once.
+    """Search for postures that reach targets, from several starts for each, all together.
 
-    What is found for a target doesn't depend on which others there are.
+    The results for a target don't depend on the other targets.
 
     Args:
-        chain: whose tool is to get there.
         start: (n, joints) postures to search from.
-        goals: (n, 3) where from each of them, in the chain's base link, m.
-        turns: (n, 3, 3) orientations there; None if any will do.
-        targets: (n,) ascending numbers of the targets that these are.
-        stop_early: end the search for a target as soon as one of its postures gets there.
+        goals: (n, 3) positions of the tool for each start, in the chain's base link, m.
+        turns: (n, 3, 3) orientations of the tool; None for any.
+        targets: (n,) the target's number for each start, ascending.
+        stop_early: end the search for a target when one of its postures reaches it.
 
     Returns:
-        (n, joints) postures, and which of them reach.
+        (n, joints) postures, and whether they reach their targets.
     """
     found = chain.limited(start)
     reached = np.zeros(len(found), dtype=bool)
-    rows = np.arange(len(found))  # that are searched on
+    rows = np.arange(len(found))  # rows of unfinished searches
     size = 3 if turns is None else 6
     damping = _DAMPING * np.eye(size)
     nearest = np.full(int(targets.max(initial=-1)) + 1, np.inf)
@@ -111,14 +114,14 @@ def descend(
 
 
 def _first_rows(targets: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the first row of each target, of which rows have the ascending numbers."""
+    """Return the first row of each target; ``targets`` has the ascending numbers of rows."""
     return np.flatnonzero(np.diff(targets, prepend=-1))
 
 
 def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: Array, damping: Array) -> Array:
-    """Return the changes (n, joints) of postures that lessen errors (n, 3 or 6) of a length (n, 1)."""
+    """Return changes (n, joints) of postures that reduce errors (n, 3 or 6) with norms (n, 1)."""
     correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length, 1e-9))
-    # a joint at its limit that wants to go beyond takes no part
+    # a joint at its limit isn't moved beyond it
     gradient = np.einsum("nrj,nr->nj", jacobian, correction)
     stuck = chain.bounded & (
         ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
@@ -132,7 +135,7 @@ def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: 
 
 
 def spread(chain: Chain, start: int, count: int) -> Array:
-    """Return postures (count, joints) all over a chain's range, from number ``start`` of a Halton sequence on."""
+    """Return postures (count, joints) over a chain's range, from number ``start`` of a Halton sequence on."""
     postures: Array = chain.lower + _halton(start, count, len(chain.joints)) * (chain.upper - chain.lower)
     return postures
 
@@ -160,23 +163,23 @@ def _radical_inverse(index: int, base: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Posture:
-    """A posture of an arm, and how near it brings the tool to a target."""
+    """A posture of an arm, with its errors for a target."""
 
     positions: Mapping[str, float]  # joint values in rad or m by name, within limits
-    position_error: float  # m that the tool stays away from the target
-    turn_error: float  # rad by which it is turned from the target; 0 where no orientation was asked for
+    position_error: float  # m between the tool and the target
+    turn_error: float  # rad between the tool and the target; 0 for targets without an orientation
 
     def reaches(self, threshold: float = THRESHOLD) -> bool:
         """Return whether the tool is within ``threshold`` m and 2 degrees of the target."""
         return self.position_error <= threshold and self.turn_error < _TURN_THRESHOLD
 
     def evidence(self) -> dict[str, object]:
-        """Return it as records carry it."""
+        """Return the posture as evidence for a record."""
         return {"joints": self.positions, "distance": self.position_error, "turn": self.turn_error}
 
 
 class ArmKinematics:
-    """Inverse kinematics of a chain of joints with a tool at its end."""
+    """Inverse kinematics of a chain of joints."""
 
     def __init__(self, chain: Chain) -> None:
         self.chain = chain
@@ -194,17 +197,17 @@ class ArmKinematics:
         quick: bool = False,
         enough: float = POSITION_TOLERANCE,
     ) -> list[list[Posture]]:
-        """Return all distinct postures found for targets: those that reach, nearest to the first seed first.
+        """Return the distinct postures for targets: the postures that reach, nearest to the first seed first.
 
         Args:
-            targets: positions xyz in m and orientations xyzw in the base link; orientations for all or for none.
-            seeds: postures to start from first.
-            thorough: start from all starting postures even if some reach soon.
-            quick: start from a few only; a miss then proves nothing.
-            enough: m to the target that a miss has to come near for being of any use.
+            targets: xyz in m and orientations xyzw in the base link; all with an orientation, or none.
+            seeds: the first starting postures.
+            thorough: use all starting postures, even if some reach the target.
+            quick: use only a few starting postures; a miss then proves nothing.
+            enough: m between a miss and the target from which on the miss is useless.
 
         Returns:
-            For each target at least one; if the first doesn't reach, none does.
+            For each target at least one posture; if the first doesn't reach, none does.
         """
         goals, turns = _arrays(targets)
         first = [np.array([seed.get(name, 0.0) for name in self.chain.joints]) for seed in seeds]
@@ -237,7 +240,7 @@ class ArmKinematics:
         *,
         stop_early: bool,
     ) -> list[bool]:
-        """Search for some targets at once and add what is found to ``tried``; return which of them are reached."""
+        """Search for some targets together and add the results to ``tried``. Return whether each target is reached."""
         if not numbers:
             return []
         counts = [len(batch) for batch in batches]
@@ -252,34 +255,34 @@ class ArmKinematics:
     def _descend(
         self, start: Array, goals: Array, turns: Array | None, which: NDArray[np.intp], *, stop_early: bool
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Search as :func:`descend`, or know it: a long search begins as the quick one, a pick as what was asked."""
+        """Do the same as :func:`descend`, with cached results: long searches begin like quick ones."""
         inputs = (start, goals, which) if turns is None else (start, goals, which, turns)
         key = stop_early, *(part.tobytes() for part in inputs)
         known = self._known.get(key)
         if known is None:
             known = descend(self.chain, start, goals, turns, which, stop_early=stop_early)
-            if len(self._known) >= _MAX_KNOWN:  # by any thread
+            if len(self._known) >= _MAX_KNOWN:  # another thread may add results too
                 self._known.clear()
             self._known[key] = known
         return known
 
     def _best(self, found: Array, home: Array, goal: Array, turn: Array | None) -> Array:
-        """Return those that reach and differ, or else the nearest miss."""
+        """Return the distinct postures that reach, or else the nearest miss."""
         misses = self.chain.errors(found, goal, turn) / _TOLERANCES
         reaching = found[(misses < 1.0).all(axis=1)]
         return _distinct(reaching, home) if len(reaching) else found[[int(np.argmin(misses.sum(axis=1)))]]
 
     @property
     def in_closed_form(self) -> bool:
-        """Whether it is solved in closed form."""
+        """Whether the arm has a closed form."""
         return self._closed is not None
 
     def closed_form(self, targets: Sequence[Target], seed: Mapping[str, float]) -> list[list[Posture]]:
-        """Return the closed form's solutions for many targets, in a fraction of a search's time.
+        """Return the solutions of the closed form for many targets, in a fraction of a search's time.
 
         Args:
             targets: as for :meth:`solve`.
-            seed: a posture; postures near it come first.
+            seed: a posture; near postures come first.
 
         Returns:
             For each target the postures that reach it; an empty list proves nothing.
@@ -306,7 +309,7 @@ class ArmKinematics:
     def _starts_of_closed_form(
         self, closed: ClosedForm, goals: Array, turns: Array | None, home: Array, enough: float
     ) -> list[tuple[Array, list[Array]]]:
-        """Return for each target its solutions, or else misses and from which of them to search."""
+        """Return for each target the solutions or the misses, and the batches of postures from which to search."""
         slack = math.inf if enough > _HOPELESS else 1.0
         near = closed.miss(goals, turns) <= max(_HOPELESS, enough)
         found, strains = closed.postures(goals, turns, home)
@@ -325,7 +328,7 @@ class ArmKinematics:
     def _least_strained(
         self, found: Array, strain: Array, home: Array, goals: Array, turns: Array | None
     ) -> list[Array]:
-        """Return of each target's postures (m, n, joints) the solutions, or else the least strained, nearest first."""
+        """Return for each target's postures (m, n, joints) the solutions, or else the least strained postures."""
         kept = [_distinct(rows[strains == 0.0], home) for rows, strains in zip(found, strain, strict=True)]
         missed = np.array([number for number, rows in enumerate(kept) if not len(rows)], dtype=np.intp)
         if len(missed):
@@ -339,7 +342,7 @@ class ArmKinematics:
         return kept
 
     def _starts_of_search(self, goal: Array, home: Array, seeds: list[Array]) -> tuple[Array, list[Array]]:
-        """Return where to search from: only the stretched arm if that is too short, else all over its range."""
+        """Return the batches of postures from which to search: only the stretched arm if the target is too far."""
         few, many = _BATCHES
         if float(np.linalg.norm(goal - self.chain.shoulder)) - self.chain.length > POSITION_TOLERANCE:
             one = np.zeros(1, dtype=np.intp)
@@ -348,7 +351,7 @@ class ArmKinematics:
         return home[None], starts
 
     def _postures(self, found: Sequence[Array], goals: Array, turns: Array | None) -> list[list[Posture]]:
-        """Return each target's rows (n, joints) as postures, with their errors."""
+        """Return each target's rows (n, joints) as postures with their errors."""
         which = np.repeat(np.arange(len(goals)), [len(rows) for rows in found])
         every = self.chain.limited(np.concatenate(found))
         errors = self.chain.errors(every, goals[which], None if turns is None else turns[which])
@@ -360,19 +363,19 @@ class ArmKinematics:
 
 
 def _arrays(targets: Sequence[Target]) -> tuple[Array, Array | None]:
-    """Return positions (n, 3) and orientations (n, 3, 3) of targets, None if any will do."""
+    """Return the positions (n, 3) and the orientations (n, 3, 3) of targets; None for any orientation."""
     goals = np.array([position for position, _ in targets], dtype=np.float64)
     turns = [turn for _, turn in targets if turn is not None]
     return goals, geometry.to_matrices(np.array(turns)) if turns else None
 
 
 def _distinct(found: Array, home: Array) -> Array:
-    """Return postures that differ from each other, nearest to ``home`` first."""
+    """Return the postures that differ, nearest to ``home`` first."""
     return _different(found[np.argsort(np.abs(found - home).sum(axis=1), kind="stable")], _MAX_POSTURES)
 
 
 def _different(found: Array, most: int) -> Array:
-    """Return the first of postures (n, joints) that are alike."""
+    """Return the first of each group of similar postures (n, joints)."""
     kept: list[Array] = []
     left = found
     while len(left) and len(kept) < most:
@@ -397,14 +400,14 @@ def postures(
 
 
 class Solver:
-    """Inverse kinematics of one link of a robot as it stands, for targets in the world.
+    """Inverse kinematics of a link of a robot in its present state, for targets in the world.
 
     Args:
-        link: the link with an arm's tool frame, which is then what is brought to targets, or any other link.
+        link: an arm's tool frame, which stands for the tool; or any other link.
 
 
     Raises:
-        UnknownName: the robot has no such link.
+        UnknownName: The robot has no such link.
     """
 
     def __init__(self, robot: Object, link: str) -> None:
@@ -416,7 +419,7 @@ class Solver:
             chain = robot.urdf.chain(robot.base_link, link)
             turning = [joint for joint in chain if joint.movable and joint.type != "prismatic"]
             root = turning[0].parent if turning else robot.base_link
-            self.joints = tuple(joint.name for joint in turning)  # names of the joints that bring the link to a target
+            self.joints = tuple(joint.name for joint in turning)  # names of the joints that move the link
         self._now = robot.get_joint_positions()
         tool = self._arm.tool_offset if self._arm else IDENTITY
         self._kinematics = _kinematics(robot, root, link, self.joints, self._now, tool)
@@ -433,17 +436,17 @@ class Solver:
         seed: Mapping[str, float] | None = None,
         threshold: float = THRESHOLD,
     ) -> list[list[Posture]]:
-        """Return postures for targets, nearest to the present one first.
+        """Return postures for targets, nearest to the seed first.
 
         Args:
-            targets: poses; all of them with an orientation, or none.
-            thorough: look for several.
-            quick: don't look long; a miss then proves nothing.
-            seed: posture to start from; the present one by default.
-            threshold: m that are near enough.
+            targets: poses; all with an orientation, or none.
+            thorough: search for several postures.
+            quick: search for a short time; a miss then proves nothing.
+            seed: the first starting posture; the present one by default.
+            threshold: m between the tool and a target that counts as reached.
 
         Returns:
-            For each target at least one; if the first doesn't reach, none does.
+            For each target at least one posture; if the first doesn't reach, none does.
         """
         if not self.joints:
             distances = (math.dist(geometry.transform(self._root_T_world, at), self._root_T_link) for at, *_ in targets)
@@ -458,13 +461,13 @@ class Solver:
 
     @property
     def in_closed_form(self) -> bool:
-        """Whether the joints are solved in closed form."""
+        """Whether the joints have a closed form."""
         return bool(self.joints) and self._kinematics.in_closed_form
 
     def closed_form(
         self, targets: Sequence[WorldTarget], seed: Mapping[str, float] | None = None
     ) -> list[list[Posture]]:
-        """Return postures for targets that are found without searching, nearest to the seed first, as :meth:`search`.
+        """Return the solutions of the closed form for targets, nearest to the seed first; see :meth:`search`.
 
         An empty list proves nothing.
         """
@@ -489,7 +492,7 @@ _chains: WeakKeyDictionary[Object, dict[Hashable, ArmKinematics]] = WeakKeyDicti
 def _kinematics(
     robot: Object, root: str, link: str, joints: Sequence[str], now: Mapping[str, float], tool: Pose
 ) -> ArmKinematics:
-    """Return a chain's kinematics, which are kept: making them takes as long as solving them."""
+    """Return a chain's kinematics, which are cached: making them takes as long as solving."""
     others = [joint.name for joint in robot.urdf.chain(root, link) if joint.movable and joint.name not in joints]
     key = (link, *(now[name] for name in others))
     chains = _chains.setdefault(robot, {})

@@ -1,4 +1,4 @@
-"""Aiming a head: Newton's method on its joints, a pan and a tilt or one of them, turns the camera's axis to a point."""
+"""Aiming a head: Newton's method turns the camera's axis to a point by a pan joint, a tilt joint, or both."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _ITERATIONS: Final = 30
 _DERIVATIVE_STEP: Final = 1e-5  # rad
 _TOLERANCE: Final = 1e-6  # rad
-_GOOD_ENOUGH: Final = 1e-4  # rad: further starts wouldn't be nearer to where the head is
+_GOOD_ENOUGH: Final = 1e-4  # rad; other starts wouldn't come nearer
 _MAX_STEP: Final = 0.5  # rad
 _STARTS: Final = ((0.0, 0.0), (2.0, 0.3), (-2.0, 0.3))  # rad, pan and tilt
 
@@ -28,16 +28,15 @@ _STARTS: Final = ((0.0, 0.0), (2.0, 0.3), (-2.0, 0.3))  # rad, pan and tilt
 def look(
     urdf: Urdf, joints: Sequence[str], camera: CameraDescription, point: Sequence[float], now: Mapping[str, float]
 ) -> tuple[dict[str, float], Vector]:
-    """Turn the camera's axis (z of its frame) to a point, or as near to it as the joints bring it.
+    """Return the joint values that turn the camera's axis (z of its frame) to a point, or as near as possible.
 
     Args:
-        joints: names of the pan and the tilt joint, of one of them, or none.
-        camera: the robot's camera.
+        joints: names of the pan and the tilt joint, of one of them, or empty.
         point: in the robot's root link, m.
         now: present values of all joints, rad or m.
 
     Returns:
-        Values of the joints within their limits, and the point in the camera's frame then, m.
+        Values of the joints within their limits, and the point in the turned camera's frame, m.
     """
     turning, behind = _neck(urdf, joints, camera, now)
 
@@ -49,7 +48,7 @@ def look(
         return geometry.transform(geometry.invert(geometry.multiply(pose, behind)), point)
 
     def error(at: Vector) -> tuple[float, float]:
-        """Return the rotation vector's two parts, in the camera's frame, from its axis to where the point is, rad."""
+        """Return two parts in rad of the rotation vector from the camera's axis to the point, in the camera's frame."""
         x, y, z = at
         off_axis = math.hypot(x, y)
         angle = math.atan2(off_axis, z)
@@ -91,9 +90,9 @@ def look(
 def _neck(
     urdf: Urdf, joints: Sequence[str], camera: CameraDescription, now: Mapping[str, float]
 ) -> tuple[Sequence[tuple[Pose, Joint]], Pose]:
-    """Return the joints that turn the camera, each with where it is behind the one before, and the camera behind all.
+    """Return the joints that turn the camera, each with its pose after the previous joint, and the camera's pose.
 
-    Most joints of the chain stay as they are, and are looked at once.
+    The fixed parts of the chain are computed once.
     """
     turning: list[tuple[Pose, Joint]] = []
     behind = geometry.IDENTITY
