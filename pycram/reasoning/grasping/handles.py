@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.foundation.collision_pair import CollisionPair
+from pycram.foundation.failures import CollisionPair
+from pycram.models.shapes import shapes_of
 from pycram.models.surfaces import closed_position
-from pycram.models.visual import shapes_of
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker

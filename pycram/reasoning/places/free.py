@@ -11,8 +11,8 @@ import numpy as np
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlaceFailed, UnknownName
+from pycram.models.shapes import pieces_of
 from pycram.models.surfaces import Surface
-from pycram.models.visual import pieces_of
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.boxes import concatenate
 from pycram.reasoning.collision.checker import CollisionChecker
