@@ -1,1 +1,1 @@
-"""First descriptions of robots, guessed from their URDFs, and checks of descriptions: ``pycram describe``."""
+"""``pycram describe``: guess a description of a robot from its URDF, check a description, or describe furniture."""

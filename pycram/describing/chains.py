@@ -1,4 +1,4 @@
-"""What of a URDF's tree is an arm, a gripper, a torso, a head or a camera: guesses by joints first, then by names."""
+"""Kinematic chains of a URDF: guesses which are arms, a torso, a head or a camera, by joints first, then by names."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from recorder.urdf import Joint, Urdf
 
 ARM: Final = 4
-"""Joints one after the other that make an arm."""
-_SEVERAL: Final = 2  # fingers
-_TURNS_ALL: Final = math.pi  # rad between its limits: more than any jaw's, a wrist's
+"""Minimum number of successive joints of an arm."""
+_SEVERAL: Final = 2  # minimum number of fingers on a wrist
+_TURNS_ALL: Final = math.pi  # rad; a wrist has a larger range, any jaw a smaller one
 _HEAD: Final = re.compile(r"head|neck", re.IGNORECASE)
 _LEG: Final = re.compile(r"leg|hip|knee|ankle|foot|haa|hfe|kfe", re.IGNORECASE)
 _WHEEL: Final = re.compile(r"wheel|caster|rotor", re.IGNORECASE)
@@ -27,25 +27,21 @@ _OPTICAL: Final = re.compile(r"optical", re.IGNORECASE)
 _CAMERA: Final = re.compile(r"camera|kinect|realsense|stereo|rgb", re.IGNORECASE)
 _NO_PICTURE: Final = re.compile(r"depth|infra|laser|gazebo|screw|narrow|_ir_|forearm|hand|wrist|gripper", re.IGNORECASE)
 _NO_NAME: Final = re.compile(r"[^A-Za-z0-9]+")
-_UPRIGHT: Final = 0.9  # of an axis along the vertical
-_FREE: Final = re.compile(r"(.+)_(x|y|z|yaw|pitch|roll)")  # a planar or floating joint's parts (models/canonical.py)
+_UPRIGHT: Final = 0.9  # minimum |z| of a vertical axis
+_FREE: Final = re.compile(r"(.+)_(x|y|z|yaw|pitch|roll)")  # parts of planar and floating joints (canonical_urdf.py)
 
 
 @dataclass(frozen=True, slots=True)
 class ArmChain:
     """An arm in a URDF."""
 
-    name: str  # what it is called
-    joints: tuple[Joint, ...]  # its joints from the shoulder on
-    fingers: tuple[Joint, ...]  # joints that hang on its last link
+    name: str
+    joints: tuple[Joint, ...]  # from the shoulder to the wrist
+    fingers: tuple[Joint, ...]  # joints below the last link
 
 
 class Tree:
-    """The movable joints of a robot, each with those that hang on it next.
-
-    Args:
-        urdf: of the robot.
-    """
+    """The tree of a robot's movable joints."""
 
     def __init__(self, urdf: Urdf) -> None:
         self.urdf = urdf
@@ -62,7 +58,7 @@ class Tree:
                 self._next[above.name if above else ""].append(joint)
 
     def _moves(self, joint: Joint) -> bool:
-        """Whether a joint moves one part of a robot against another, and isn't of those by which all of it moves."""
+        """Return whether a joint moves parts of the robot relative to each other, not the robot in the world."""
         return joint.movable and not self._is_free(joint)
 
     def _is_free(self, joint: Joint) -> bool:
@@ -70,25 +66,25 @@ class Tree:
         return part is not None and all(f"{part[1]}_{axis}_link" in self.urdf.links for axis in "xy")
 
     def moved_by(self, link: str) -> Joint | None:
-        """Return the joint that moves a link, the nearest; None if none does."""
+        """Return the nearest joint that moves a link; None if there is none."""
         joint = self.urdf.parent_joint(link)
         while joint is not None and not self._moves(joint):
             joint = self.urdf.parent_joint(joint.parent)
         return joint
 
     def above(self, joint: Joint) -> Joint | None:
-        """Return the next movable joint that one hangs on."""
+        """Return the nearest movable joint above a joint."""
         return self._above[joint.name]
 
     def below(self, joint: Joint) -> list[Joint]:
-        """Return all movable joints that hang on one."""
+        """Return all movable joints below a joint."""
         found = []
         for child in self._next[joint.name]:
             found += [child, *self.below(child)]
         return found
 
     def arms(self) -> list[ArmChain]:
-        """Return the arms: joints one after the other that end at a gripper, or at nothing, and are no legs."""
+        """Return the arms: successive joints that end at a gripper or at nothing, and aren't legs."""
         found = []
         pending = list(self._next[""])
         leading = {mimic.leader for mimic in self.urdf.mimics.values()}
@@ -109,9 +105,9 @@ class Tree:
         return [ArmChain(name, tuple(run), tuple(below)) for name, (run, below) in zip(names, found, strict=True)]
 
     def _begins_hand(self, joint: Joint, leading: set[str]) -> bool:
-        """Whether the joint next to one is a finger's.
+        """Return whether the next joint is a finger's.
 
-        A joint named so is a wrist's if several fingers hang on it, or if it turns farther than a jaw does.
+        A joint with a finger's name is a wrist's if several fingers are below it, or if it turns farther than a jaw.
         """
         (after,) = self._next[joint.name]
         lower, upper = limits(after)
@@ -124,7 +120,7 @@ class Tree:
         return abs(geometry.rotate(turn, joint.axis)[2]) > _UPRIGHT
 
     def torso(self, arms: list[ArmChain]) -> Joint | None:
-        """Return the joint that lifts the arms."""
+        """Return the joint that lifts the arms; None if there is none."""
         for arm in arms:
             joint = self._above[arm.joints[0].name]
             while joint is not None:
@@ -134,13 +130,13 @@ class Tree:
         return None
 
     def camera(self) -> str:
-        """Return the link with the camera's frame: an optical one if there is any; "" if there is none."""
+        """Return the link with the camera's frame, preferably an optical frame; "" if there is none."""
         links = [link for link in self.urdf.links if _CAMERA.search(link) and not _NO_PICTURE.search(link)]
         links = links or [link for link in self.urdf.links if _OPTICAL.search(link) and not _NO_PICTURE.search(link)]
         return min(links, key=lambda link: (not _OPTICAL.search(link), links.index(link)), default="")
 
     def head(self, camera: str, arms: list[ArmChain]) -> dict[str, str]:
-        """Return the joints that turn a camera: "pan" and "tilt", as far as there are any."""
+        """Return the joints that turn a camera as "pan" and "tilt"."""
         of_arms = {joint.name for arm in arms for joint in (*arm.joints, *arm.fingers)}
         found: dict[str, str] = {}
         joint = self.moved_by(camera) if camera else None
@@ -150,7 +146,7 @@ class Tree:
         return found
 
     def drives(self) -> bool:
-        """Whether there are wheels, a footprint as bases have that drive, or a planar or floating joint."""
+        """Return whether the robot has wheels, a footprint link as driving bases do, or a planar or floating joint."""
         joints = self.urdf.joints.values()
         return "footprint" in self.urdf.root or any(
             joint.movable and (_WHEEL.search(joint.name) or self._is_free(joint)) for joint in joints
@@ -158,20 +154,20 @@ class Tree:
 
 
 def _branches(below: list[Joint]) -> bool:
-    """Whether what hangs on an arm is more than a hand."""
+    """Return whether joints below an arm are more than a hand."""
     return any(_LEG.search(joint.name) or _WHEEL.search(joint.name) for joint in below)
 
 
 def _short_names(runs: list[list[str]], robot: str) -> list[str]:
-    """Return names of arms: by side if their joints say it, the robot's for a single one.
+    """Return names of arms: their sides, if names of joints give them; the robot's name for a single arm.
 
-    Names are keys of TOML and parts of slots (``NAME-arm``): letters, digits and hyphens.
+    Names are TOML keys and parts of slots (``NAME-arm``): they consist of letters, digits and hyphens.
     """
     if len(runs) == 1:
         return [_NO_NAME.sub("-", robot).strip("-") or "arm"]
     names = []
     for number, run in enumerate(runs, 1):
-        text = "_".join(run)  # as "l_elbow_joint", "LElbowYaw" or "left_elbow"
+        text = "_".join(run)  # such as "l_elbow_joint", "LElbowYaw" or "left_elbow"
         left, right = (
             bool(re.search(rf"(?:^|_){side}(?:_|$)|(?:^|_){side.upper()}(?=[A-Z])|(?i:{word})", text))
             for side, word in (("l", "left"), ("r", "right"))
@@ -181,7 +177,7 @@ def _short_names(runs: list[list[str]], robot: str) -> list[str]:
 
 
 def fingers_of(tree: Tree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[Joint]]]:
-    """Yield links of finger tips, the last of each branch of an arm's hand that have a shape, and what moves each."""
+    """Yield the links of an arm's finger tips that have a shape, and the joints that move each."""
     hand = {joint.name for joint in arm.fingers}
     for joint in arm.fingers:
         if tree.below(joint) or joint.child not in with_shape:
@@ -194,5 +190,5 @@ def fingers_of(tree: Tree, arm: ArmChain, with_shape: set[str]) -> Iterator[tupl
 
 
 def limits(joint: Joint) -> tuple[float, float]:
-    """Return the limits of a joint, a turn about zero where there are none."""
+    """Return the limits of a joint; without limits, -pi and pi."""
     return max(joint.lower, -math.pi), min(joint.upper, math.pi)

@@ -1,4 +1,4 @@
-"""Checks of a robot's description that need the robot itself: reach, fingers, postures, the head, and stillness."""
+"""Checks of a robot's description in a world: reach, fingers, postures, the head, and stillness."""
 
 from __future__ import annotations
 
@@ -26,38 +26,33 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_POSES: Final = 40  # of the tool that an arm is asked to reach
-_ENOUGH: Final = 0.9  # of them that it has to reach again
-_CENTRED: Final = 0.003  # m that the middle between fingers may be beside the tool frame
-_APERTURE: Final = 0.005  # m by which a description may be wrong about fingers
+_POSES: Final = 40  # of the tool, for the check of reach
+_ENOUGH: Final = 0.9  # minimum share of reached poses
+_CENTRED: Final = 0.003  # m, maximum distance of the middle between fingers from the tool frame
+_APERTURE: Final = 0.005  # m, tolerance for measures of fingers
 _STILL_TIME: Final = 2.0  # s
 _STILL: Final = 1e-3  # rad or m
-_TRIED: Final = 4000  # postures among which one to park in is looked for
-_CHECKED: Final = 300  # of them that are checked for self collisions, best first
-_SAMPLED: Final = 40  # postures in which links that always overlap do so
-_FLOOR: Final = 0.05  # m above the root link that arms stay
-_STRAIN: Final = 0.1  # m that a posture at joint limits may be larger than one in the middle
+_TRIED: Final = 4000  # candidates for a parking posture
+_CHECKED: Final = 300  # best candidates, which are checked for self-collisions
+_SAMPLED: Final = 40  # postures in which links overlap that always overlap
+_FLOOR: Final = 0.05  # m, minimum height of a parked arm above the root link
+_STRAIN: Final = 0.1  # m, penalty in size for a posture at joint limits
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check has found."""
+    """The result of a check."""
 
-    passed: bool  # whether it is as it should be
-    about: str  # what was checked
-    text: str  # what was found
+    passed: bool
+    about: str  # the checked part
+    text: str  # the measured values, for the user
 
     def __str__(self) -> str:
         return f"{'ok    ' if self.passed else 'FAILED'}  {self.about}: {self.text}"
 
 
 def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
-    """Check a robot that was loaded with a description into a world of its own, in the air; it is moved.
-
-    Args:
-        robot: the robot.
-        description: its description, which fits its URDF.
-    """
+    """Check a robot that was loaded with a description, alone in a world and above the ground; the robot is moved."""
     for arm in description.arms.values():
         yield _reach(robot, arm)
         if arm.hand is not None and arm.hand.fingers:
@@ -69,7 +64,7 @@ def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
 
 
 def _reach(robot: Object, arm: Arm) -> Finding:
-    """Check that poses that the tool has in some postures are found again, as solving starts from elsewhere."""
+    """Check that inverse kinematics solves poses of the tool that some postures have."""
     chain = chain_of(robot, arm)
     postures = chain.limited(spread(chain, 0, _POSES))
     root = robot.get_link_position_and_orientation(arm.base_link)
@@ -88,7 +83,7 @@ def _reach(robot: Object, arm: Arm) -> Finding:
 
 
 def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
-    """Check where the fingers are, open and closed, by the corners of their shapes."""
+    """Check the positions of the fingers, open and closed, by the corners of their shapes."""
     corners = Corners(robot.model)
     about = f"{arm.name} gripper"
     fingers = gripper.jaws(robot.urdf, arm.tool_frame, arm.tool_offset)
@@ -96,7 +91,7 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
     if opened is None or closed is None:
         yield Finding(False, about, "its fingers have no shapes on both sides of the tool frame")
         return
-    wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # where the middle is between jaws that go unevenly
+    wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # y of the middle between jaws that close unevenly
     middle = max(abs((jaws.left + jaws.right) / 2 - y) for jaws, y in ((opened, wide), (closed, 0.0)))
     yield Finding(
         middle <= _CENTRED, about, f"the middle between its fingers is {1e3 * middle:.1f} mm beside the tool frame"
@@ -112,7 +107,7 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
 
 
 def _hull(arm: Arm, gripper: Gripper, corners: Corners) -> Iterator[Finding]:
-    """Check that no part of a hand is lower, or farther ahead, than is said: it is where x points aside."""
+    """Check the underside and the depth of a hand; both are wrong if the tool frame's x axis points sideways."""
     about = f"{arm.name} gripper"
     links = (gripper.palm, *gripper.fingers)
     hand = np.vstack([corners.of(links, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0)])
@@ -120,14 +115,14 @@ def _hull(arm: Arm, gripper: Gripper, corners: Corners) -> Iterator[Finding]:
     text = f"underside is said to be {1e3 * gripper.underside:.1f} mm, and is {1e3 * low:.1f} mm"
     yield Finding(low <= gripper.underside + _APERTURE, about, text)
     palm = corners.of([gripper.palm], gripper.at(0.0), arm.tool_frame, arm.tool_offset)
-    if len(palm) and gripper.palm not in gripper.fingers:  # of one jaw that moves, the palm may be the other
+    if len(palm) and gripper.palm not in gripper.fingers:  # if only one jaw moves, the palm may be the other jaw
         room = max(-float(palm[:, 0].max()), 0.0)
         text = f"depth is said to be {1e3 * gripper.depth:.1f} mm, with {1e3 * room:.1f} mm before its palm"
         yield Finding(gripper.depth <= room + _APERTURE, about, text)
 
 
 def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
-    """Check that named postures don't make the robot touch itself."""
+    """Check that the robot doesn't touch itself in named postures."""
     for name in arm.poses:
         with robot.world.lock, CollisionChecker(robot, arm.joints) as checker:
             (candidate,) = checker.predict([arm.posture(name)])
@@ -139,9 +134,9 @@ def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
 
 
 def _head(robot: Object, description: RobotDescription) -> Finding:
-    """Check that the camera can be turned to a point before the robot."""
+    """Check that the camera can be turned to a point in front of the robot."""
     camera = description.camera
-    assert camera is not None  # noqa: S101  as the caller knows
+    assert camera is not None  # noqa: S101  the caller checks it
     joints = description.head.joints if description.head else ()
     now = robot.get_joint_positions()
     frame = camera.pose(robot.urdf.forward_kinematics(now, camera.frame))
@@ -154,7 +149,7 @@ def _head(robot: Object, description: RobotDescription) -> Finding:
 
 
 def _stillness(robot: Object) -> Finding:
-    """Check that nothing moves in two seconds with parked arms, without a floor that holds it."""
+    """Check that no joint moves in two seconds of simulation with parked arms, without a floor."""
     if robot.description is not None:
         for arm in robot.description.arms.values():
             robot.set_joint_positions(arm.posture("park") if "park" in arm.poses else {})
@@ -172,13 +167,13 @@ def _stillness(robot: Object) -> Finding:
 
 
 def chain_of(robot: Object, arm: Arm) -> Chain:
-    """Return the kinematics of an arm as the robot stands."""
+    """Return the kinematics of an arm for the robot's present joint positions."""
     now = robot.get_joint_positions()
     return Chain(robot.urdf, arm.base_link, arm.tool_frame, arm.joints, now, arm.tool_offset)
 
 
 def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
-    """Return pairs of links that overlap in all postures of an arm that are looked at: their shapes do, not they."""
+    """Return pairs of links that overlap in all sampled postures of an arm: their shapes are too large."""
     chain = chain_of(robot, arm)
     postures = [dict(zip(arm.joints, row, strict=True)) for row in spread(chain, 0, _SAMPLED).tolist()]
     with CollisionChecker(robot, arm.joints) as checker:
@@ -190,7 +185,7 @@ def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
 
 
 def parked(robot: Object, arm: Arm) -> list[float]:
-    """Return a compact posture in which the robot doesn't touch itself; its other arms are where they are."""
+    """Return a compact posture of an arm in which the robot doesn't touch itself; other arms don't move."""
     chain = chain_of(robot, arm)
     postures = chain.limited(spread(chain, 0, _TRIED))
     root = geometry.pose_matrix(robot.urdf.forward_kinematics(robot.get_joint_positions(), arm.base_link))

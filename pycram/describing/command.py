@@ -1,4 +1,4 @@
-"""``pycram describe``: writes a first description to stdout, or checks one; of furniture, what is found in it."""
+"""``pycram describe``: print a first description of a robot, check a description, or print the furniture of a URDF."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from recorder.urdf import Urdf
 
 _FINE, _FAILED, _WRONG_USAGE = 0, 1, 2  # exit codes
-_IN_A_ROW: Final = 2  # movable joints of furniture: a drawer behind a door
+_IN_A_ROW: Final = 2  # maximum number of successive movable joints of furniture: a drawer behind a door
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit code: 0 if all is well, 1 if a check failed, 2 for wrong usage."""
+    """Run the command and return its exit code: 0 for success, 1 if a check failed, 2 for wrong usage."""
     if options.file is None and options.check is None:
         return _refused("it takes a URDF, or --check with a description")
     try:
@@ -82,7 +82,7 @@ def _check(description: RobotDescription, options: argparse.Namespace) -> int:
 
 
 def _loaded(description: RobotDescription, urdf: str, world: BulletWorld) -> Object:
-    """Load a robot high above the ground, where nothing holds it; its arms are parked."""
+    """Load a robot above the ground, where it touches nothing, with parked arms."""
     robot = Object(description.robot, "robot", urdf, [0.0, 0.0, 1.0], world=world, description=description)
     for arm in description.arms.values():
         if "park" in arm.poses:
@@ -101,7 +101,7 @@ def _draw(body: Object, file: Path) -> None:
 
 
 def _urdf_of(description: RobotDescription) -> str | None:
-    """Return the URDF in the box of a robot with that name."""
+    """Return the bundled URDF of a description's robot; None if there is none."""
     for name in ROBOT_URDFS:
         if description.robot in (Path(name).stem, f"{Path(name).stem}_with_gripper"):
             return name
@@ -114,13 +114,10 @@ def _refused(reason: str) -> int:
 
 
 def describe_robot(urdf: str | Path) -> str:
-    """Return a first description of the robot with a URDF.
-
-    Args:
-        urdf: a file, or the name of a robot in the box.
+    """Return a first description, as TOML, of the robot with a URDF: a file, or the name of a bundled robot.
 
     Raises:
-        AssetError: it can't be loaded.
+        AssetError: The URDF can't be loaded.
     """
     model = load.load(urdf)
     found = guess(model)
@@ -142,7 +139,7 @@ def describe_robot(urdf: str | Path) -> str:
 
 
 def is_furniture(model: Model) -> bool:
-    """Whether a model is furniture: something can stand on or in it, and it has neither arms, legs nor wheels."""
+    """Return whether a model has surfaces, and neither arms, legs nor wheels."""
     found, tree = guess(model), model.urdf
     in_a_row = max(sum(joint.movable for joint in tree.chain(tree.root, link)) for link in tree.links)
     has_arms = bool(found.arms) or in_a_row > _IN_A_ROW
@@ -150,14 +147,10 @@ def is_furniture(model: Model) -> bool:
 
 
 def describe_furniture(model: Model, urdf: str | Path) -> str:
-    """Return the TOML of furniture: what is found, with the corrections that it has.
-
-    Args:
-        model: the furniture.
-        urdf: its file.
+    """Return the TOML of found furniture with its corrections.
 
     Raises:
-        AssetError: its corrections don't fit.
+        AssetError: The corrections don't fit.
     """
     tree = model.urdf
     found, now = find_furniture(model.path, tree), furniture_of(model)
@@ -184,7 +177,7 @@ def _count(things: Sized, name: str) -> str:
 
 
 def _tables(kind: str, found: list[str], said: Mapping[str, Any], now: Mapping[str, str]) -> Iterator[str]:
-    """Yield the tables of all that was found or added, each with what is known of it and what is said of it."""
+    """Yield the tables of all found or added things, each with a comment that describes it and its corrections."""
     for key in dict.fromkeys([*found, *said]):
         entries = said.get(key, {})
         about = now.get(entries.get("name", key), "removed")
@@ -207,7 +200,6 @@ def _of_container(container: Container, tree: Urdf) -> str:
 
 
 def _value(value: object) -> str:
-    """Return a value as TOML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

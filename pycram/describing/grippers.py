@@ -1,4 +1,4 @@
-"""Grippers, guessed from the collision shapes of a hand: where its fingers are in the tool frame, open and closed."""
+"""Guesses of grippers from the collision shapes of hands: positions of the fingers in the tool frame."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_PADS: Final = 0.02  # m behind the finger tips in which they take hold
 TIPS: Final = 0.015
-"""m that the tool frame is behind the finger tips."""
-_NEAR_TIP: Final = 0.02  # m behind the tips up to which a link is one that takes hold
+"""Distance from the tool frame to the finger tips, m."""
+_PADS: Final = 0.02  # m, length of the pads, from the finger tips back
+_NEAR_TIP: Final = 0.02  # m, maximum distance of a link that grasps from the finger tips
 _MAX_DEPTH: Final = 0.03  # m
-_PALM_CLEARANCE: Final = 0.003  # m that an object keeps from the palm
-_PADDING: Final = 1e-3  # m by which the engine makes shapes thicker
-_STRAIGHT: Final = math.cos(math.radians(10))  # of an axis that is taken to be one of the link's
+_PALM_CLEARANCE: Final = 0.003  # m, between a grasped object and the palm
+_PADDING: Final = 1e-3  # m, by which the engine thickens shapes
+_STRAIGHT: Final = math.cos(math.radians(10))  # minimum component of an axis that counts as an axis of the link
 _SIDES: Final = 2
-_PHALANGES: Final = 2  # joints of a finger that closes as one; those with more curl
-_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # of the way to the limits, as which fingers may be open
+_PHALANGES: Final = 2  # maximum number of joints of a finger that doesn't curl
+_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # candidates for open fingers, as shares of the range to the limits
 
 
 @dataclass(frozen=True, slots=True)
 class Jaws:
-    """Where two sides of fingers are in a frame whose x points out of the hand and along whose y they close."""
+    """Positions of two sides of fingers, m, in a frame whose x points out of the hand; the fingers close along y."""
 
-    left: float  # y of the inner face of those on the +y side, m
-    right: float  # y of the inner face of those on the other side, m
-    tip: float  # x of the farthest finger tip, m
-    low: float  # lowest z of the fingers, m
-    high: float  # highest z of the fingers, m
+    left: float  # y of the inner faces on the +y side
+    right: float  # y of the inner faces on the -y side
+    tip: float  # x of the farthest finger tip
+    low: float  # lowest z of the fingers
+    high: float  # highest z of the fingers
 
     @property
     def gap(self) -> float:
-        """How far they are apart, m."""
+        """Distance between the sides, m."""
         return self.left - self.right
 
 
@@ -71,10 +71,10 @@ class Corners:
         """Return corners (n, 3) of links in a frame.
 
         Args:
-            links: their names; those without a shape have no corners.
-            positions: joint values by name, rad or m; 0 for others.
-            base: the link that the frame is in.
-            offset: its pose there.
+            links: Names of links; a link without shapes has no corners.
+            positions: Joint positions by name, rad or m; other joints are at 0.
+            base: The link in which the frame is given.
+            offset: Pose of the frame in that link.
         """
         frame = geometry.invert(geometry.multiply(self._urdf.forward_kinematics(positions, base), offset))
         found = [np.zeros((0, 3))]
@@ -85,10 +85,10 @@ class Corners:
         return np.vstack(found)
 
     def jaws(self, fingers: Iterable[str], positions: Mapping[str, float], base: str, offset: Pose) -> Jaws | None:
-        """Return where fingers are in a frame; None if they aren't on two sides of it. Arguments as for :meth:`of`."""
+        """Return the positions of fingers in a frame; None if they aren't on two sides. Arguments as for :meth:`of`."""
         found = [corners for finger in fingers if len(corners := self.of([finger], positions, base, offset))]
         tips = [corners[corners[:, 0] >= corners[:, 0].max() - _PADS] for corners in found]
-        for seen in (found, tips):  # a jaw that stands still may be part of a palm: its tip is on one side
+        for seen in (found, tips):  # a fixed jaw may be part of the palm: then only its tip is on one side
             sides: tuple[list[Array], list[Array]] = ([], [])
             for corners, part in zip(found, seen, strict=True):
                 sides[float(part[:, 1].mean()) < 0.0].append(corners)
@@ -108,21 +108,21 @@ class Corners:
 
 @dataclass(frozen=True, slots=True)
 class HandGuess:
-    """A gripper, as far as it can be guessed from its shapes."""
+    """The parts of a gripper's description that can be guessed from its shapes."""
 
-    palm: str  # the link that the fingers hang on, in which the tool frame is given
-    offset: Pose  # the tool frame's pose in it
-    fingers: tuple[str, ...]  # links that take hold
-    closed: Mapping[str, float]  # values of its joints when closed
-    open: Mapping[str, float]  # their values when open, in the same order
+    palm: str  # parent link of the fingers
+    offset: Pose  # pose of the tool frame in the palm
+    fingers: tuple[str, ...]  # links that grasp
+    closed: Mapping[str, float]  # joint positions when closed, rad or m
+    open: Mapping[str, float]  # joint positions when open, in the same order
     aperture: float  # m between the fingers when open
-    gap: float  # m between them when closed
+    gap: float  # m between the fingers when closed
     depth: float  # m from the tool frame back to the palm
     underside: float  # m from the tool frame down to the lowest point
 
 
 def guess_hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | str:
-    """Return the gripper of an arm, or why there is none that closes from two sides."""
+    """Return the gripper of an arm, or why no gripper that closes from two sides was recognised."""
     if not arm.fingers:
         return "nothing that moves hangs on it"
     ends = [joint for joint in arm.fingers if not tree.below(joint)]
@@ -143,7 +143,7 @@ def guess_hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | str:
 
 
 def _fingers(tree: Tree, tips: Sequence[tuple[str, list[Joint]]], corners: Corners) -> HandGuess | None:
-    """Return a gripper of two fingers and more, all of which move; None if they don't close from two sides."""
+    """Return a gripper whose two or more fingers all move; None if they don't close from two sides."""
     joints = list({joint.name: joint for _, moving in tips for joint in moving}.values())
     palm = joints[0].parent
     links = [link for link, _ in tips]
@@ -161,13 +161,13 @@ def _fingers(tree: Tree, tips: Sequence[tuple[str, list[Joint]]], corners: Corne
 
 
 def _openings(closed: Mapping[str, float], widest: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
-    """Yield values of open joints, the widest first: fingers that turn far don't close along one way from there."""
+    """Yield candidates for open positions, from wide to narrow: fingers that turn far don't close along a line."""
     for share in _SHARES:
         yield {name: value + share * (widest[name] - value) for name, value in closed.items()}
 
 
 def _one_jaw(tree: Tree, corners: Corners, jaw: str, joint: Joint) -> HandGuess | None:
-    """Return a gripper of which one jaw turns or slides towards another that stands still; None if it doesn't."""
+    """Return a gripper with one moving and one fixed jaw; None if the jaw doesn't close against a link."""
     palm = joint.parent
     still = [link for link in tree.urdf.links if link in corners and tree.moved_by(link) is tree.moved_by(palm)]
     if not still:
@@ -206,7 +206,7 @@ def _fitted(
     links: Sequence[str],
     ends: tuple[Mapping[str, float], Mapping[str, float]],
 ) -> HandGuess | None:
-    """Return the gripper that closes around a place between its fingers, in the palm; None if it doesn't."""
+    """Return the gripper whose fingers close around a position (and axes) in the palm; None if they don't."""
     (x, y, z), axes = between
     frame: Pose = ((float(x), float(y), float(z)), axes)
     shut, wide = (corners.jaws(links, positions, palm, frame) for positions in ends)
@@ -217,7 +217,7 @@ def _fitted(
 
 
 def _gripper(hand: HandGuess) -> Gripper:
-    """Return a gripper as its description would say it is."""
+    """Return the gripper that a description with the guessed values would give."""
     return Gripper(
         palm=hand.palm,
         joints=tuple(hand.closed),
@@ -235,7 +235,7 @@ def _gripper(hand: HandGuess) -> Gripper:
 def _ends(
     tree: Tree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[Joint]]]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return values of joints when closed and when open: a finger is open where it is far from the others."""
+    """Return joint positions when closed and when open: an open finger is far from the others."""
     joints = {joint.name: joint for _, moving in tips for joint in moving}
     middles = {name: sum(limits(joint)) / 2 for name, joint in joints.items()}
     closed: dict[str, float] = {}
@@ -283,20 +283,20 @@ def _measured(
         closed=closed,
         open=opened,
         aperture=max(gaps[1] - 2 * _PADDING, 1e-3),
-        gap=max(gaps[0] - _PADDING, 0.0),  # with the engine's padding, thicker things are pressed
+        gap=max(gaps[0] - _PADDING, 0.0),  # thicker objects are pressed, due to the engine's padding
         depth=min(max(-front - _PALM_CLEARANCE, 0.0), _MAX_DEPTH),
         underside=float(-every[:, 2].min()) + 2 * _PADDING,
     )
 
 
 def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence[Array]) -> Quaternion | None:
-    """Return the orientation in the palm of a frame whose x points out of the hand, along whose y the fingers close.
+    """Return the orientation of the tool frame in the palm: x points out of the hand, the fingers close along y.
 
     Args:
-        corners: of the robot.
-        palm: the link.
-        closed: middles of the fingers in it when closed, m.
-        opened: the same when open.
+        corners: Corners of the robot.
+        palm: The palm's link.
+        closed: Middles of the closed fingers in the palm, m.
+        opened: Middles of the open fingers in the palm, m.
     """
     ways = [b - a for a, b in zip(closed, opened, strict=True)]
     apart = np.sum([way if way @ ways[0] >= 0 else -way for way in ways], axis=0)
@@ -307,7 +307,7 @@ def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence
 
 
 def _frame(out: Array, apart: Array) -> Quaternion | None:
-    """Return the orientation of a frame whose x points out of a hand, with y where its fingers part; None without."""
+    """Return the orientation of a frame with x along ``out`` and y along ``apart``; None if either is too short."""
     if np.linalg.norm(apart) < _PADDING:
         return None
     y = _straightened(apart / np.linalg.norm(apart))
@@ -321,7 +321,7 @@ def _frame(out: Array, apart: Array) -> Quaternion | None:
 
 
 def _straightened(axis: Array) -> Array:
-    """Return an axis of the link if a unit vector nearly is one."""
+    """Return the axis of the link that a unit vector nearly is, or the vector."""
     largest = int(np.abs(axis).argmax())
     if abs(axis[largest]) < _STRAIGHT:
         return axis

@@ -1,6 +1,6 @@
-"""A first description of a robot, guessed from its URDF alone, as TOML with comments where a person has to look.
+"""A first description of a robot, guessed from its URDF, as TOML with comments for the person who reviews it.
 
-What no URDF says, such as fields of view, gets usual values and says so.
+Values that no URDF contains, such as fields of view, are usual values, with a comment that says so.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.urdf import Joint
 
-_WIDTH: Final = 110  # letters a line
+_WIDTH: Final = 110  # characters per line
 _DIGITS: Final = 4
-#: For cameras: what URDFs don't tell.
 _USUAL: Final = """horizontal_fov = 1.2  # usual values: no URDF tells
 vertical_fov = 0.96
 width = 640
@@ -38,19 +37,18 @@ _OPTICAL_OFFSET: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """What was found in a URDF."""
+    """The parts of a robot that were recognised in its URDF."""
 
-    model: Model  # the robot's
-    arms: Sequence[tuple[ArmChain, HandGuess | str]]
-    """Its arms, with what is at their ends, or why no gripper was recognised there."""
+    model: Model
+    arms: Sequence[tuple[ArmChain, HandGuess | str]]  # with the gripper, or why none was recognised
     torso: Joint | None  # the joint that lifts the arms
-    camera: str  # the link of a camera, "" for none
-    head: Mapping[str, str]  # its joints
-    drives: bool  # whether its base does
+    camera: str  # the link of a camera; "" for none
+    head: Mapping[str, str]  # the joints "pan" and "tilt"
+    drives: bool  # whether the base can drive
 
 
 def guess(model: Model) -> Guess:
-    """Return what can be recognised of a robot."""
+    """Return the parts of a robot that can be recognised."""
     tree = Tree(model.urdf)
     corners = Corners(model)
     arms = tree.arms()
@@ -73,9 +71,9 @@ def as_toml(
     """Return the TOML of a guess.
 
     Args:
-        guess: what was found.
-        postures: for arms by name, where they are parked.
-        may_touch: pairs of links that may.
+        guess: The recognised parts.
+        postures: Joint positions of parked arms, by the arm's name.
+        may_touch: Pairs of links that may overlap.
     """
     urdf = guess.model.urdf
     lines = [
@@ -143,12 +141,12 @@ def _offset(offset: Pose) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return a text as TOML."""
-    return json.dumps(text, ensure_ascii=False)  # TOML's basic strings are JSON's
+    """Return a text as a TOML string."""
+    return json.dumps(text, ensure_ascii=False)  # TOML's basic strings are JSON strings
 
 
 def _number(value: float) -> str:
-    """Return a number, cut towards zero: limits of joints stay limits."""
+    """Return a number rounded towards zero, so that a joint limit isn't exceeded."""
     scale = 10**_DIGITS
     return f"{math.trunc(value * scale + math.copysign(1e-9 * scale, value)) / scale + 0.0:g}"
 
@@ -162,6 +160,6 @@ def _list(names: Iterable[str]) -> str:
 
 
 def _listed(key: str, names: Sequence[str]) -> list[str]:
-    """Return the lines of a list of names, several where it is long."""
+    """Return the lines of a list of names: one line, or several if the list is long."""
     line = f"{key} = {_list(names)}"
     return [line] if len(line) <= _WIDTH else [f"{key} = [", *(f"    {quoted(name)}," for name in names), "]"]

@@ -1,4 +1,4 @@
-"""A picture of a robot, parked, with its tool frames as three small axes; or of furniture with its surfaces."""
+"""A picture of a parked robot, with the axes of its tool frames, or of furniture with its surfaces."""
 
 from __future__ import annotations
 
@@ -29,29 +29,29 @@ with needed():
 
 _SIZE: Final = (800, 600)  # pixels
 _AWAY: Final = (1.0, 0.7, 0.45)  # direction from the robot to the viewpoint
-_ABOVE: Final = (-0.45, -0.5, 1.0)  # the same of furniture: into a room with walls, and into its fronts
-_MARGIN: Final = 1.1  # times the distance from which the robot fills the picture
+_ABOVE: Final = (-0.45, -0.5, 1.0)  # direction from furniture to the viewpoint, which sees over walls and into fronts
+_MARGIN: Final = 1.1  # factor on the distance from which the robot fills the picture
 _OVERSAMPLING: Final = 2
-_FIELD: Final = math.tan(math.radians(25))  # of half the horizontal field of view
+_FIELD: Final = math.tan(math.radians(25))  # tangent of half the horizontal field of view
 _AXIS: Final = 0.12  # m, length of a tool frame's axes
 _COLORS: Final = ("#e03030", "#30a030", "#3060e0")  # x, y, z
-_OPEN: Final = (48, 160, 48)  # RGB of surfaces that are in nothing
-_INSIDE: Final = {DRAWER: (230, 120, 20), DOOR: (48, 96, 224)}  # of those in a container, by its kind
-_FILLED: Final = 110  # of 255, how much of a surface's own colour covers what is behind it
+_OPEN: Final = (48, 160, 48)  # RGB of surfaces outside of containers
+_INSIDE: Final = {DRAWER: (230, 120, 20), DOOR: (48, 96, 224)}  # RGB of surfaces in containers
+_FILLED: Final = 110  # opacity of surfaces, of 255
 
 
 def draw(body: Object, file: Path) -> None:
-    """Write a picture of a robot or of furniture as it stands; the suffix of the file says in which format.
+    """Write a picture of a robot or of furniture; the suffix of the file determines the format.
 
-    Surfaces are shown through what hides them: green if they are open, orange in drawers, blue behind doors.
+    Surfaces are drawn over the parts that hide them: green if open, orange in drawers, blue behind doors.
 
     Raises:
-        OSError: the file can't be written.
-        ValueError: its suffix is no picture's.
+        OSError: The file can't be written.
+        ValueError: The suffix isn't an image format's.
     """
     low, high = (np.array(corner) for corner in body.get_AABB())
     surfaces = {surface: _corners(body, surface) for surface in body.surfaces.values()}
-    if surfaces:  # a kitchen's walls are not what is to be seen
+    if surfaces:  # leave out the walls of a kitchen
         corners = np.array([*itertools.chain(*surfaces.values())])
         low[:2], high[:2] = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
         high[2] = corners[:, 2].max()
@@ -75,7 +75,7 @@ def draw(body: Object, file: Path) -> None:
 
 
 def _camera(points: NDArray[np.float64], middle: NDArray[np.float64], away: Vector) -> Camera:
-    """Return a camera that looks at a point and sees points (n, 3) in the world, from a direction."""
+    """Return a camera in the direction ``away`` from the middle, from which all points (n, 3) are visible."""
     height = _FIELD * _SIZE[1] / _SIZE[0]
     turn = geometry.look_at(away, (0.0, 0.0, 0.0))
     right, down, ahead = ((points - middle) @ geometry.to_matrix(turn)).T
@@ -85,19 +85,18 @@ def _camera(points: NDArray[np.float64], middle: NDArray[np.float64], away: Vect
 
 
 def _corners(body: Object, surface: Surface) -> list[Vector]:
-    """Return the corners of a surface in the world."""
     pose = body.surface_pose(surface)
     return [geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline]
 
 
 def _flat(camera: Camera, points: Sequence[Vector]) -> list[list[float]]:
-    """Return where points in the world are in the picture, pixels."""
+    """Return the pixels of points in the world."""
     seen = camera.to_frame(np.array(points))
     flat: list[list[float]] = ((seen[:, :2] / seen[:, 2:] / [camera.right, camera.down] + 1) / 2 * _SIZE).tolist()
     return flat
 
 
 def _axes(robot: Object, arm: Arm) -> list[Vector]:
-    """Return the origin of an arm's tool frame, and the ends of its axes."""
+    """Return the origin and the ends of the axes of an arm's tool frame."""
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
     return [tool[0], *(geometry.transform(tool, [_AXIS * (i == axis) for i in range(3)]) for axis in range(3))]
