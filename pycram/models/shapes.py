@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar, overload
 
 import numpy as np
 
@@ -25,14 +25,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-    from scipy import spatial
 
     from recorder.urdf import Shape
 
     Array = NDArray[np.float64]
-else:
-    with needed():
-        spatial = LazyModule("scipy.spatial")
 
 T = TypeVar("T")
 Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"
@@ -337,6 +333,7 @@ def convex_hull(corners: Array) -> Hull | None:
     if _MAX_CHOSEN < len(corners) <= _MAX_CHOSEN * _SHARED:
         corners = np.unique(corners, axis=0)
     if len(corners) > _MAX_CHOSEN:
+        spatial = _spatial()
         try:
             hull = spatial.ConvexHull(corners)
         except spatial.QhullError:  # flat
@@ -355,6 +352,13 @@ def convex_hull(corners: Array) -> Hull | None:
         return None
     every = np.column_stack([normals, offsets])
     return Hull(corners, np.concatenate([every[outwards], -every[inwards]]))
+
+
+@cache
+def _spatial() -> Any:
+    """Return scipy.spatial, which pictures of recordings don't need."""
+    with needed():
+        return LazyModule("scipy.spatial")
 
 
 @cache
