@@ -78,7 +78,7 @@ def _reach(robot: Object, arm: Arm) -> Finding:
     return Finding(
         reached >= _ENOUGH * _POSES,
         f"{arm.name} arm, reach",
-        f"{reached} of {_POSES} poses of its tool are found again, up to {far:.2f} m from {arm.base_link}",
+        f"{reached} of {_POSES} poses of its tool are reached, up to {far:.2f} m from {arm.base_link}",
     )
 
 
@@ -94,14 +94,14 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
     wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # y of the middle between jaws that close unevenly
     middle = max(abs((jaws.left + jaws.right) / 2 - y) for jaws, y in ((opened, wide), (closed, 0.0)))
     yield Finding(
-        middle <= _CENTRED, about, f"the middle between its fingers is {1e3 * middle:.1f} mm beside the tool frame"
+        middle <= _CENTRED, about, f"the middle between its fingers is {1e3 * middle:.1f} mm from the tool frame"
     )
     for name, said, measured in (
         ("aperture", gripper.aperture, opened.gap),
         ("gap", gripper.gap, max(closed.gap, 0.0)),
         ("tips", gripper.tips, closed.tip),
     ):
-        text = f"{name} is said to be {1e3 * said:.1f} mm, and is {1e3 * measured:.1f} mm"
+        text = f"{name} is described as {1e3 * said:.1f} mm, measured {1e3 * measured:.1f} mm"
         yield Finding(abs(said - measured) <= _APERTURE, about, text)
     yield from _hull(arm, gripper, corners)
 
@@ -112,12 +112,12 @@ def _hull(arm: Arm, gripper: Gripper, corners: Corners) -> Iterator[Finding]:
     links = (gripper.palm, *gripper.fingers)
     hand = np.vstack([corners.of(links, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0)])
     low = float(-hand[:, 2].min())
-    text = f"underside is said to be {1e3 * gripper.underside:.1f} mm, and is {1e3 * low:.1f} mm"
+    text = f"underside is described as {1e3 * gripper.underside:.1f} mm, measured {1e3 * low:.1f} mm"
     yield Finding(low <= gripper.underside + _APERTURE, about, text)
     palm = corners.of([gripper.palm], gripper.at(0.0), arm.tool_frame, arm.tool_offset)
     if len(palm) and gripper.palm not in gripper.fingers:  # if only one jaw moves, the palm may be the other jaw
         room = max(-float(palm[:, 0].max()), 0.0)
-        text = f"depth is said to be {1e3 * gripper.depth:.1f} mm, with {1e3 * room:.1f} mm before its palm"
+        text = f"depth is described as {1e3 * gripper.depth:.1f} mm, with {1e3 * room:.1f} mm in front of the palm"
         yield Finding(gripper.depth <= room + _APERTURE, about, text)
 
 
@@ -128,7 +128,8 @@ def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
             (candidate,) = checker.predict([arm.posture(name)])
             pairs = checker.self_collisions(candidate)
         text = (
-            "; ".join(f"{pair.link} would be in {pair.body_link}" for pair in pairs) or "the robot doesn't touch itself"
+            "; ".join(f"{pair.link} would penetrate {pair.body_link}" for pair in pairs)
+            or "the robot doesn't touch itself"
         )
         yield Finding(not pairs, f"{arm.name} arm, {name}", text)
 
@@ -144,7 +145,7 @@ def _head(robot: Object, description: RobotDescription) -> Finding:
     _, (x, y, z) = pan_tilt.look(robot.urdf, joints, camera, point, now)
     angle = math.degrees(math.atan2(math.hypot(x, y), z))
     limit = math.degrees(min(camera.horizontal_fov, camera.vertical_fov)) / 2
-    text = f"it looks {angle:.1f} degrees past a point 1.5 m before it and 0.5 m below"
+    text = f"it looks {angle:.1f} degrees past a point 1.5 m in front of it and 0.5 m below"
     return Finding(angle <= (1.0 if len(joints) > 1 else limit), "camera", text)
 
 

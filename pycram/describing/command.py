@@ -35,7 +35,7 @@ _IN_A_ROW: Final = 2  # maximum number of successive movable joints of furniture
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit code: 0 for success, 1 if a check failed, 2 for wrong usage."""
     if options.file is None and options.check is None:
-        return _refused("it takes a URDF, or --check with a description")
+        return _refused("give a URDF, or --check with a description")
     try:
         if options.file and not options.check and is_furniture(model := load.load(options.file)):
             return _furniture(model, options)
@@ -68,7 +68,7 @@ def _furniture(model: Model, options: argparse.Namespace) -> int:
 def _check(description: RobotDescription, options: argparse.Namespace) -> int:
     urdf = options.file or _urdf_of(description)
     if urdf is None:
-        return _refused(f"{options.check} describes {description.robot}, which isn't in the box: name its URDF, too")
+        return _refused(f"{options.check} describes {description.robot}, which isn't bundled: give its URDF, too")
     with BulletWorld() as world:
         robot = _loaded(description, urdf, world)
         failed = 0
@@ -163,7 +163,7 @@ def describe_furniture(model: Model, urdf: str | Path) -> str:
     file = f"{Path(urdf).stem}{SUFFIX}"
     lines = [
         f"# {tree.name}: {_count(surfaces, 'surface')}, {_count(containers, 'container')}; written by pycram describe.",
-        f"# To name or correct them, save this beside the URDF as {file}. Metres, radians.",
+        f"# To name or correct them, save this next to the URDF as {file}. Metres, radians.",
         *_tables("surfaces", [*found.surfaces], said.get("surfaces", {}), surfaces),
         *_tables("containers", [*found.containers], said.get("containers", {}), containers),
     ]

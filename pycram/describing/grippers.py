@@ -124,19 +124,19 @@ class HandGuess:
 def guess_hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | str:
     """Return the gripper of an arm, or why no gripper that closes from two sides was recognised."""
     if not arm.fingers:
-        return "nothing that moves hangs on it"
+        return "no movable joint is below it"
     ends = [joint for joint in arm.fingers if not tree.below(joint)]
     tips = list(fingers_of(tree, arm, {link for link in tree.urdf.links if link in corners}))
     if any(len(moving) > _PHALANGES for _, moving in tips):
-        return f"{len(arm.fingers)} joints hang on it, in fingers that curl"
+        return f"{len(arm.fingers)} joints are below it, in fingers that curl"
     if len(tips) < min(len(ends), _SIDES):
         solid = {link for link, _ in tips}
         names = [joint.child for joint in ends if joint.child not in solid]
-        return f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} no collision shapes: nothing would be held"
+        return f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} no collision shapes to hold objects with"
     if len(tips) < _SIDES:
         ((jaw, (joint, *others)),) = tips
         hand = None if others else _one_jaw(tree, corners, jaw, joint)
-        return hand or f"by its collision shapes, {jaw} doesn't close against anything that stays still"
+        return hand or f"by its collision shapes, {jaw} doesn't close against a fixed link"
     return _fingers(tree, tips, corners) or (
         f"by their collision shapes, {', '.join(link for link, _ in tips)} don't close on one another from two sides"
     )

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 110  # characters per line
 _DIGITS: Final = 4
-_USUAL: Final = """horizontal_fov = 1.2  # usual values: no URDF tells
+_USUAL: Final = """horizontal_fov = 1.2  # usual values: URDFs have none
 vertical_fov = 0.96
 width = 640
 height = 480
 near = 0.05
 far = 10.0"""
 _OPTICAL_OFFSET: Final = (
-    "frame_offset = { rpy = [-1.5707963267948966, 0, -1.5707963267948966] }  # x looks ahead, z is up"
+    "frame_offset = { rpy = [-1.5707963267948966, 0, -1.5707963267948966] }  # x points forward, z up"
 )
 
 
@@ -77,21 +77,25 @@ def as_toml(
     """
     urdf = guess.model.urdf
     lines = [
-        "# Written by pycram describe: a first description, to be looked through. Metres, radians.",
+        "# Written by pycram describe: a first description, to be reviewed. Metres, radians.",
         f"robot = {quoted(urdf.name)}",
         f"base_link = {quoted(urdf.root)}",
         f"drives = {'true' if guess.drives else 'false'}",
     ]
     pairs = sorted(may_touch)
     if pairs:
-        lines += ["may_touch = [  # they overlap in every posture", *(f"    {_list(pair)}," for pair in pairs), "]"]
+        lines += [
+            "may_touch = [  # links that overlap in every posture",
+            *(f"    {_list(pair)}," for pair in pairs),
+            "]",
+        ]
     if guess.torso is not None:
         middle = (guess.torso.lower + guess.torso.upper) / 2
         lines += [
             "",
             "[torso]",
             f"joint = {quoted(guess.torso.name)}",
-            f"default = {_number(middle)}  # it is loaded with this",
+            f"default = {_number(middle)}  # position when loaded",
         ]
     if guess.camera:
         if guess.head:
@@ -103,7 +107,7 @@ def as_toml(
         lines += ["", "[camera]", f"frame = {quoted(guess.camera)}"]
         lines += [_USUAL] if "optical" in guess.camera.lower() else [_OPTICAL_OFFSET, _USUAL]
     if not guess.arms:
-        lines += ["", f"# no arms: nowhere do {ARM} joints follow one another that aren't a leg's or a head's"]
+        lines += ["", f"# no arms: no chain of {ARM} joints that isn't a leg or a head"]
     for arm, hand in guess.arms:
         lines += _arm(arm, hand, (postures or {}).get(arm.name))
     return "\n".join(lines) + "\n"
@@ -128,10 +132,10 @@ def _arm(arm: ArmChain, hand: HandGuess | str, park: Sequence[float] | None) -> 
     yield f"open = {_row(hand.open.values())}"
     yield f"aperture = {_number(hand.aperture)}  # between the finger tips when open"
     if hand.gap:
-        yield f"gap = {_number(hand.gap)}  # between them when closed"
-    yield f"depth = {_number(hand.depth)}  # from the tool frame back: what the fingers take in"
-    yield f"tips = {TIPS:g}  # from the tool frame on, closed"
-    yield f"underside = {_number(hand.underside)}  # below the tool frame when the gripper lies level"
+        yield f"gap = {_number(hand.gap)}  # between the finger tips when closed"
+    yield f"depth = {_number(hand.depth)}  # from the tool frame back, where an object fits"
+    yield f"tips = {TIPS:g}  # from the tool frame forward, closed"
+    yield f"underside = {_number(hand.underside)}  # below the tool frame when the gripper is level"
 
 
 def _offset(offset: Pose) -> str:

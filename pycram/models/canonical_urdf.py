@@ -85,7 +85,7 @@ def read(source: Path, content: str | bytes) -> ET.Element:
 def _expand_first(source: Path) -> AssetError:
     target = source.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
     target = target if target != source.name else f"expanded_{target}"
-    return AssetError(source, f"is xacro, from which a URDF has yet to be made: xacro {source.name} > {target}")
+    return AssetError(source, f"is a xacro file; make a URDF of it first: xacro {source.name} > {target}")
 
 
 def _unqualify(root: ET.Element) -> None:
@@ -123,7 +123,7 @@ def check_link(source: Path, link: ET.Element) -> None:
             for color in element.iter("color"):
                 rgba = _numbers(source, f"{where}, color", color, "rgba", 4)
                 if min(rgba) < 0 or max(rgba) > 1:
-                    raise AssetError(source, f"{where}: the colour {color.get('rgba')!r} isn't within 0 and 1")
+                    raise AssetError(source, f"{where}: the colour {color.get('rgba')!r} isn't between 0 and 1")
     inertial = link.find("inertial")
     if inertial is not None:
         _check_inertial(source, where, inertial)
@@ -135,7 +135,7 @@ def _check_shape(source: Path, where: str, geometry: ET.Element | None) -> None:
         raise AssetError(source, f"{where}: takes one shape in <geometry>, has {len(shapes) or 'none'}")
     shape = shapes[0]
     if shape.tag not in _SHAPES:
-        raise AssetError(source, f"{where}: <{shape.tag}> is none of {', '.join(_SHAPES)}")
+        raise AssetError(source, f"{where}: <{shape.tag}> isn't a shape; shapes are {', '.join(_SHAPES)}")
     for attribute, count in _SHAPES[shape.tag]:
         values = _numbers(source, f"{where}, {shape.tag}", shape, attribute, count)
         if min(values) <= 0:
@@ -175,7 +175,7 @@ def _numbers(source: Path, where: str, element: ET.Element, attribute: str, coun
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
         raise AssetError(source, f"{where}: {attribute} takes {wanted}, has {text!r}")
     if max(map(abs, values)) > LARGEST:
-        raise AssetError(source, f"{where}: {attribute} is {text!r}: numbers go up to {LARGEST:g}")
+        raise AssetError(source, f"{where}: {attribute} is {text!r}: the maximum is {LARGEST:g}")
     return values
 
 
@@ -305,16 +305,16 @@ def check_size(source: Path, tree: Urdf) -> None:
         AssetError: The robot has them.
     """
     for count, most, what in (
-        (len(tree.joints), _MAX_JOINTS, "joints, fixed ones included"),
+        (len(tree.joints), _MAX_JOINTS, "joints, including fixed joints"),
         (len(tree.movable), _MAX_MOVABLE, "movable joints"),
     ):
         if count > most:
-            raise AssetError(source, f"has {count} {what}: the physics engine takes {most}")
+            raise AssetError(source, f"has {count} {what}: the physics engine takes at most {most}")
     for name in (tree.name, *tree.links, *tree.joints):
         if len(name.encode()) > _MAX_NAME:
-            reason = f"has a name of {len(name.encode())} bytes, {name[:20]}...: the physics engine takes {_MAX_NAME}"
-            raise AssetError(source, reason)
+            reason = f"has a name of {len(name.encode())} bytes, {name[:20]}..."
+            raise AssetError(source, f"{reason}: the physics engine takes at most {_MAX_NAME}")
     for joint in tree.joints.values():
         at, _ = joint.origin
         if max(map(abs, at)) > LARGEST:
-            raise AssetError(source, f"joint {joint.name!r}: its origin is {at}: numbers go up to {LARGEST:g}")
+            raise AssetError(source, f"joint {joint.name!r}: its origin is {at}: the maximum is {LARGEST:g}")

@@ -139,12 +139,12 @@ def read(text: str, source: str | Path) -> Corrections:
     tables = parse_toml(text, source)
     for key in tables:
         if key not in ENTRIES:
-            raise AssetError(source, f"{key}: no such entry; it takes {' and '.join(ENTRIES)}")
+            raise AssetError(source, f"{key}: unknown entry; known entries are {' and '.join(ENTRIES)}")
     checked = {}
     for kind in ENTRIES:
         things = tables.get(kind, {})
         if not isinstance(things, dict):
-            raise AssetError(source, f"{kind}: takes tables, as [{kind}.island]")
+            raise AssetError(source, f"{kind}: takes tables, such as [{kind}.island]")
         checked[kind] = {name: _checked(source, kind, name, said) for name, said in things.items()}
     return Corrections(str(source), checked[_SURFACES], checked[_CONTAINERS])
 
@@ -155,9 +155,9 @@ def _checked(source: str | Path, kind: str, name: str, said: object) -> Mapping[
         raise AssetError(source, f"{where}: takes a table with a name, has {said!r}")
     for key in said:
         if key not in entries:
-            raise AssetError(source, f"{where}.{key}: no such entry; {suggestion(key, entries)}")
+            raise AssetError(source, f"{where}.{key}: unknown entry; {suggestion(key, entries)}")
     if "size" in said and "outline" in said:
-        raise AssetError(source, f"{where}: takes a size or an outline, has both")
+        raise AssetError(source, f"{where}: takes size or outline, not both")
     try:
         return MappingProxyType({key: entries[key](key, value) for key, value in said.items()})
     except BadArgument as error:
@@ -225,14 +225,16 @@ class _Correction:
             if key not in found and (needed or "remove" in entries):
                 hint = did_you_mean(key, found)
                 raise self._error(
-                    kind, key, f"nothing of that name was found{hint}; what is added takes {', '.join(_NEW[kind])}"
+                    kind,
+                    key,
+                    f"no {kind[:-1]} of that name was found{hint}; a new {kind[:-1]} takes {', '.join(_NEW[kind])}",
                 )
         every = {**found, **dict.fromkeys(key for key in said if key not in found)}
         return [(key, thing) for key, thing in every.items() if not said.get(key, {}).get("remove", False)]
 
     def _add(self, kind: str, things: dict[str, Any], thing: Surface | Container) -> None:
         if thing.name in things:
-            raise self._error(kind, thing.name, "two have that name")
+            raise self._error(kind, thing.name, f"two {kind} have that name")
         things[thing.name] = thing
 
     def _surface(self, said: Mapping[str, Any], found: Surface | None, name: str, container: str) -> Surface:
@@ -262,9 +264,7 @@ class _Correction:
         wide = said.get("open", found.open if found and same else open_position(joint))
         for key, value in (("closed", closed), ("open", wide)):
             if not joint.lower <= value <= joint.upper or not math.isfinite(value):
-                reason = (
-                    f"{key} is {value:g}, not within the limits of {joint.name}, {joint.lower:g} to {joint.upper:g}"
-                )
+                reason = f"{key} is {value:g}, outside the limits of {joint.name}, {joint.lower:g} to {joint.upper:g}"
                 raise self._error(_CONTAINERS, name, reason)
         kind = said.get("kind") or (found.kind if found else "")
         handle = said.get("handle", found.handle if found and same else "")

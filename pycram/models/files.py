@@ -124,7 +124,7 @@ def find(path: str | Path) -> Path:
         if shipped.is_file():
             return shipped
     known = sorted(file.name for kind in ("*.urdf", "*.stl") for file in resources().glob(kind))
-    raise AssetError(path, f"no such file; PyCRAM's own are {', '.join([*ROBOT_URDFS, *known])}")
+    raise AssetError(path, f"no such file; PyCRAM's own files are {', '.join([*ROBOT_URDFS, *known])}")
 
 
 def _robot_urdf(name: str) -> Path:
@@ -216,9 +216,9 @@ def _in_package(source: Path, name: str, packages: Sequence[Path]) -> Path:
             found = folder
     if found is not None:
         raise AssetError(source, f"its mesh {name} doesn't exist: the package is {found}, which has no {path}")
-    ways = f"Object(..., packages=[FOLDER]), or the environment's {_VARIABLE} or {_ROS_VARIABLE}"
+    ways = f"Object(..., packages=[FOLDER]), or in the environment variable {_VARIABLE} or {_ROS_VARIABLE}"
     raise AssetError(
-        source, f"its mesh {name} doesn't exist: no package {package!r} is known; name its folder by {ways}"
+        source, f"its mesh {name} doesn't exist: no package {package!r} is known; give its folder in {ways}"
     )
 
 

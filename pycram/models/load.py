@@ -259,7 +259,7 @@ def _file(key: str, content: bytes) -> AssetFile:
         asset = corrections.asset(name, content)
     forbidden = name in _RESERVED or not name.isprintable() or len(os.fsencode(name)) > _MAX_NAME
     if asset.key != key or forbidden or "/" in name or "\\" in _ESCAPE.sub("", name):
-        raise AssetError(key, "is not the file that its name says")
+        raise AssetError(key, "doesn't match its name")
     return asset
 
 
@@ -268,14 +268,14 @@ def _tree(path: Path, key: str, meshes: frozenset[str]) -> Urdf:
     """Check a stored URDF that a recording contained, and return its tree."""
     content = path.read_bytes()
     if not content.startswith(_START):
-        raise AssetError(key, "is no URDF as recordings have them: these begin with <robot")
+        raise AssetError(key, "isn't a recorded URDF, which starts with <robot")
     if max(map(len, content.splitlines())) > _MAX_LINE:
         raise AssetError(key, f"has a line of more than {_MAX_LINE} bytes, which canonical URDF doesn't have")
     canonical_urdf.read(path, content)
     for element in ET.fromstring(content).iter():  # noqa: S314  no entities; the engine reads more elements than URDF's
         named = element.get("filename")
         if element.tag == "texture" or (named is not None and named not in meshes):
-            raise AssetError(key, f"names the file {named!r}, which isn't one of the recording's for this body")
+            raise AssetError(key, f"names the file {named!r}, which the recording doesn't contain for this body")
     tree = parse_urdf(content, key)
     canonical_urdf.check_size(path, tree)
     return tree

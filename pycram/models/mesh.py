@@ -111,7 +111,7 @@ def _obj_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterato
     vertices, faces = _read_faces(content)
     if cover is None and b"mtl" not in content and all(len(corners) == 3 for corners in faces):
         if any(len(numbers) < 3 for numbers in vertices):
-            raise ValueError("a vertex has less than three numbers")
+            raise ValueError("a vertex has fewer than three numbers")
         table = np.array(vertices).astype(np.float64).reshape(-1, 3)
         yield ColoredPart(table[np.array(faces, dtype=np.intp).reshape(-1, 3)], None)
         return
@@ -156,7 +156,7 @@ def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
                 for place, (number, count) in enumerate(zip(word.split(b"/"), known.values(), strict=False)):
                     at = int(number or 1) if number[:1] != b"-" else count + 1 + int(number)
                     if number and not 0 < at <= count:
-                        raise ValueError(f"the face {line.decode(errors='replace')!r} has a corner that isn't there")
+                        raise ValueError(f"the face {line.decode(errors='replace')!r} has a corner that doesn't exist")
                     if not place:
                         corners.append(at - 1)
             faces.append(corners)
@@ -351,7 +351,7 @@ def _is_ascii(content: bytes) -> bool:
 
 def _check_binary_stl(file: Path, content: bytes) -> None:
     if len(content) < _STL_HEADER:
-        raise AssetError(file, f"is no STL: {len(content)} bytes are less than its header")
+        raise AssetError(file, f"isn't an STL: {len(content)} bytes are less than the header")
     faces = struct.unpack("<I", content[80:84])[0]
     wanted = _STL_HEADER + faces * _STL_FACE.itemsize
     if faces == 0:

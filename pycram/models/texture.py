@@ -47,7 +47,7 @@ class MissingTexture(UserWarning):
 @cache
 def warn_of_missing(file: Path, name: str) -> None:
     """Warn, once per process, that the texture that a file names doesn't exist, as in many published models."""
-    text = f"{file}: its texture {name} doesn't exist; what it should cover is shown without"
+    text = f"{file}: its texture {name} doesn't exist; shapes are shown without it"
     warnings.warn_explicit(text, MissingTexture, *call_site())
 
 

@@ -108,11 +108,11 @@ class RobotDescription:
             for name, values in self._values().items():
                 joint = urdf.joint(name)
                 if not joint.movable:
-                    raise AssetError(self.source, f"moves {name}, which is fixed")
+                    raise AssetError(self.source, f"moves the fixed joint {name}")
                 for value in values:
                     if not joint.lower <= value <= joint.upper:
                         limits = f"{joint.lower:g} to {joint.upper:g}"
-                        raise AssetError(self.source, f"puts {name} to {value:g}, outside of its limits {limits}")
+                        raise AssetError(self.source, f"sets {name} to {value:g}, outside of its limits {limits}")
             for arm in self.arms.values():
                 for problem in arm.problems(urdf):
                     raise AssetError(self.source, problem)
@@ -199,7 +199,7 @@ class Arm:
             yield f"the {self.name} arm's joints from base_link to tool_frame are {', '.join(chain) or 'none'}"
         elif self.hand:
             for problem in self.hand.wrong_ways(urdf, self.tool_frame, self.tool_offset):
-                yield f"the {self.name} gripper: {problem}; tool_offset can turn the tool frame"
+                yield f"the {self.name} gripper: {problem}; turn the tool frame with tool_offset"
 
 
 @dataclass(frozen=True, slots=True)

@@ -346,15 +346,15 @@ def test_a_toml_beside_the_urdf_names_corrects_adds_and_removes(tmp_path: Path) 
     ("text", "message"),
     [
         ("surfaces = 3", "surfaces: takes tables"),
-        ("[surface.case]", "surface: no such entry; it takes surfaces and containers"),
-        ("[surfaces.case]\nnam = 'top'", r"surfaces.'case'.nam: no such entry; did you mean name"),
+        ("[surface.case]", "surface: unknown entry; known entries are surfaces and containers"),
+        ("[surfaces.case]\nnam = 'top'", r"surfaces.'case'.nam: unknown entry; did you mean name"),
         ("[surfaces.case]\nlink = 'cose'", r"surfaces.'case'.link: no link 'cose'; did you mean case"),
         ("[containers.door]\njoint = 'dor_joint'", "no movable joint 'dor_joint'; did you mean door_joint"),
         ("[containers.door]\nhandle = 'handel'", "no link 'handel'; there are case, door, door_handle"),
         ("[surfaces.case]\nclearance = -1", "clearance"),
         ("[surfaces.case]\noutline = [[0, 0], [0, 1], [1, 1]]", "counter-clockwise"),
         ("[surfaces.case]\nsize = [0, 1]", "above 0 m"),
-        ("[surfaces.case]\nsize = [1, 1]\noutline = [[0, 0], [1, 0], [1, 1]]", "a size or an outline, has both"),
+        ("[surfaces.case]\nsize = [1, 1]\noutline = [[0, 0], [1, 0], [1, 1]]", "takes size or outline, not both"),
         ("[containers.door]\nkind = 'lid'", '"drawer" or "door"'),
         ("[surfaces", "is not TOML"),
     ],
@@ -371,12 +371,12 @@ def test_wrong_entries_are_refused_when_it_is_loaded(tmp_path: Path, text: str, 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[surfaces.cas]\nname = 'top'", "nothing of that name was found; did you mean case"),
-        ("[surfaces.case]\nname = 'case 2'", "two have that name"),
+        ("[surfaces.cas]\nname = 'top'", "no surface of that name was found; did you mean case"),
+        ("[surfaces.case]\nname = 'case 2'", "two surfaces have that name"),
         ("[surfaces.case]\ncontainer = 'cellar'", "no container 'cellar'"),
         (
             "[containers.larder]\njoint = 'door_joint'\nkind = 'door'\nopen = 3",
-            "open is 3, not within the limits of door_joint",
+            "open is 3, outside the limits of door_joint",
         ),
     ],
 )
@@ -393,5 +393,5 @@ def test_what_is_restored_from_a_recording_has_the_same_furniture() -> None:
     restored = load.restore(files, model.loading)
     assert furniture_of(restored) == kitchen()
     forged = [*files[:-1], (files[-1][0], files[-1][1] + b"[")]
-    with pytest.raises(AssetError, match="is not the file that its name says"):
+    with pytest.raises(AssetError, match="doesn't match its name"):
         load.restore(forged, model.loading)

@@ -67,7 +67,7 @@ def test_a_description_of_such_a_hand_is_checked(world: BulletWorld, tmp_path: P
     both = text.replace("aperture = 0.0830", "aperture = 0.1630")  # as if the other jaw moved as well
     assert both != text
     (finding,) = failed(hands.ONE_JAW, both)
-    assert "aperture is said to be 163.0 mm, and is 83.0 mm" in finding
+    assert "aperture is described as 163.0 mm, measured 83.0 mm" in finding
     beside = text.replace("xyz = [0, 0, ", "xyz = [0, 0.03, ")
     assert any("both sides of the tool frame" in finding for finding in failed(hands.ONE_JAW, beside))
 

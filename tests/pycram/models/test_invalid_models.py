@@ -33,7 +33,7 @@ LINKS: dict[str, tuple[str, str]] = {
     ),
     "no shape": ("<collision><geometry/></collision>", "one shape in <geometry>, has none"),
     "no geometry": ("<visual/>", "has none"),
-    "unknown shape": ('<visual><geometry><torus r="1"/></geometry></visual>', "<torus> is none of box"),
+    "unknown shape": ('<visual><geometry><torus r="1"/></geometry></visual>', "<torus> isn't a shape; shapes are box"),
     "unexpanded xacro": ('<visual><geometry><box size="${w} 1 1"/></geometry></visual>', r"\$\{w\}"),
     "origin of words": (f'<visual><origin xyz="a b c"/>{BOX}</visual>', "origin: xyz takes 3 finite numbers"),
     "origin of nan": (f'<visual><origin rpy="nan 0 0"/>{BOX}</visual>', "origin: rpy takes 3 finite numbers"),
@@ -51,7 +51,7 @@ LINKS: dict[str, tuple[str, str]] = {
     ),
     "glaring colour": (
         f'<visual>{BOX}<material name="m"><color rgba="1 1 7 1"/></material></visual>',
-        "within 0 and 1",
+        "between 0 and 1",
     ),
 }
 

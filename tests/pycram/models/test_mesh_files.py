@@ -65,7 +65,7 @@ def test_an_obj_file_has_the_same_triangles_whoever_reads_it(tmp_path: Path) -> 
 
 
 def test_an_obj_file_with_broken_numbers_is_refused(tmp_path: Path) -> None:
-    for line, cause in (("v 1 2", "less than three"), ("v 1 2 x", "could not convert"), ("v 1 2 nan", "not finite")):
+    for line, cause in (("v 1 2", "fewer than three"), ("v 1 2 x", "could not convert"), ("v 1 2 nan", "not finite")):
         with pytest.raises(AssetError, match=cause):
             read_parts(tmp_path / "x.obj", f"v 0 0 0\nv 1 0 0\n{line}\nf 1 2 3\n".encode())
 
