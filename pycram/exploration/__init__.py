@@ -30,7 +30,7 @@ from pycram.foundation.names import export
 from pycram.projection.child import GRACE, ChildPool, obstacle, run_from_start, usable_cores
 from pycram.running import seed_random_numbers
 from pycram.scheduling.locks import refuse_held
-from pycram.scheduling.order import ADDED, Made, Precedence, Standing, text_of
+from pycram.scheduling.order import ADDED, AppliedPrecedence, BranchLine, Precedence, text_of
 from pycram.scheduling.schedule import scheduler, seed_order
 from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink, free_path
@@ -99,7 +99,7 @@ class EndingGroup:
     order: str  # the smallest known order with this ending, as text of :mod:`pycram.scheduling.order`
     #: The deciding precedences; without them, the plan ends as in the first run. Empty for the first ending, and if
     #: unknown.
-    made: tuple[Made, ...] = ()
+    made: tuple[AppliedPrecedence, ...] = ()
     recording: Path | None = None  # of a run in that order
 
 
@@ -333,7 +333,7 @@ class OrderedRun:
     order: str  # the requested order
     ending: Ending
     turns: int  # number of turns with two or more branches to choose from
-    made: tuple[Made, ...]  # its order, as exceptions from the ranks of branches
+    made: tuple[AppliedPrecedence, ...]  # its order, as exceptions from the ranks of branches
     seconds: float
 
     @property
@@ -363,12 +363,14 @@ class PlanRunner:
 
     def _ended(self, order: str, result: ChildResult) -> OrderedRun:
         ending, turns = Ending(DIED, f"its process {result.how}"), 0
-        made: tuple[Made, ...] = ()
+        made: tuple[AppliedPrecedence, ...] = ()
         if result.answer:
             answer: Mapping[str, Any] = json.loads(result.answer)
             ending, turns = Ending(**answer["ending"]), answer["turns"]
             made = tuple(
-                Made(Precedence(*own), Standing(*first), Standing(*second), [Precedence(*each) for each in passed])
+                AppliedPrecedence(
+                    Precedence(*own), BranchLine(*first), BranchLine(*second), [Precedence(*each) for each in passed]
+                )
                 for own, first, second, passed in answer["made"]
             )
         if result.late:
@@ -389,7 +391,7 @@ def _run_in_order(run: Runner, order: str, file: Path | None) -> bytes:
         run(order, path)
     ending = sinks[0].ending if sinks else Ending(DIED, "it couldn't be recorded")
     asked = scheduler().order
-    turns, made = (0, []) if asked is None else (asked.turns, asked.made)
+    turns, made = (0, []) if asked is None else (asked.turns, asked.applied)
     return json.dumps({"ending": asdict(ending), "turns": turns, "made": made}).encode()
 
 

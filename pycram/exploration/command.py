@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from pycram.exploration import Ending, EndingGroup, Exploration
     from pycram.running import RunSpec
-    from pycram.scheduling.order import Standing
+    from pycram.scheduling.order import BranchLine
 
 _MAX_TOLD: Final = 6  # printed differences of states, and printed precedences
 _WIDTH: Final = 200  # characters of a failure
@@ -146,7 +146,7 @@ def _decisive(found: EndingGroup) -> Iterator[str]:
         yield f"  and {len(found.made) - _MAX_TOLD} more"
 
 
-def _standing(branch: Standing) -> str:
+def _standing(branch: BranchLine) -> str:
     return f"{branch.branch} at {_shown_line(f'{branch.file}:{branch.line}')}"
 
 

@@ -1,1 +1,1 @@
-"""Fluents: expressions with values, their pulses, waiting for them, and those that follow a world."""
+"""Fluents: values that branches of a plan share, wait for and react to, and values that follow a world."""

@@ -1,16 +1,17 @@
-"""Expressions: where the value of a fluent comes from.
+"""Expressions: the variables, pulse counters and operations behind fluents.
 
-Leaves hold what can change: a variable its value, a pulse counter the pulses that aren't handled yet. Operations hold
-nothing; their value is computed from a state, the values of all their leaves at one moment. So a network never shows a
-mix of two moments, and always fits its operands.
+Leaves hold values: a variable its value, a counter the number of its unhandled pulses. The value of an operation is
+computed from a state, the values of all its leaves at one moment, so it never mixes two moments. Operations refer to
+their operands, and counters to their expression; references in the other direction are weak, so unused networks are
+freed.
 
-An operation refers to its operands, a counter to the expression whose pulses it counts; only weak references lead the
-other way, so that dropped networks are freed.
+A pulse means that something happened to a fluent, whether or not its value changed. It pulses all expressions that have
+the fluent's expression as an operand. A change counts once, however many paths lead from it to a counter.
 
-One lock guards all leaves of the process, for the few assignments of a change. While it is held no user code runs: no
+One lock guards all leaves of the process, for the few assignments of a change. While it is held, no user code runs: no
 function of a network, no ``__eq__``, no conversion to JSON, no finalizer of an old value. It is acquired after a
-world's lock and before a journal's, so the order of the records is the order of the changes. It is re-entrant, since
-the garbage collector may run finalizers anywhere, and they may set fluents.
+world's lock and before a journal's, so the order of records is the order of changes. It is re-entrant, as the garbage
+collector may run finalizers anywhere, and they may set fluents.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 #: Any value that a plan gives to a fluent.
 Value: TypeAlias = Any
-#: Values of leaves at one moment; operations add theirs, so that each is computed once.
+#: Values of leaves at one moment; operations add their values, so that each is computed once.
 State: TypeAlias = dict["Expression", Value]
 
 lock: Final = shared_lock()
@@ -45,87 +46,73 @@ _MAX_RECURSION: Final = 100  # nested operations that are computed by recursive 
 
 
 class Ended(NamedTuple):
-    """What a leaf holds instead of a value when the object or world that it followed is gone.
+    """Held by a leaf instead of a value when the object or world that it followed is gone."""
 
-    Attributes:
-        world: Name of the world.
-        what: What is gone, for messages.
-    """
-
-    world: str
-    what: str
+    world: str  # name of the world
+    what: str  # the object or world that is gone, for messages
 
 
 class Waiter(Protocol):
-    """Registered at leaves to be notified of all their changes."""
+    """Registered at leaves, and notified of all their changes."""
 
     def state_changed(self) -> None:
-        """Notice a change; called with the lock held."""
+        """Handle a change; called with the lock held."""
 
 
 class Expression(ABC):
-    """Something with a value.
-
-    Attributes:
-        operands: Expressions from which its value is computed.
-        counters: Counters of its pulses by their ids; None before the first.
-        waiters: Notified of its changes; only leaves have any.
-    """
+    """An expression with a value."""
 
     __slots__ = ("__weakref__", "counters", "operands")
 
     waiters: Iterable[Waiter] = ()
+    """Notified of changes; only leaves have any."""
 
     def __init__(self, operands: tuple[Expression, ...]) -> None:
-        self.operands = operands
+        self.operands = operands  # the expressions from which the value is computed
+        #: Counters of the expression's pulses by their ids; None before the first.
         self.counters: WeakValueDictionary[int, PulseCounter] | None = None
 
     @property
     @abstractmethod
     def leaves(self) -> tuple[Leaf, ...]:
-        """The leaves among its operands, at any depth, each once; a leaf itself."""
+        """The leaves among the operands, at any depth, each once; of a leaf, the leaf itself."""
 
     @abstractmethod
     def value(self, state: State) -> Value:
-        """Return its value, given those of its leaves.
+        """Return the value in a state.
 
         Raises:
-            WorldClosed: An object or world that it follows is gone.
-            Exception: Of a function of the network.
+            WorldClosed: An object or world that the expression follows is gone.
+            Exception: Any error of a function of the network.
         """
 
     @abstractmethod
     def text(self, depth: int = 0) -> str:
-        """Return its name, within ``depth`` operations."""
+        """Return the expression's name, inside of ``depth`` operations."""
 
     def state(self) -> State:
-        """Return the present values of its leaves, all of the same moment."""
+        """Return the present values of the leaves, all of the same moment."""
         with lock:
             return {leaf: leaf.held for leaf in self.leaves}
 
 
 class Leaf(Expression):
-    """An expression that holds something.
-
-    Attributes:
-        held: Its value, or Ended.
-        waiters: Notified of its changes.
-    """
+    """An expression that holds a value."""
 
     __slots__ = ("held", "waiters")
 
     def __init__(self, operands: tuple[Expression, ...], held: Value) -> None:
         super().__init__(operands)
-        self.held = held
+        self.held = held  # a value, or Ended
         self.waiters: list[Waiter] = []
 
     @property
     def leaves(self) -> tuple[Leaf, ...]:
-        """Itself; not stored, as only the garbage collector would free what refers to itself."""
+        """The leaf itself; not stored, as a reference to itself would delay its freeing."""
         return (self,)
 
     def value(self, state: State) -> Value:
-        """Return its value in a state."""
+        """Return the value in a state."""
         held = state[self]
         if isinstance(held, Ended):
             raise WorldClosed(held.world, f"follow {self.text()}", held.what)
@@ -143,23 +130,17 @@ class Constant(Expression):
         super().__init__(())
         self._value = value
 
-    def value(self, state: State) -> Value:  # noqa: ARG002  it is constant
-        """Return the value."""
+    def value(self, state: State) -> Value:  # noqa: ARG002  the value is constant
+        """Return the value in a state."""
         return self._value
 
     def text(self, depth: int = 0) -> str:  # noqa: ARG002  as above
-        """Return the value, shortened."""
+        """Return the name."""
         return reprlib.repr(self._value)
 
 
 class Operation(Expression):
-    """A function of other expressions' values.
-
-    Attributes:
-        function: Takes an iterator over the operands' values, which computes only those that are asked for.
-        form: Its name, with ``{}`` for each operand.
-        height: Number of nested operations, this one included.
-    """
+    """A function of the values of other expressions."""
 
     __slots__ = ("form", "function", "height", "leaves")
 
@@ -170,14 +151,15 @@ class Operation(Expression):
     ) -> None:
         super().__init__(operands)
         self.leaves = tuple(dict.fromkeys(leaf for operand in operands for leaf in operand.leaves))
-        self.form = form
-        self.function = function
+        self.form = form  # the name, with ``{}`` for each operand
+        self.function = function  # takes an iterator over the operands' values, which computes them on demand
+        #: Number of nested operations, this one included.
         self.height: int = 1 + max(
             (operand.height for operand in operands if isinstance(operand, Operation)), default=0
         )
 
     def value(self, state: State) -> Value:
-        """Return what the function computes from the operands' values."""
+        """Return the value in a state."""
         if self not in state:
             if self.height > _MAX_RECURSION:
                 return self._value_iteratively(state)
@@ -185,7 +167,7 @@ class Operation(Expression):
         return state[self]
 
     def _value_iteratively(self, state: State) -> Value:
-        """Compute it without recursion: a function that needs an operand's value is called again when that is there."""
+        """Compute the value without recursion: a function that needs an unknown operand is called again later."""
         pending: list[Operation] = [self]
         while pending:
             operation = pending[-1]
@@ -197,7 +179,7 @@ class Operation(Expression):
         return state[self]
 
     def text(self, depth: int = 0) -> str:
-        """Return the operation spelt out, in parentheses inside of another one, cut off where it is nested too deep."""
+        """Return the name, in parentheses inside of another operation; cut off if it is nested too deep."""
         if depth > _MAX_NAME_DEPTH:
             return "..."
         text = self.form.format(*(operand.text(depth + 1) for operand in self.operands))
@@ -205,7 +187,7 @@ class Operation(Expression):
 
 
 class _NotComputed(BaseException):
-    """A function asks for the value of an operation that is nested too deep to be computed recursively."""
+    """A function needs the value of an operation that is nested too deep to be computed recursively."""
 
     def __init__(self, operation: Operation) -> None:
         super().__init__()
@@ -225,22 +207,18 @@ def notify(changed: Iterable[Expression]) -> None:
 
 
 class Behavior(Enum):
-    """What happens to pulses that come while the body of a ``whenever`` handles an earlier one."""
+    """How ``whenever`` handles pulses that come while its body handles an earlier pulse."""
 
     NEVER = 1
-    """They are ignored."""
+    """The pulses are ignored."""
     ONCE = 2
-    """The body runs once more for all of them."""
+    """The body runs once more for all of the pulses."""
     ALWAYS = 3
-    """The body runs once more for each of them."""
+    """The body runs once more for each of the pulses."""
 
 
 class PulseCounter(Leaf):
-    """Counts the pulses of an expression that aren't handled yet; its value is True while there are any, else None.
-
-    Attributes:
-        missed: What happens to pulses that come while an earlier one is handled.
-    """
+    """Counts the unhandled pulses of an expression; its value is True while there are any, else None."""
 
     __slots__ = ("missed",)
 
@@ -256,19 +234,19 @@ class PulseCounter(Leaf):
                 expression.counters[id(self)] = self
 
     def value(self, state: State) -> Value:
-        """Return True if there are pulses to handle, else None."""
+        """Return the value in a state."""
         return True if super().value(state) else None
 
     def text(self, depth: int = 0) -> str:
-        """Return the name of its expression with ``.pulsed(...)``."""
+        """Return the name."""
         return f"{self.operands[0].text(depth + 1)}.pulsed({self.missed.name})"
 
     def take(self) -> None:
-        """Begin to handle a pulse, if there is one."""
+        """Start handling a pulse, if there is one."""
         self._change(lambda count: max(count - 1, 0))
 
     def settle(self) -> None:
-        """End what :meth:`take` began: drop pulses that came meanwhile, as the behavior says."""
+        """Finish handling a pulse, and drop the pulses that came meanwhile, depending on the behavior."""
         if self.missed is not Behavior.ALWAYS:
             kept = 1 if self.missed is Behavior.ONCE else 0
             self._change(lambda count: min(count, kept))
@@ -281,7 +259,7 @@ class PulseCounter(Leaf):
 
 
 def _reachable(given: Iterable[Expression], next_to: Callable[[Expression], Iterable[Expression]]) -> list[Expression]:
-    """Return the given expressions, which are different ones, and all that are next to them, or to those, each once."""
+    """Return the given expressions, which are distinct, and all that are reachable from them, each once."""
     queue = list(given)
     reached = set(queue)
     for expression in queue:
@@ -300,7 +278,7 @@ def _counters(expression: Expression) -> Collection[PulseCounter]:
 
 
 def counters_on(pulsed: Collection[Expression]) -> list[PulseCounter]:
-    """Return the counters of pulses of these expressions, and those of pulses of these counters, each once."""
+    """Return the counters of pulses of these expressions, and the counters of pulses of these counters, each once."""
     return cast("list[PulseCounter]", _reachable(pulsed, _counters)[len(pulsed) :])
 
 
@@ -316,30 +294,23 @@ _numbers = itertools.count(1)
 
 
 class Variable(Leaf):
-    """A value that is set.
-
-    Attributes:
-        name: Its name.
-        source: What it follows in a world ("pose", "joint", ...), for the record; "" if it is set by the plan.
-        bodies: Names of the objects that it follows.
-        json: Its value as JSON, for the record; None if that isn't known.
-    """
+    """A value that a plan or a world sets; each assignment is recorded."""
 
     __slots__ = ("bodies", "json", "name", "source")
 
     def __init__(self, value: Value, name: str | None = None, source: str = "", bodies: tuple[str, ...] = ()) -> None:
         super().__init__((), value)
         self.name = f"fluent_{next(_numbers)}" if name is None else name
-        self.source = source
-        self.bodies = bodies
-        self.json: str | None = None
+        self.source = source  # the quantity of a world that it follows ("pose", "joint", ...); "" if a plan sets it
+        self.bodies = bodies  # names of the objects that it follows
+        self.json: str | None = None  # the value as JSON, for the record; None if unknown
 
     def text(self, depth: int = 0) -> str:  # noqa: ARG002  names have no depth
-        """Return its name."""
+        """Return the name."""
         return self.name
 
     def serialize(self) -> None:
-        """Convert its value to JSON; never with a lock held, as the value may have a conversion of its own."""
+        """Convert the value to JSON; never with a lock held, as the value may have its own conversion."""
         if self.json is None and not isinstance(self.held, Ended):
             held = self.held
             json = records.to_json(held)
@@ -348,22 +319,21 @@ class Variable(Leaf):
                     self.json = json
 
     def record(self, after: str) -> records.Fluent:
-        """Return the record of its next value, given as JSON."""
+        """Return the record of the next value, given as JSON."""
         return records.Fluent(
             name=self.name, before_json=self.json or "", after_json=after, source=self.source, bodies=self.bodies
         )
 
 
 def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0) -> None:
-    """Give variables new values, all at the same moment, record that, and pulse them.
+    """Give variables new values at the same moment, record the changes, and pulse the variables.
 
     Args:
-        values: The new values.
-        world: Name of the world that they follow.
-        sim_step: Simulated steps of that world when they changed.
+        world: Name of the world that the variables follow.
+        sim_step: Simulated steps of that world at the change.
 
     Raises:
-        RecordingError: A change can't be recorded; it isn't made then.
+        RecordingError: A change can't be recorded, and isn't made.
     """
     serialized: dict[Variable, str] = {}
     if journal.recording():
@@ -385,7 +355,7 @@ def pulse_unchanged(expression: Expression) -> None:
     """Pulse an expression without changing any value; recorded as an assignment of the same value.
 
     Raises:
-        RecordingError: It can't be recorded; nothing is pulsed then.
+        RecordingError: The pulse can't be recorded, and isn't made.
     """
     record = None
     if journal.recording():
@@ -404,7 +374,7 @@ def pulse_unchanged(expression: Expression) -> None:
 
 
 def end(leaves: Collection[Leaf], ended: Ended) -> None:
-    """End leaves: their values can't be read any more, and waiting for them ends with an error."""
+    """End leaves: reading them and waiting for them raises an error from now on."""
     with lock:
         all_ended = (*leaves, *counters_on(leaves))
         for leaf in all_ended:

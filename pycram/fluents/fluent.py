@@ -9,17 +9,18 @@ A fluent has a value; any branch or thread may read it, set it, and wait until i
         s(plan)
         s(low.wait_for)
 
-Operators make networks, whose value follows from that of their operands at one moment. Comparisons and AND, OR, NOT,
-IS, IS_NOT give True or None, never False: one waits for what is not None. None means that there is no value (yet), so
-it is neither less nor more than anything, and no sum has a value if a part has none. AND and OR look at their second
-operand only if they have to, as in ``(speed != 0).AND(distance / speed < 10)``.
+Operators make networks, whose values are computed from their operands at one moment. Comparisons and AND, OR, NOT, IS,
+IS_NOT give True or None, never False, as waits end at a value that is not None. None means that there is no value
+(yet): every order relation with None is None, and so is a sum with None. AND and OR read their second operand only if
+they have to, as in ``(speed != 0).AND(distance / speed < 10)``.
 
-Setting a fluent pulses it, also with the value that it has, and a pulse of a fluent pulses the networks made of it.
-:meth:`Fluent.pulsed` counts pulses, and :func:`whenever` handles them.
+Setting a fluent pulses it, even if the value stays the same, and pulses the networks made of it. :meth:`Fluent.pulsed`
+counts pulses, and :func:`~pycram.fluents.whenever.whenever` handles them.
 
-Waiting never misses a value, however short it lasts, and ends at once when the branch is cancelled. Functions of
-networks run in the thread that asks or waits, without any lock held; they should be quick and depend on their arguments
-only. :mod:`pycram.fluents.world` has fluents that follow a world.
+A wait never misses a value, however short it lasts, and ends immediately when the branch is cancelled: a change only
+appends the new state, and the waiting thread computes the values. Functions of networks run in the thread that reads or
+waits, without any lock held. They should be quick and depend only on their arguments. :mod:`pycram.fluents.world` has
+fluents that follow a world.
 """
 
 from __future__ import annotations
@@ -62,36 +63,27 @@ __all__ = ["Behavior", "Fluent", "NotSettable", "NotTrueOrFalse", "network"]
 
 
 class NotSettable(UsageError):
-    """A fluent can't be set, as its value follows from other fluents or a world.
-
-    Attributes:
-        fluent: Name of the fluent.
-        of_world: Whether it follows a world.
-    """
+    """A fluent can't be set, as its value is computed from other fluents or a world."""
 
     def __init__(self, fluent: str, of_world: bool) -> None:
         cause = "follows a world; change the world" if of_world else "follows from other fluents; set these"
         super().__init__(f"{fluent} can't be set: its value {cause}")
-        self.fluent = fluent
-        self.of_world = of_world
+        self.fluent = fluent  # its name
+        self.of_world = of_world  # whether it follows a world
 
 
 class NotTrueOrFalse(UsageError):
-    """A fluent itself was used as a condition, instead of its value.
-
-    Attributes:
-        fluent: Name of the fluent.
-    """
+    """A fluent was used as a condition, instead of its value."""
 
     def __init__(self, fluent: str) -> None:
         super().__init__(
             f"{fluent} is a fluent, neither true nor false; ask its get_value(), and combine fluents with AND, OR, NOT"
         )
-        self.fluent = fluent
+        self.fluent = fluent  # its name
 
 
 def _order(sign: str, test: Callable[[Value, Value], object]) -> Callable[[Fluent, object], Fluent]:
-    """Return the method of an order relation, which doesn't hold if one of the values is None."""
+    """Return the method of an order relation, which is None if one of the values is None."""
 
     def compare(self: Fluent, other: object) -> Fluent:
         return _comparison(sign, lambda a, b: a is not None and b is not None and test(a, b), self, other)
@@ -126,14 +118,13 @@ def _unless_none(function: Callable[..., Value]) -> Callable[[Iterator[Value]], 
 class Fluent:
     """A value that branches share.
 
-    Fluents are hashable and equal to themselves only, though ``==`` makes a network: they can stand in sets,
-    dictionaries and lists of fluents, and ``in`` finds them there. In a list with other things, ``in`` compares with
-    ``==``, which is neither true nor false: it raises NotTrueOrFalse, as ``if fluent == 3`` does; there
-    ``any(thing is fluent for thing in things)`` finds it. A dropped network leaves nothing behind in its operands.
+    Fluents are hashable and equal only to themselves, although ``==`` makes a network: they can be members of sets,
+    dictionaries and lists of fluents, and ``in`` finds them there. In a list with other values, ``in`` raises
+    NotTrueOrFalse, as ``if fluent == 3`` does; use ``any(value is fluent for value in values)`` instead.
 
     Args:
-        value: The first value; of a branch's future its result.
-        name: Its name in recordings; "fluent_1", "fluent_2", ... by default.
+        value: The first value; a branch's future stands for its result.
+        name: Name in recordings; "fluent_1", "fluent_2", ... by default.
 
     Raises:
         BadArgument: The name isn't text, or the value is a function.
@@ -143,42 +134,42 @@ class Fluent:
     __array_ufunc__ = None  # NumPy's arrays leave operators to us
 
     expression: Expression
-    """Where its value comes from."""
+    """The expression that has the value."""
 
     def __init__(self, value: Value = None, name: str | None = None) -> None:
         self.expression = Variable(_checked(value), None if name is None else checks.text("name", name))
 
     @property
     def name(self) -> str:
-        """Its name; of a network its operation."""
+        """The fluent's name; of a network, its operation."""
         return self.expression.text()
 
     def __repr__(self) -> str:
         return f"Fluent({self.name})"
 
     def __record__(self) -> object:
-        """Return its reference in records."""
+        """Return the fluent's reference in records."""
         return {"fluent": self.name}
 
     # --- value -----------------------------------------------------------------------------------------------------
 
     def get_value(self) -> Value:
-        """Return its present value.
+        """Return the present value.
 
         Raises:
-            WorldClosed: An object or world that it follows is gone.
-            Exception: Of a function of the network.
+            WorldClosed: An object or world that the fluent follows is gone.
+            Exception: Any error of a function of the network.
         """
         return self.expression.value(self.expression.state())
 
     @refusing("fluent")
     def set_value(self, value: Value) -> None:
-        """Give it a value (of a branch's future its result), pulse it, and notify all who wait for it.
+        """Set the value (of a branch's future, its result), pulse the fluent, and wake the waits for it.
 
         Raises:
-            NotSettable: It is a network, counts pulses or follows a world.
+            NotSettable: The fluent is a network, counts pulses or follows a world.
             BadArgument: The value is a function.
-            RecordingError: The change can't be recorded; it isn't made then.
+            RecordingError: The change can't be recorded, and isn't made.
         """
         assign({self._variable: _checked(value)})
 
@@ -189,22 +180,22 @@ class Fluent:
         raise NotSettable(self.name, isinstance(self.expression, Variable))
 
     def wait_for(self, timeout: float | None = None) -> bool:
-        """Wait until its value is not None; of one made by :meth:`pulsed`, until there is a pulse to handle.
+        """Wait until the value is not None; after :meth:`pulsed`, until there is a pulse to handle.
 
-        False, 0 and the like are values: ``Fluent(False).wait_for()`` returns at once. To wait for what is true, begin
-        with None, or wait for ``fluent == True``.
+        False and 0 are values: ``Fluent(False).wait_for()`` returns immediately. To wait for a true value, start with
+        None, or wait for ``fluent == True``.
 
         Args:
             timeout: In seconds; None for no limit.
 
         Returns:
-            True when it is not None, or was for a moment; False when the time is up.
+            True if the value is, or was for a moment, not None; False after the timeout.
 
         Raises:
             BadArgument: The timeout isn't a number.
             Cancelled: The branch is cancelled.
-            WorldClosed: An object or world that it follows is gone.
-            Exception: Of a function of the network.
+            WorldClosed: An object or world that the fluent follows is gone.
+            Exception: Any error of a function of the network.
         """
         limit = None if timeout is None else checks.number("timeout", timeout)
         await_turn()
@@ -219,23 +210,19 @@ class Fluent:
     # --- pulses ----------------------------------------------------------------------------------------------------
 
     def pulse(self) -> None:
-        """Pulse it without changing its value.
-
-        Raises:
-            RecordingError: It can't be recorded; it isn't pulsed then.
-        """
+        """Pulse the fluent without changing its value; raises RecordingError if that can't be recorded."""
         pulse_unchanged(self.expression)
 
     def pulsed(self, handle_missed: Behavior = Behavior.ONCE) -> Fluent:
-        """Return a fluent that counts the pulses of this one from now on: True while any aren't handled, else None.
+        """Return a fluent that counts the pulses of this one from now on: True while any pulse is unhandled, else None.
 
-        Each :func:`whenever` takes one of its own; two on the same would share the pulses.
+        Each ``whenever`` needs a fluent of its own; two with the same fluent would share the pulses.
 
         Args:
-            handle_missed: What happens to pulses that come while an earlier one is handled.
+            handle_missed: How to handle pulses that come while an earlier pulse is handled.
 
         Raises:
-            BadArgument: It isn't a behavior.
+            BadArgument: ``handle_missed`` isn't a behavior.
         """
         if not isinstance(handle_missed, Behavior):
             raise BadArgument("handle_missed", handle_missed, "Behavior.NEVER, ONCE or ALWAYS")
@@ -263,7 +250,7 @@ class Fluent:
         """True if the value is another object than the other, else None."""
         return _comparison("IS_NOT", operator.is_not, self, other)
 
-    def __eq__(self, other: object) -> Fluent:  # type: ignore[override]  # a network, not an answer
+    def __eq__(self, other: object) -> Fluent:  # type: ignore[override]  # returns a network
         return _comparison("==", operator.eq, self, other, same=self.is_same(other))
 
     def __ne__(self, other: object) -> Fluent:  # type: ignore[override]  # as above
@@ -274,7 +261,7 @@ class Fluent:
         return hash(self.expression)
 
     def is_same(self, other: object) -> bool | None:
-        """Return whether another fluent is this one, whatever their values; None for anything that isn't a fluent."""
+        """Return whether another fluent is this one, regardless of their values; None for other objects."""
         return self.expression is other.expression if isinstance(other, Fluent) else None
 
     def __bool__(self) -> bool:
@@ -303,12 +290,12 @@ class Fluent:
 
 
 class Derived(Fluent):
-    """A fluent whose value follows from other fluents or from a world.
+    """A fluent whose value is computed from other fluents or from a world.
 
     Args:
-        expression: Where its value comes from.
-        same: Its truth for lists and ``in``, if it is ``==`` or ``!=`` of two fluents: whether they are the same one,
-            or not.
+        expression: The expression that has the value.
+        same: Truth value for lists and ``in``, if the fluent is ``==`` or ``!=`` of two fluents: whether they are the
+            same fluent, or not.
     """
 
     __slots__ = ("_same",)
@@ -364,7 +351,7 @@ export("pycram.fluent", NotSettable, NotTrueOrFalse)
 
 
 class StateStream:
-    """The state of an expression when its block begins, and every later one until the block ends."""
+    """The state of an expression when its ``with`` block begins, and every later state until the block ends."""
 
     __slots__ = ("_expression", "_news", "_states")
 
@@ -388,17 +375,10 @@ class StateStream:
     def state_changed(self) -> None:
         """Append the state; called with the lock held."""
         self._states.append({leaf: leaf.held for leaf in self._expression.leaves})
-        self._news.notify_all()  # each time: the waiting branch takes states without the lock, and may just have looked
+        self._news.notify_all()  # each time: the branch takes states without the lock, and may have checked just before
 
     def states(self, limit: Deadline | None = None) -> Iterator[State]:
-        """Yield the states, as they come.
-
-        Args:
-            limit: When it ends, however fast states come; None for never.
-
-        Raises:
-            Cancelled: The branch is cancelled.
-        """
+        """Yield the states in order, and end at a deadline, however fast states come; None for no deadline."""
         while True:
             late = limit is not None and limit.has_come
             for _ in range(len(self._states)):
@@ -410,19 +390,15 @@ class StateStream:
 
 
 def first_value(expression: Expression, timeout: float | None = None) -> Value:
-    """Wait until the value of an expression is not None, if only for a moment.
+    """Wait until the value of an expression is not None, if only for a moment, and return that value.
 
     Args:
-        expression: The expression.
-        timeout: In seconds; None for no limit.
-
-    Returns:
-        The value that it had then; None when the time is up.
+        timeout: In seconds; None for no limit. After the timeout the result is None.
 
     Raises:
         Cancelled: The branch is cancelled.
-        WorldClosed: An object or world that it follows is gone.
-        Exception: Of a function of the network.
+        WorldClosed: An object or world that the expression follows is gone.
+        Exception: Any error of a function of the network.
     """
     with StateStream(expression) as stream, nullcontext() if timeout is None else Deadline(timeout) as limit:
         values = (expression.value(state) for state in stream.states(limit))

@@ -1,4 +1,4 @@
-"""``whenever``: reacts to a fluent, again and again, until the block around it is decided."""
+"""``whenever``: runs a body each time that a fluent has a value, until the block around it is decided."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
 
 @lazy("`s(whenever, fluent, body)`: without a body it gives an iterator, for a `for` loop to go through")
 def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
-    """Run a body whenever a fluent's value is not None: again and again while it stays so.
+    """Run a body whenever a fluent's value is not None, repeatedly while it stays so.
 
-    Of pulses, made by :meth:`Fluent.pulsed`, each is handled by one run, or as their behavior says::
+    With :meth:`Fluent.pulsed`, one run handles each pulse, or several pulses if their behavior says so::
 
         for _ in whenever(door.pulsed()):
             look_at(door)
@@ -40,18 +40,17 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
             s(whenever, battery < 20, charge)
             s(plan)
 
-    Both forms run in the thread that calls them, and end when the branch is cancelled, that is when the block around
-    is decided; a loop also by ``break``, and both by what the body raises.
+    Both forms run in the thread that calls them. They end when the branch is cancelled, as the block around is decided,
+    and when the body raises an error; a loop also ends by ``break``.
 
     Args:
-        fluent: The fluent to wait for, each time.
         body: The function to run; None for a ``for`` loop.
 
     Returns:
-        Without a body an iterator that waits, and yields the value that isn't None.
+        Without a body, an iterator that waits and yields each value that isn't None.
 
     Raises:
-        BadArgument: Not a fluent, or a body that isn't callable.
+        BadArgument: The fluent is none, or the body isn't callable.
         Cancelled: The branch is cancelled.
     """
     watched = unwrap(fluent)

@@ -1,12 +1,11 @@
-"""Fluents that follow a world: where an object is, what a robot holds, whether two things touch.
+"""Fluents that follow a world: poses, joints, held objects and contacts.
 
-They are updated with each world transaction, with the world's lock held: in the order of the transactions, all fluents
-of that world at the same moment, and recorded after the change that caused it. No user code is called then; waiting
-threads are only notified. During a simulation they are read 30 times a simulated second; these values are assigned, in
-order, when the simulation has ended.
+Each world transaction updates all fluents of the world at the same moment, with the world's lock held, and their
+records follow the change's record. No user code is called then; waiting threads are only notified. During a simulation
+the values are read 30 times a simulated second, and assigned in order when the simulation has ended.
 
-A fluent of an object that was removed, or of a world that has ended, has no value any more: reading it and waiting for
-it raise :class:`~pycram.failures.WorldClosed`. A world that no fluent follows has no extra cost.
+If an object was removed or a world has ended, its fluents raise :class:`~pycram.failures.WorldClosed` when they are
+read or awaited. A world that no fluent follows has no extra cost.
 
 Values are plain: tuples in m and xyzw, floats in rad or m, names. They are assigned only when they have changed::
 
@@ -44,9 +43,9 @@ def pose(body: Object, link: str | None = None) -> Fluent:
     """Follow the pose of an object's base link, or of another link: ((x, y, z), (x, y, z, w)) in the world frame.
 
     Raises:
-        BadArgument: It isn't an object.
+        BadArgument: ``body`` isn't an object.
         UnknownName: There is no such link.
-        WorldClosed: It is gone.
+        WorldClosed: The object or its world is gone.
     """
     owner, name = _link(body, link)
     return _follow("pose", name, lambda: _pose(owner, link), owner)
@@ -57,9 +56,9 @@ def position(body: Object, link: str | None = None) -> Fluent:
     """Follow the position of an object's base link, or of another link: (x, y, z) in m in the world frame.
 
     Raises:
-        BadArgument: It isn't an object.
+        BadArgument: ``body`` isn't an object.
         UnknownName: There is no such link.
-        WorldClosed: It is gone.
+        WorldClosed: The object or its world is gone.
     """
     owner, name = _link(body, link)
     return _follow("position", name, lambda: _pose(owner, link)[0], owner)
@@ -70,9 +69,9 @@ def joint(body: Object, name: str) -> Fluent:
     """Follow the position of an object's joint, in rad or m.
 
     Raises:
-        BadArgument: It isn't an object.
+        BadArgument: ``body`` isn't an object.
         UnknownName: There is no such movable joint.
-        WorldClosed: It is gone.
+        WorldClosed: The object or its world is gone.
     """
     owner = _object(body)
     owner.check_joint(name)
@@ -81,16 +80,16 @@ def joint(body: Object, name: str) -> Fluent:
 
 @refusing(name="fluents.holding")
 def holding(robot: Object, arm: str | None = None) -> Fluent:
-    """Follow what a robot holds: the name of the object, None if there is none; the first of several.
+    """Follow the object that a robot holds: its name, None if there is none; the first of several.
 
     Args:
-        robot: The robot, or any other object that carries things.
-        arm: The name of one of its arms; by default all its links.
+        robot: A robot, or any other object that carries objects.
+        arm: Name of one of its arms; all links by default.
 
     Raises:
-        BadArgument: It isn't an object, or has no arms.
+        BadArgument: ``robot`` isn't an object, or has no arms.
         UnknownName: There is no such arm.
-        WorldClosed: It is gone.
+        WorldClosed: The object or its world is gone.
     """
     carrier = _object(robot)
     links = None if arm is None else _gripper(carrier, arm)
@@ -106,30 +105,25 @@ def contact(object1: Object, object2: Object) -> Fluent:
     """Follow whether two objects of the same world touch: True or None.
 
     Raises:
-        BadArgument: One isn't an object, or they are in different worlds.
-        WorldClosed: One is gone.
+        BadArgument: One of the two isn't an object, or they are in different worlds.
+        WorldClosed: One of the two, or the world, is gone.
     """
     a, b = _object(object1), _object(object2)
     return _follow("contact", f"{a.name} and {b.name}", lambda: True if touches(a, b) else None, a, b)
 
 
 class _WorldVariable(Variable):
-    """A variable that follows a world.
-
-    Attributes:
-        read: Returns its present value; called with the world's lock held, while the objects exist.
-        objects: The objects that it follows.
-    """
+    """A variable that follows a world."""
 
     __slots__ = ("objects", "read")
 
     def __init__(self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]) -> None:
         super().__init__(read(), f"{source} of {name}", source, tuple(body.name for body in objects))
-        self.read = read
+        self.read = read  # returns the present value; called with the world's lock held, while the objects exist
         self.objects = objects
 
     def gone(self) -> str:
-        """Return which of its objects has been removed; "" for none."""
+        """Return the object that has been removed; "" for none."""
         return next((f"object {body.name}" for body in self.objects if not body.alive), "")
 
 
@@ -144,7 +138,7 @@ class WorldVariables:
     def variable(
         self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]
     ) -> _WorldVariable:
-        """Return the variable of a source, the same for all fluents that follow it. The world's lock is held."""
+        """Return the variable of a source, shared by all fluents that follow it; the world's lock is held."""
         key = f"{source} of {name}"
         known = self._variables.get(key)
         if known is None:
@@ -152,18 +146,18 @@ class WorldVariables:
         return known
 
     def time_passed(self) -> None:
-        """Read all variables within a simulation; they are assigned at the end of its transaction."""
+        """Read all variables within a simulation; the values are assigned at the end of its transaction."""
         values = {variable: variable.read() for variable in self._variables.values() if not variable.gone()}
         if values:
             self._passed.append((self._world.sim_step, values))
 
     def has_news(self) -> bool:
-        """Whether a variable that somebody waits for has another value, within a simulation."""
+        """Return whether a variable with waits or counters has another value now, within a simulation."""
         followed = [each for each in self._variables.values() if (each.waiters or each.counters) and not each.gone()]
         return any(each.read() != each.held for each in followed)
 
     def committed(self, transaction: Transaction) -> None:
-        """Update the variables that a recorded transaction affects. The world's lock is held."""
+        """Update the variables that a recorded transaction affects; the world's lock is held."""
         variables = list(self._variables.values())
         if not variables:
             return
@@ -215,7 +209,6 @@ def _pose(body: Object, link: str | None) -> tuple[tuple[float, ...], tuple[floa
 
 
 def _gripper(robot: Object, arm: str) -> frozenset[str]:
-    """Return the links with which an arm holds."""
     if robot.description is None:
         raise BadArgument("robot", robot, "a robot with arms")
     described = robot.description.arm(arm)

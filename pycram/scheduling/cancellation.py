@@ -1,8 +1,8 @@
-"""Cancellation: a decided block cancels its other branches, and they stop where that is safe.
+"""Cancellation and waiting: cancelled branches stop at checkpoints.
 
-A cancel scope is a part of the plan that can be cancelled, or that has a deadline; scopes nest as the plan's blocks do.
-A cancelled branch stops by itself at its next checkpoint (:mod:`pycram.scheduling`), where the world is consistent:
-:class:`~recorder.tracing.span.Cancelled` is raised in it.
+A cancel scope is a part of the plan that can be cancelled, or that has a deadline; scopes nest like the plan's blocks.
+A cancelled branch stops at its next checkpoint (:mod:`pycram.scheduling`), where the world is consistent:
+:class:`~recorder.tracing.span.Cancelled` is raised there.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Value = TypeVar("Value")
 
 
 class Binding(Generic[Value]):
-    """Sets a context variable for a ``with`` block; a class, as each branch enters several and generators are slow."""
+    """Sets a context variable for a ``with`` block; a class, as a generator would be slower for each branch."""
 
     __slots__ = ("_token", "_value", "_variable")
     _token: Token[Value]
@@ -43,56 +43,52 @@ class Binding(Generic[Value]):
 
 
 class CancelScope(Condition):
-    """A part of the plan that can be cancelled, from any thread; that wakes the waits in it.
+    """A part of the plan that can be cancelled from any thread; cancelling wakes the waits in it.
 
     Args:
-        parent: The scope around it, whose cancellation is this one's too.
-        deadline: Its deadline; None for none.
+        parent: The scope around it; cancelling that cancels this scope, too.
+        deadline: None for no deadline.
 
     Raises:
-        RecursionError: It would be nested deeper than Python's recursion limit.
-
-    Attributes:
-        around: The scopes around it, from the inside out; without itself, as reference cycles are freed late.
-        cancel_called: Whether this very scope has been cancelled.
-        deadlines: That of this, and of all scopes around it that have one.
-        struck: The checkpoint of its thread, from 1, at which its deadline was first seen to have come; 0: none yet.
+        RecursionError: The scope would be nested deeper than Python's recursion limit.
     """
 
     def __init__(self, parent: CancelScope | None = None, deadline: Limit | None = None) -> None:
         super().__init__()
+        #: The scopes around it, from the inside out; without itself, as reference cycles are freed late.
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
-        if len(self.around) >= sys.getrecursionlimit():  # each branch has a stack of its own, so Python doesn't notice
+        if len(self.around) >= sys.getrecursionlimit():  # Python doesn't check this: each branch has its own stack
             raise RecursionError(f"{len(self.around)} blocks and timeouts of the plan within each other")
         known = parent.deadlines if parent is not None else ()
+        #: The deadlines of this scope and of the scopes around it.
         self.deadlines: tuple[Limit, ...] = known if deadline is None else (deadline, *known)
         self._deadline = deadline
-        self.cancel_called = False
-        self.struck = 0
+        self.cancel_called = False  # whether this scope itself was cancelled
+        self.struck = 0  # checkpoint of its thread, from 1, at which its deadline was first found passed; 0 before
 
     @property
     def is_overdue(self) -> bool:
-        """Whether the deadline of this very scope has come."""
+        """Whether this scope's own deadline has passed."""
         return self._deadline is not None and self._deadline.has_come
 
     def refuse_late(self) -> None:
-        """Raise Cancelled if the deadline of this very scope was before this moment."""
+        """Raise Cancelled if this scope's own deadline has passed."""
         if self._deadline is not None and self._deadline.was_missed:
             raise Cancelled
 
     @property
     def has_deadline(self) -> bool:
-        """Whether this very scope has a deadline."""
+        """Whether this scope has a deadline of its own."""
         return self._deadline is not None
 
     @property
     def sources(self) -> tuple[Condition, ...]:
-        """What wakes the waits in it."""
+        """The conditions that wake the waits in it."""
         return (self, *self.around, *self.deadlines)
 
     @property
     def is_cancelled(self) -> bool:
-        """Whether it, or a scope around it, has been cancelled or is overdue."""
+        """Whether the scope, or one around it, was cancelled or is overdue."""
         if self.cancel_called:
             return True
         for scope in self.around:
@@ -101,7 +97,7 @@ class CancelScope(Condition):
         return bool(self.deadlines) and any(deadline.has_come for deadline in self.deadlines)
 
     def cancel(self) -> None:
-        """Cancel it, and wake the waits in it."""
+        """Cancel the scope, and wake the waits in it."""
         self.cancel_called = True
         self.notify_all()
 
@@ -115,17 +111,17 @@ def current_scope() -> CancelScope | None:
 
 
 def entered(scope: CancelScope | None) -> Binding[CancelScope | None]:
-    """Run the ``with`` block in a scope; None for outside of all."""
+    """Run the ``with`` block in a scope; None for outside of all scopes."""
     return Binding(_scope, scope)
 
 
 def enter(scope: CancelScope) -> None:
-    """Put this context into a scope for good."""
+    """Put this context into a scope permanently."""
     _scope.set(scope)
 
 
 def shielded() -> Binding[CancelScope | None]:
-    """Shield the ``with`` block from cancellation, for what must be done in a cancelled branch too."""
+    """Shield the ``with`` block from cancellation, for work that a cancelled branch must finish."""
     return entered(None)
 
 
@@ -140,7 +136,7 @@ def uninterruptible() -> Iterator[None]:
 
 
 def begin_alone() -> None:
-    """Make this context one in which nothing can be cancelled from outside: in a forked child, it goes on alone."""
+    """Leave all scopes and branches, in a forked child that continues with this context only."""
     _scope.set(None)
     _uninterruptible.set(False)
     body.set(None)
@@ -148,49 +144,44 @@ def begin_alone() -> None:
 
 
 class Body(Protocol):
-    """The body of a block of the plan, as far as changes of worlds in it are concerned."""
+    """The body of a block of the plan, which checks changes of worlds."""
 
     def before_change(self, change: str) -> None:
-        """Refuse a change of a world that plain Python in the body makes, if it would come too early."""
+        """Raise RunsEarly for a change by plain Python in the body, if earlier actions haven't run."""
 
     def await_turn(self) -> None:
         """Wait until plain Python in the body may act."""
 
 
-#: The block whose body this code is in; None outside of all, in branches, and where actions run in order.
+#: The block around this code; None outside of all blocks, in branches, and where actions run in order.
 body: Final[ContextVar[Body | None]] = ContextVar("pycram_block", default=None)
 
 
 def before_change(change: str) -> None:
-    """Checkpoint before a world is changed, except in an :func:`uninterruptible` block or while a lock is held.
+    """Make a checkpoint before a change of a world, except in :func:`uninterruptible` code or while a lock is held.
 
     Args:
-        change: What is going to be done, for messages.
+        change: Name of the change, for messages.
 
     Raises:
-        RunsEarly: Actions of the plan that come before it have not run.
+        RunsEarly: Earlier actions of the plan have not run.
         Cancelled: The branch is cancelled.
     """
     around = body.get()
     if around is not None:
         around.before_change(change)
-    if not _uninterruptible.get() and not is_held():  # what is made of several changes is done as a whole
+    if not _uninterruptible.get() and not is_held():  # several changes may form a whole
         checkpoint()
 
 
 def checkpoint() -> None:
-    """Let other branches run first, and stop here if cancelled.
-
-    Raises:
-        Cancelled: The branch is cancelled.
-        LockHeld: The caller holds a lock.
-    """
+    """Let other branches run first; raise Cancelled if the branch is cancelled, or LockHeld if it holds a lock."""
     scheduler().yield_turn()
     raise_if_cancelled()
 
 
 def raise_if_cancelled() -> None:
-    """Raise Cancelled if the branch is cancelled; other branches don't run."""
+    """Raise Cancelled if the branch is cancelled, without letting other branches run."""
     thread = scheduler()
     thread.checkpoints += 1
     scope = _scope.get()
@@ -202,15 +193,12 @@ def raise_if_cancelled() -> None:
 
 
 def wait(condition: Condition, predicate: Callable[[], bool], timeout: float | None = None) -> bool:
-    """Wait until a predicate holds, while other branches run.
+    """Wait until a predicate holds, while other branches run; return whether it holds, False only after the timeout.
 
     Args:
         condition: Notified whenever the predicate may have changed.
         predicate: Called in the branch that waits, without a lock.
         timeout: In seconds; None for no limit.
-
-    Returns:
-        Whether it holds; False only after the timeout.
 
     Raises:
         Cancelled: The branch is cancelled, and the predicate doesn't hold.
@@ -225,13 +213,13 @@ def wait(condition: Condition, predicate: Callable[[], bool], timeout: float | N
 
 
 def wait_until(condition: Condition, predicate: Callable[[], bool], limit: Deadline | None = None) -> bool:
-    """Wait until a predicate holds, or a deadline has come whose block this is in; see :func:`wait`."""
+    """Wait until a predicate holds, or a deadline has passed; see :func:`wait`. The caller has entered the deadline."""
     scope = _scope.get()
     sources = (condition, *(() if scope is None else scope.sources), *(() if limit is None else (limit,)))
     with Waiter(sources) as waiter:
         while not predicate():
             raise_if_cancelled()
-            if limit is not None and limit.struck:  # before it was waited for; others have their turn nevertheless
+            if limit is not None and limit.struck:  # passed before the wait; others run first nevertheless
                 waiter.wake()
             waiter.sleep()
             if limit is not None and limit.has_come:
@@ -240,7 +228,7 @@ def wait_until(condition: Condition, predicate: Callable[[], bool], limit: Deadl
 
 
 def join(condition: Condition, predicate: Callable[[], bool]) -> None:
-    """Wait until a predicate holds, even if cancelled; see :func:`wait`."""
+    """Wait until a predicate holds, even if the branch is cancelled; see :func:`wait`."""
     with Waiter((condition,)) as waiter:
         while not predicate():
             waiter.sleep()

@@ -1,8 +1,7 @@
 """Futures: lazy results of actions that may still run.
 
-A future can be used as the result itself: attributes, comparisons, arithmetic, printing and iteration wait for the end
-of the branch and then act on its result. Where the type matters (``is``, ``json.dumps``, ``str.join``), :func:`unwrap`
-returns the result.
+A future can be used like the result: attributes, comparisons, arithmetic, printing and iteration wait for the end of
+the branch and then act on its result. If the type matters (``is``, ``json.dumps``, ``str.join``), use :func:`unwrap`.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ Result: TypeAlias = Any
 
 
 class Pending(Protocol):
-    """The branch of a block whose result a future stands for."""
+    """The branch of a future."""
 
     name: str
     state: State
@@ -30,17 +29,17 @@ class Pending(Protocol):
 
     @property
     def done(self) -> bool:
-        """Whether it has ended."""
+        """Whether the branch has ended."""
 
     def result(self, timeout: float | None = None) -> Result:
-        """Wait for its result."""
+        """Wait for the branch's result."""
 
 
 class Future:
-    """Stands for the result of a branch: every operation waits for the result and is applied to it.
+    """Represents the result of a branch: every operation waits for the result and is applied to it.
 
-    Its only own method is :meth:`result`; :func:`branch_of` returns its branch. Using the future of a failed branch
-    raises what the branch raised.
+    Its only method of its own is :meth:`result`; :func:`branch_of` returns its branch. Using the future of a failed
+    branch raises the branch's error.
     """
 
     __slots__ = ("__weakref__", "_branch")
@@ -54,12 +53,12 @@ class Future:
         return self._branch.result(timeout)
 
     def __record__(self) -> object:
-        """Return the result, or the branch's name as long as there is none: recording doesn't wait."""
+        """Return the result, or the branch's name before there is a result: recording doesn't wait."""
         branch = self._branch
         return branch.result() if branch.state is State.SUCCEEDED else {"branch": branch.name}
 
     @property  # type: ignore[misc]  # nobody assigns it
-    def __class__(self) -> type:  # isinstance() asks for this, after the type itself
+    def __class__(self) -> type:  # isinstance() reads it after the type itself
         return type(self._branch.result())
 
     def __repr__(self) -> str:
@@ -111,7 +110,7 @@ _FUNCTIONS: Final[dict[str, Callable[..., Result]]] = {
     **{function.__name__: function for function in (*_BUILTIN, copy.copy, copy.deepcopy, os.fspath)},
     "rdivmod": _reflected(divmod),
 }
-"""Functions behind ``__add__``, ``__len__``, ..., applied to the result and to those of other futures."""
+"""Functions of ``__add__``, ``__len__``, ..., applied to the result and to the results of other futures."""
 
 
 def _operation(name: str, function: Callable[..., Result]) -> Callable[..., Result]:
@@ -127,12 +126,12 @@ for _name, _function in _FUNCTIONS.items():
 
 
 def is_future(value: object) -> bool:
-    """Whether this is a future; doesn't wait."""
+    """Return whether a value is a future; doesn't wait."""
     return issubclass(type(value), Future)
 
 
 def branch_of(value: object) -> Pending | None:
-    """Return the branch whose result a future stands for, None for other values; doesn't wait."""
+    """Return the branch of a future, None for other values; doesn't wait."""
     branch: Pending | None = object.__getattribute__(value, "_branch") if is_future(value) else None
     return branch
 
@@ -140,7 +139,7 @@ def branch_of(value: object) -> Pending | None:
 def branches_in(value: object) -> Iterator[Pending]:
     """Yield the branches of all futures in a value, nested in lists, tuples and dictionaries too; doesn't wait.
 
-    A caller that waits for each branch before it takes the next one also gets those in their results.
+    A caller that waits for each branch before taking the next one also gets the branches of futures in their results.
     """
     queue = [value]
     seen = set()
@@ -156,7 +155,7 @@ def branches_in(value: object) -> Iterator[Pending]:
 
 
 def unwrap(value: Result) -> Result:
-    """Return a future's result, waiting for it, or raise what its branch raised; return other values unchanged."""
+    """Wait for a future's result and return it, or raise its branch's error; return other values unchanged."""
     while is_future(value):
         value = value.result()
     return value

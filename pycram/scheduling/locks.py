@@ -1,4 +1,4 @@
-"""Re-entrant locks of threads: held for a short time, and never across a checkpoint."""
+"""Re-entrant locks of threads, held for a short time and never across a checkpoint."""
 
 from __future__ import annotations
 
@@ -14,31 +14,29 @@ if TYPE_CHECKING:
 
 
 class LockHeld(UsageError):
-    """A branch waits, or lets others run, while it holds a lock: other branches of its thread would get in too."""
+    """A branch waits or yields while it holds a lock: other branches of its thread would hold the lock too."""
 
     def __init__(self) -> None:
         super().__init__("a branch must not wait or perform a motion while it holds the lock of a world or of fluents")
 
 
 class _Held(threading.local):
-    """Number of locks that the thread holds."""
-
-    count = 0
+    count = 0  # number of locks that the thread holds
 
 
 _held: Final = _Held()
-_shared: Final[list[Callable[[], bool]]] = []  # whether the thread holds each of the shared locks
+_shared: Final[list[Callable[[], bool]]] = []  # for each shared lock, whether the thread holds it
 
 
 def shared_lock() -> threading.RLock:
-    """Return a lock for all of the process, which is never freed; with it ``with`` takes a fifth of a Lock's time."""
+    """Return a lock of the whole process, which is never freed; entering it takes a fifth of a Lock's time."""
     lock = threading.RLock()
     _shared.append(lock._is_owned)  # type: ignore[attr-defined]  # noqa: SLF001  as threading.Condition does
     return lock
 
 
 class Lock:
-    """A re-entrant lock, as a context manager; counted where it is held."""
+    """A re-entrant lock, as a context manager; the locks that a thread holds are counted."""
 
     __slots__ = ("_lock",)
 
@@ -47,7 +45,7 @@ class Lock:
 
     @property
     def is_mine(self) -> bool:
-        """Whether this thread holds it."""
+        """Whether this thread holds the lock."""
         return bool(self._lock._is_owned())  # type: ignore[attr-defined]  # noqa: SLF001  as above
 
     def __enter__(self) -> None:
@@ -55,7 +53,7 @@ class Lock:
         _held.count += 1
 
     def _try(self) -> bool:
-        """Acquire it, unless another thread has it; return whether that was so."""
+        """Acquire the lock unless another thread holds it; return whether it was acquired."""
         acquired = self._lock.acquire(blocking=False)
         _held.count += acquired
         return acquired
@@ -68,7 +66,7 @@ class Lock:
 
 
 def is_held() -> bool:
-    """Whether the thread holds a lock."""
+    """Return whether the thread holds a lock."""
     if _held.count:
         return True
     for is_owned in _shared:  # noqa: SIM110  any() takes three times as long
@@ -78,6 +76,6 @@ def is_held() -> bool:
 
 
 def refuse_held() -> None:
-    """Raise LockHeld if the thread holds a lock; called wherever a branch may yield to others."""
+    """Raise LockHeld if the thread holds a lock; called wherever a branch may yield."""
     if is_held():
         raise refused(LockHeld(), "wait", {})

@@ -1,15 +1,15 @@
-"""Orders of branches that somebody asks for: explored ones, and those that are told in words afterwards.
+"""Orders of branches that are requested by name, as exploration does.
 
-In these branches have ranks, at first in the order in which they were added, and the first one in rank that is ready
-runs until it waits or ends. A :class:`Precedence` is an exception to that: "branch 2 before branch 1 at its 3rd stop".
-Any order is ranks and exceptions, so what is drawn can be told, made again, and made smaller, exception by exception.
+Branches have ranks, at first in the order in which they were added. The ready branch with the first rank runs until it
+waits or ends. A :class:`Precedence` is an exception: "branch 2 before branch 1 at its 3rd stop". Every order is ranks
+and exceptions, so a random order can be described, repeated, and simplified exception by exception.
 
-As text, on the command line and on record:
+Text of an order, on the command line and on record:
 
-- ``added``: the ranks alone;
-- ``added:2-1@3,1.2-1.1@0``: with precedences. Branch 1.2 is the second one that branch 1 began, 0 the code outside of
-  all; its stop 0 is its start, and each checkpoint and wait is another one;
-- ``pct:17:3:120``: drawn by :class:`Pct`, number 17, of depth 3 over 120 turns.
+- ``added``: ranks without exceptions;
+- ``added:2-1@3,1.2-1.1@0``: ranks with precedences. Branch 1.2 is the second branch that branch 1 began; 0 is the code
+  outside of all branches. Stop 0 is a branch's start, and each checkpoint and wait is another stop;
+- ``pct:17:3:120``: drawn by :class:`Pct`, with number 17 and depth 3 over 120 turns.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pycram.foundation.names import export
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
-#: Turns after which a branch that goes on and on, such as one that polls, lets all others run first.
+#: Turns in a row after which a branch, such as one that polls, lets all others run first.
 MOST_IN_A_ROW: Final = 100
 ADDED: Final = "added"
 OUTSIDE: Final = "0"
@@ -35,106 +35,77 @@ _PRECEDENCE: Final = re.compile(r"(\d+(?:\.\d+)*)-(\d+(?:\.\d+)*)@(\d+)")
 
 
 class DeadlockedBranches(UsageError):
-    """All branches wait, and nothing is left that could wake one.
+    """All branches wait, and nothing can wake one of them.
 
-    Only orders that are asked for by name tell it, and projections, in which the branches around stand still: otherwise
-    a plan may wait for what a signal brings.
-
-    Attributes:
-        waiting: Where each branch waits, FILE:LINE by its name.
+    It is raised only in orders that are requested by name, and in projections; otherwise a signal may end the wait.
     """
 
     def __init__(self, waiting: Mapping[str, str]) -> None:
         where = ", ".join(f"{name} at {line}" for name, line in waiting.items())
         super().__init__(f"deadlock: all wait, and nothing can wake them: {where}")
-        self.waiting = dict(waiting)
+        self.waiting = dict(waiting)  # FILE:LINE where each branch waits, by its name
 
 
 export("pycram.failures", DeadlockedBranches)
 
 
 class Precedence(NamedTuple):
-    """A branch goes before another one, which is first in rank, and stays ahead of it.
+    """A branch runs before another one that has the first rank, and stays ahead of it."""
 
-    Attributes:
-        branch: Number of the one that goes first.
-        before: Number of the other one.
-        stop: At which of its stops that waits.
-    """
-
-    branch: str
-    before: str
-    stop: int
+    branch: str  # number of the branch that runs first
+    before: str  # number of the other branch
+    stop: int  # the stop of the other branch
 
     def __str__(self) -> str:
         return f"{self.branch}-{self.before}@{self.stop}"
 
 
-class Standing(NamedTuple):
-    """Where a branch stands that is ready.
+class BranchLine(NamedTuple):
+    """The plan's line at which a branch waits or is ready."""
 
-    Attributes:
-        branch: Its name; that of the thread outside of branches.
-        file: The plan's file; "" if none is known.
-        line: The plan's line that it goes on with, or that added it if it hasn't begun.
-    """
-
-    branch: str
-    file: str
-    line: int
+    branch: str  # name of the branch; of the thread for code outside of branches
+    file: str  # "" if unknown
+    line: int  # the line with which the branch continues, or that added it if it hasn't begun
 
 
-class Made(NamedTuple):
-    """A precedence that has come about.
-
-    Attributes:
-        precedence: Itself.
-        first: Where the branch stood that went first.
-        second: Where the other one stood.
-        passed: The precedences before those alone that are next in rank to the branch, the nearest first: it went
-            before all of them.
-    """
+class AppliedPrecedence(NamedTuple):
+    """A precedence that changed the order of a run."""
 
     precedence: Precedence
-    first: Standing
-    second: Standing
+    first: BranchLine  # of the branch that ran first
+    second: BranchLine  # of the other branch
+    #: Smaller precedences: the branch before each other ready branch that it passed, the nearest in rank first.
     passed: list[Precedence]
 
 
 class Candidate(Protocol):
-    """What can run next."""
+    """A branch or wait that can run next."""
 
-    def standing(self) -> Standing:
-        """Where it stands in the plan."""
+    def plan_line(self) -> BranchLine:
+        """Return the plan's line at which it is."""
 
 
 @dataclass(slots=True, eq=False)
 class Ranked:
-    """A branch, or the code outside of all, as an order knows it.
+    """A branch, or the code outside of all branches, in an order."""
 
-    Attributes:
-        number: "2" is the second branch that the code outside began, "2.1" the first that this one began.
-        stops: Checkpoints and waits that it has come to.
-        begun: Branches that it has begun.
-    """
-
-    number: str
-    stops: int = 0
-    begun: int = 0
+    number: str  # "2" is the second branch that the code outside began, "2.1" the first branch that branch 2 began
+    stops: int = 0  # number of its checkpoints and waits so far
+    begun: int = 0  # number of branches that it has begun
 
 
 class Pct:
     """Probabilistic concurrency testing: random priorities, which change at a few random moments.
 
-    A race of depth d needs d orderings of two steps each. With n branches and k turns a run finds one of depth d or
-    less with a probability of at least 1 / (n k^(d-1)), whatever the plan is (Burckhardt, Kothari, Musuvathi,
-    Nagarakatte: A randomized scheduler with probabilistic guarantees of finding bugs, ASPLOS 2010). The bound holds
-    for runs of up to k turns, in which no branch takes more than MOST_IN_A_ROW.
+    A race of depth d needs d ordered pairs of steps. With n branches and k turns, a run finds a race of depth d or less
+    with a probability of at least 1 / (n k^(d-1)) (Burckhardt, Kothari, Musuvathi, Nagarakatte: A randomized scheduler
+    with probabilistic guarantees of finding bugs, ASPLOS 2010). The bound holds for runs of up to k turns, in which no
+    branch takes more than MOST_IN_A_ROW.
 
     Args:
-        seed: The run's.
-        number: Which of its draws.
-        depth: d; there are d - 1 changes of priority.
+        seed: The run's seed.
+        number: Number of the draw.
+        depth: d; priorities change d - 1 times.
         steps: k.
     """
 
@@ -147,7 +118,7 @@ class Pct:
         self._priorities: dict[Ranked, float] = {}
 
     def choose(self, ready: Collection[Ranked]) -> Ranked:
-        """Return the one of the highest priority."""
+        """Return the branch with the highest priority."""
         self._turns += 1
         for each in ready:
             if each not in self._priorities:
@@ -159,7 +130,7 @@ class Pct:
         return highest
 
     def postpone(self, branch: Ranked) -> None:
-        """Give it the lowest priority."""
+        """Give a branch the lowest priority."""
         self._lowest -= 1
         self._priorities[branch] = self._lowest
 
@@ -168,19 +139,14 @@ class Order:
     """Decides which branch of a thread runs next.
 
     Args:
-        draw: Decides; None for the first in rank.
-        precedences: Exceptions from that.
-
-    Attributes:
-        outside: The code outside of all branches.
-        turns: How many there were with two or more to choose from.
-        made: The precedences that have come about.
+        draw: Chooses at random; None for the first in rank.
+        precedences: Exceptions from the ranks.
     """
 
     def __init__(self, draw: Pct | None = None, precedences: Iterable[Precedence] = ()) -> None:
-        self.outside = Ranked(OUTSIDE)
-        self.turns = 0
-        self.made: list[Made] = []
+        self.outside = Ranked(OUTSIDE)  # the code outside of all branches
+        self.turns = 0  # number of choices between two or more branches
+        self.applied: list[AppliedPrecedence] = []
         self._draw = draw
         self._asked: dict[tuple[str, int], deque[str]] = {}
         for each in precedences:
@@ -190,26 +156,28 @@ class Order:
         self._in_a_row = 0
 
     def begin(self, by: Ranked) -> Ranked:
-        """Give a new branch the last rank."""
+        """Return the rank of a new branch: the last one."""
         by.begun += 1
         number = str(by.begun) if by is self.outside else f"{by.number}.{by.begun}"
         self._ranks.append(branch := Ranked(number))
         return branch
 
     def end(self, branch: Ranked) -> None:
-        """Forget a branch that has ended."""
+        """Remove a branch that has ended."""
         if branch in self._ranks:
             self._ranks.remove(branch)
 
     def choose(self, ready: Mapping[Ranked, Candidate]) -> Ranked:
-        """Return which of two or more runs next; they come in the order in which they became ready."""
+        """Return which of two or more branches runs next; they are given in the order in which they became ready."""
         self.turns += 1
         top = next(each for each in self._ranks if each in ready)
         chosen = self._preceding(top, ready) if self._draw is None else self._draw.choose(ready.keys())
         if chosen is not top:
             behind = [each for each in self._ranks[: self._ranks.index(chosen)] if each in ready]
             passed = [Precedence(chosen.number, each.number, each.stops) for each in reversed(behind)]
-            self.made.append(Made(passed.pop(), ready[chosen].standing(), ready[top].standing(), passed))
+            self.applied.append(
+                AppliedPrecedence(passed.pop(), ready[chosen].plan_line(), ready[top].plan_line(), passed)
+            )
             self._ranks.remove(chosen)
             self._ranks.insert(self._ranks.index(top), chosen)
         self._in_a_row = self._in_a_row + 1 if chosen is self._latest else 1
@@ -223,10 +191,10 @@ class Order:
         return chosen
 
     def _preceding(self, top: Ranked, ready: Collection[Ranked]) -> Ranked:
-        """Return who is asked to go before the first in rank: of several that can, the one that is asked for first."""
+        """Return the branch that a precedence puts before the first in rank; of several, the one requested first."""
         asked = self._asked.get((top.number, top.stops), ())
         while asked:
-            number = asked.popleft()  # one that isn't ready can't; its precedence is void
+            number = asked.popleft()  # a branch that isn't ready loses its precedence
             for each in ready:
                 if each.number == number:
                     return each
@@ -234,14 +202,14 @@ class Order:
 
 
 def order_of(text: str, seed: int | None) -> Order | None:
-    """Return a new order by its text; None for "", the order in which the scheduler draws by itself.
+    """Return a new order by its text; None for "", the scheduler's default order.
 
     Args:
-        text: See above.
-        seed: The run's.
+        text: Text of an order, as in the module's description.
+        seed: The run's seed.
 
     Raises:
-        BadArgument: It is no order.
+        BadArgument: The text is no order.
     """
     if not text:
         return None
@@ -257,5 +225,5 @@ def order_of(text: str, seed: int | None) -> Order | None:
 
 
 def text_of(precedences: Iterable[Precedence]) -> str:
-    """Return the text of the order of ranks with some precedences."""
+    """Return the text of an order with precedences."""
     return ":".join(filter(None, (ADDED, ",".join(map(str, precedences)))))

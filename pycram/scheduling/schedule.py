@@ -1,20 +1,19 @@
-"""The scheduler of a thread: which of its branches runs next, and what wakes those that wait.
+"""The scheduler of a thread: which of its branches runs next, and what wakes branches that wait.
 
-With a seed, the next one is drawn from all that are ready: another seed takes the plan through another order, the same
-one through the same, in any process and under any load. Without a seed, it is the one that has been ready longest.
-Orders that somebody asks for by name are those of :mod:`pycram.scheduling.order`.
-What a clock or a worker decides is a strike, and no seed knows when it comes. The scheduler sees it when it looks: at
-checkpoints, and when it chooses who runs next. Looks that have something to look for are numbered, and the strikes of
-the main thread are on record; a run that a recording guides has them at the same looks.
+With a seed, the scheduler draws the next branch from all that are ready: the same seed gives the same order, in any
+process and under any load. Without a seed, the branch runs that has been ready longest. Orders that are requested by
+name are in :mod:`pycram.scheduling.order`.
 
-A branch that yields switches to the scheduler's loop, a greenlet too, which starts or resumes the next one that is
-ready. If none is, the first of those goes on that wait patiently, as for simulated time, which passes only while nobody
-has anything to do. If there is none either, the thread sleeps until another thread rings its bell or the first deadline
-has passed. The code outside of all branches takes turns with them; a thread without branches just sleeps.
+A strike is an event from outside of this order: a deadline passes, or a worker ends. No seed determines its timing. The
+scheduler polls for strikes at checkpoints and when it chooses the next branch. Polls are numbered, and strikes of the
+main thread are recorded; a run that a recording guides has its strikes at the same polls.
 
-The handler of any signal may raise an error between two instructions (a plan's own time limit by ``signal.alarm``), and
-a deep recursion may end in any call. Then the loop ends, the code outside of all branches gets the error, and the next
-loop gives everybody a turn again: so nobody's turn is lost, and waits check their predicates anyway.
+A branch that yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. If
+none is ready, the first patient wait resumes, such as a wait in simulated time. If there is none, the thread sleeps
+until another thread rings its bell or the first deadline passes. The code outside of all branches takes turns, too.
+
+A signal handler may raise an error between any two instructions, and a deep recursion may end in any call. Then the
+loop ends and the code outside of all branches gets the error. The next loop schedules all branches again.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from greenlet import getcurrent, greenlet
 
 from pycram.scheduling.locks import refuse_held
-from pycram.scheduling.order import DeadlockedBranches, Standing, order_of
+from pycram.scheduling.order import BranchLine, DeadlockedBranches, order_of
 from recorder.tracing import context, forking, interrupts, journal
 from recorder.tracing.call_stack import call_site, plan_frame
 from recorder.tracing.context import enter_branch, new_branch
@@ -52,23 +51,17 @@ if TYPE_CHECKING:
     from recorder.tracing.call_stack import CallSite
 
 
-#: Python doesn't wake a thread for a signal that arrives just before it goes to sleep: seconds until that is noticed.
+#: Seconds until a signal is noticed that arrives just before the thread sleeps: Python doesn't wake it then.
 MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
 
 
 class Waiter:
-    """One wait, in a branch or outside of all; the sources wake it until its ``with`` block ends.
+    """A wait, in a branch or outside of all branches; its conditions wake it until its ``with`` block ends.
 
     Args:
-        sources: What wakes it.
-        patience: Of a patient wait, which goes on when nothing else of its thread is ready: whether it would now.
-
-    Attributes:
-        branch: That branch; None outside of all.
-        patience: As given.
-        parked: Whether it sleeps.
-        undisturbed: Whether it went on because nothing else was ready.
+        sources: The conditions that wake it.
+        patience: For a patient wait, which resumes when nothing else of its thread is ready: whether it may resume now.
     """
 
     __slots__ = ("_greenlet", "_scheduler", "_sources", "branch", "parked", "patience", "undisturbed")
@@ -77,28 +70,25 @@ class Waiter:
         self._greenlet = getcurrent()
         self._scheduler = scheduler()
         self._sources = sources
-        self.branch = self._scheduler.running
+        self.branch = self._scheduler.running  # None outside of all branches
         self.patience = patience
-        self.parked = self.undisturbed = False
+        self.parked = False  # whether it sleeps
+        self.undisturbed = False  # whether it resumed because nothing else was ready
 
     def wake(self) -> None:
-        """Schedule it to check its predicate again; from any thread."""
+        """Schedule the wait to check its predicate again; from any thread."""
         self._scheduler.add(self)
 
     def resume(self) -> None:
-        """Switch to the waiting code; for the scheduler's loop."""
+        """Switch to the waiting code; called by the scheduler's loop."""
         self._greenlet.switch()
 
-    def standing(self) -> Standing:
-        """Where the plan waits."""
-        return _standing(self.branch, self._greenlet)
+    def plan_line(self) -> BranchLine:
+        """Return the plan's line that waits."""
+        return _plan_line(self.branch, self._greenlet)
 
     def sleep(self) -> bool:
-        """Yield until woken, perhaps spuriously.
-
-        Returns:
-            Whether a patient wait goes on because nothing else of the thread is ready.
-        """
+        """Yield until woken, perhaps spuriously; return whether a patient wait resumes as nothing else is ready."""
         self._scheduler.park(self)
         return self.undisturbed
 
@@ -119,7 +109,7 @@ class Waiter:
 
 @dataclass(slots=True, eq=False)
 class _Branch:
-    """A branch that hasn't started, or hasn't ended."""
+    """A branch that hasn't ended."""
 
     scheduler: Scheduler
     name: str
@@ -129,24 +119,24 @@ class _Branch:
     site: CallSite
     ranked: Ranked | None = None
     _greenlet: greenlet | None = None
-    _started: bool = False  # whether its greenlet will also end it
+    _started: bool = False
 
     @property
     def branch(self) -> _Branch:
-        """Itself, as a wait has its branch."""
+        """The branch itself: the schedule takes waits and branches."""
         return self
 
-    def standing(self) -> Standing:
-        """Where it waits; before its start where it was added."""
-        return _standing(self, self._greenlet)
+    def plan_line(self) -> BranchLine:
+        """Return the plan's line that waits, or that added the branch before it starts."""
+        return _plan_line(self, self._greenlet)
 
     @property
     def ended(self) -> bool:
-        """Whether its greenlet has ended."""
+        """Whether the branch has ended."""
         return self._started and self._greenlet is not None and self._greenlet.dead
 
     def resume(self) -> None:
-        """Start it, or have it check what it waits for; for the scheduler's loop."""
+        """Start the branch or switch to it; called by the scheduler's loop."""
         if not self._started or self._greenlet is None:
             self._greenlet = greenlet(self._run)
             self._greenlet.gr_context = self.context
@@ -167,14 +157,17 @@ class _Branch:
 Ready: TypeAlias = "Waiter | _Branch"
 
 
-def _standing(branch: _Branch | None, suspended: greenlet | None) -> Standing:
+def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine:
     frame = plan_frame(suspended.gr_frame)[0] if suspended is not None else None
     site = (frame.f_code.co_filename, frame.f_lineno) if frame is not None else branch.site if branch else ("", 0)
-    return Standing(threading.current_thread().name if branch is None else branch.name, *site)
+    return BranchLine(threading.current_thread().name if branch is None else branch.name, *site)
 
 
 def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None, order: Order | None = None) -> Ready:
-    """Remove and return what runs next: by an order, drawn, or ready longest. Nothing else decides that of a plan."""
+    """Remove and return the branch or wait that runs next: by an order, drawn at random, or the one ready longest.
+
+    Only this function decides the order of a plan's branches.
+    """
     if order is not None:
         candidates: dict[Ranked, Ready] = {}
         for each in ready:
@@ -195,14 +188,11 @@ _order = ""
 
 
 def seed_order(seed: int | None, order: str = "") -> None:
-    """Draw the order of this thread's branches from a seed from now on, and that of threads that begin later.
+    """Draw the order of branches from a seed from now on, in this thread and in threads that start later.
 
     Args:
-        seed: The seed; None for the order in which branches became ready.
-        order: Another order, as :mod:`pycram.scheduling.order` has it as text.
-
-    Raises:
-        BadArgument: It is no order.
+        seed: None for the order in which branches became ready.
+        order: Another order, as text of :mod:`pycram.scheduling.order`; raises BadArgument if it is none.
     """
     global _seed, _order  # of the run, which is the process's
     order_of(order, seed)
@@ -211,77 +201,61 @@ def seed_order(seed: int | None, order: str = "") -> None:
 
 
 def run_seed() -> int | None:
-    """Return the run's seed; None where nobody has set one."""
+    """Return the run's seed; None if none was set."""
     return _seed
 
 
 class Condition:
-    """Something that branches and threads wait for; see :func:`pycram.scheduling.cancellation.wait`.
-
-    Attributes:
-        waiters: Current waits, in order of arrival.
-    """
+    """A condition that branches and threads wait for; see :func:`pycram.scheduling.cancellation.wait`."""
 
     def __init__(self) -> None:
-        self.waiters: dict[Waiter, None] = {}
+        self.waiters: dict[Waiter, None] = {}  # present waits, in order of arrival
 
     def notify_all(self) -> None:
-        """Have all waits check their predicate again; after the change, from any thread."""
+        """Wake all waits to check their predicates again; called after the change, from any thread."""
         for waiter in list(self.waiters):
             waiter.wake()
 
 
-#: The strikes of a recorded run: what strikes at a look, by its number; None when the recording guides no more.
-Foreseen: TypeAlias = "Callable[[int], Collection[int] | None]"
+#: Returns the recorded strikes of a poll by its number; None after the end of the recording.
+RecordedStrikes: TypeAlias = "Callable[[int], Collection[int] | None]"
 
 
 class Scheduler:
-    """Lets the branches of one thread take turns.
-
-    Attributes:
-        branches: Those that haven't ended, in the order in which they were added.
-        joining: Whether the code outside of all branches, interrupted by Ctrl-C, waits for their ends.
-        checkpoints: How many there were in this thread, where branches stop that are cancelled.
-        running: The branch that runs; None while the code outside of all does.
-        order: The order that was asked for; None for the ordinary one.
-        alone: Whether no signal is waited for, as in a forked copy: where nothing can wake anybody is a deadlock.
-        patient: The patient waits, in order of arrival; the first that would goes on when nothing is ready.
-        outer: What it looks for, in the order in which that began.
-        looks: How many there were.
-        foreseen: Says what strikes where a recording guides; None where none does.
-    """
+    """Lets the branches of one thread take turns."""
 
     order: Order | None
+    """The requested order; None for the default one."""
 
     def __init__(self) -> None:
-        self.branches: dict[_Branch, None] = {}
-        self.joining = False
-        self.checkpoints = 0
-        self.running: _Branch | None = None
+        self.branches: dict[_Branch, None] = {}  # branches that haven't ended, in the order in which they were added
+        self.joining = False  # whether the code outside of all branches waits for their ends after Ctrl-C
+        self.checkpoints = 0  # number of checkpoints in this thread
+        self.running: _Branch | None = None  # None while the code outside of all branches runs
         self._ready: OrderedDict[Ready, None] = OrderedDict()
         self.draw_from(_seed, _order)
-        self.alone = False
-        self._deadlocked = False  # nobody runs any more, and one branch has had the error for it
-        self.patient: dict[Waiter, None] = {}
-        self._first: Waiter | None = None  # runs next, whatever else is ready
-        self.outer: dict[Outer, None] = {}
-        self.looks = 0
-        self.foreseen: Foreseen | None = None
+        self.alone = False  # whether no signal can end a wait, as in a forked copy: then a wait may be a deadlock
+        self._deadlocked = False  # whether one branch has had the error of a deadlock
+        self.patient: dict[Waiter, None] = {}  # patient waits, in order of arrival
+        self._first: Waiter | None = None  # runs next, before all that are ready
+        self.strike_sources: dict[StrikeSource, None] = {}  # polled in this order
+        self.polls = 0  # number of polls
+        self.recorded_strikes: RecordedStrikes | None = None  # None if no recording guides this thread
         self._bell = _thread.allocate_lock()
         self._bell.acquire()
         self._loop: greenlet | None = None
         self._outside: Waiter | None = None  # the code outside of all branches, while a branch runs
 
     def draw_from(self, seed: int | None, order: str = "") -> None:
-        """Take the order from a seed, or one that is asked for; None for the order in which branches became ready."""
-        self._dice = None if seed is None else random.Random(f"order {seed}")  # not that of the plan's own
+        """Set the order of branches; see :func:`seed_order`."""
+        self._dice = None if seed is None else random.Random(f"order {seed}")  # separate from the plan's random numbers
         self.order = order_of(order, seed)
         for ready in list(self._ready):
-            if isinstance(ready, Waiter) and not ready.parked:  # a wait that has ended: its turn is nobody's
+            if isinstance(ready, Waiter) and not ready.parked:  # a wait that has ended
                 self.forget(ready)
 
     def continue_order(self, other: Scheduler) -> None:
-        """Draw what another scheduler would draw next, in a process that has no use for that one any more."""
+        """Continue the order of another scheduler, which this process doesn't use any more."""
         self.checkpoints = other.checkpoints
         self._dice = copy(other._dice)
         self.order = other.order
@@ -299,11 +273,11 @@ class Scheduler:
         """Schedule a new branch, or raise; from any thread.
 
         Args:
-            name: Its name in records.
-            context: The context that it runs in, this very one.
-            action: Runs the branch. An error of it ends the loop; it has none of its own.
-            failed: Called with that error first.
-            site: The plan's line that adds it.
+            name: Name in records.
+            context: The branch runs in this context, not in a copy.
+            action: Runs the branch. It handles the branch's errors; an error that it raises ends the scheduler's loop.
+            failed: Called first with an error that ``action`` raises.
+            site: The plan's line that adds the branch.
         """
         branch = _Branch(self, name, context, action, failed, site)
         if self.order is not None:
@@ -317,37 +291,37 @@ class Scheduler:
             raise
 
     def add(self, ready: Ready) -> None:
-        """Append to what is ready, unless it is; from any thread."""
+        """Append a branch or wait to those that are ready, if it isn't among them; from any thread."""
         self._ready[ready] = None
         self.ring()
 
     def forget(self, ended: Waiter) -> None:
-        """Take a wait that has ended from what is ready; else its branch would have a turn for nothing."""
+        """Remove a wait that has ended from those that are ready."""
         self._ready.pop(ended, None)
 
     def ring(self) -> None:
         """Wake the thread if it sleeps; from any thread, and from signal handlers."""
-        if self._bell.locked():  # else it was rung already
-            with suppress(RuntimeError):  # by another thread just now
+        if self._bell.locked():  # otherwise the bell has rung already
+            with suppress(RuntimeError):  # another thread has just rung it
                 self._bell.release()
 
     def yield_turn(self) -> None:
-        """Run the others that are ready first; outside of all branches, raise a deferred Ctrl-C."""
+        """Let the other branches that are ready run first; outside of all branches, raise a deferred Ctrl-C."""
         refuse_held()
         if interrupts.is_pending() and self._is_outside() and not self.joining:
             interrupts.raise_pending()
         if self.branches and getcurrent() is not self._loop:
-            self.look()
+            self.poll()
             if self._ready:
                 waiter = Waiter()
                 waiter.wake()
                 waiter.sleep()
                 return
-        if self.order is not None:  # in the order of another run it might have been a turn
+        if self.order is not None:  # in another order, others might have run here
             self._ranked(self.order).stops += 1
 
     def park(self, waiter: Waiter) -> None:
-        """Run others until the waiter is woken; see :meth:`Waiter.sleep`."""
+        """Run other branches until the waiter is woken; see :meth:`Waiter.sleep`."""
         refuse_held()
         if self.order is not None:
             self._ranked(self.order).stops += 1
@@ -371,7 +345,7 @@ class Scheduler:
             interrupts.raise_pending()
 
     def leave(self, branch: _Branch) -> None:
-        """Have a branch that ends return to the current loop: an error may have ended the one that started it."""
+        """Let a branch that ends return to the present loop: an error may have ended the loop that started it."""
         if self._loop is not None:
             getcurrent().parent = self._loop
         self.branches.pop(branch, None)
@@ -379,11 +353,11 @@ class Scheduler:
             self.order.end(branch.ranked)
 
     def _ranked(self, order: Order) -> Ranked:
-        """Return what runs, as the order knows it."""
+        """Return the running code's rank in an order."""
         return order.outside if self.running is None or self.running.ranked is None else self.running.ranked
 
     def suspended(self) -> Iterator[tuple[FrameType, Context]]:
-        """Yield innermost frames and contexts of the code that waits for its turn: branches, and outside of all."""
+        """Yield innermost frames and contexts of suspended code: of branches, and of the code outside of them."""
         waiting = [branch._greenlet for branch in self.branches]  # noqa: SLF001  same module
         if self._loop is not None:
             waiting.append(self._loop.parent)
@@ -392,15 +366,15 @@ class Scheduler:
                 yield each.gr_frame, each.gr_context
 
     def _is_outside(self) -> bool:
-        """Whether the running code is outside of all branches."""
+        """Return whether the running code is outside of all branches."""
         return not self._loop or getcurrent() is self._loop.parent
 
     def _run(self) -> None:
-        """Loop as long as there are branches."""
+        """Run branches as long as there are any."""
         try:
             slept = False
             while self.branches:
-                self.look(again=slept)
+                self.poll(again=slept)
                 slept = False
                 first, self._first = self._first, None
                 chosen: Ready
@@ -425,7 +399,7 @@ class Scheduler:
             self.running = None
 
     def _next_patient(self) -> Waiter | None:
-        """Return the first patient wait that would go on, now that nothing is ready."""
+        """Return the first patient wait that may resume, as nothing is ready."""
         for waiter in self.patient:
             if waiter.parked and waiter.patience is not None and waiter.patience():
                 waiter.undisturbed = True
@@ -433,12 +407,12 @@ class Scheduler:
         return None
 
     def is_awaited(self) -> bool:
-        """Whether something is ready while a patient wait goes on, or a Ctrl-C is deferred to its next checkpoint."""
-        self.look()
+        """Return whether something is ready, or a Ctrl-C waits for the next checkpoint, while a patient wait runs."""
+        self.poll()
         return bool(self._ready) or (interrupts.is_pending() and self._is_outside() and not self.joining)
 
     def _resume_all(self) -> None:
-        """Schedule all branches: the one that was to run next, or that was being woken, may have been lost."""
+        """Schedule all branches: an error may have lost the one that was to run next, or that was being woken."""
         for branch in list(self.branches):
             if branch.ended:
                 self.branches.pop(branch, None)
@@ -446,44 +420,44 @@ class Scheduler:
                 self.add(branch)
 
     def _sleep_alone(self) -> None:
-        self.look()
+        self.poll()
         while not self._ready and self._next_patient() is None and not interrupts.is_pending():
             self._sleep()
-            self.look(again=True)
+            self.poll(again=True)
         for ready in list(self._ready):
-            if isinstance(ready, Waiter):  # its wait checks the predicate anyway
+            if isinstance(ready, Waiter):  # the waiting code checks its predicate anyway
                 self._ready.pop(ready, None)
 
     def _sleep(self) -> None:
         """Block the thread until the bell rings or a deadline passes."""
-        first = min((each.end for each in self.outer if not each.struck), default=math.inf)
+        first = min((each.end for each in self.strike_sources if not each.struck), default=math.inf)
         known = self.alone or self.order is not None
         if known and first == math.inf and self._bell.locked() and not forking.others():
-            self._tell_deadlock()
+            self._raise_deadlock()
         while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
-            if first <= time.monotonic():  # else Python has called the handlers of signals
+            if first <= time.monotonic():  # otherwise Python has called signal handlers
                 break
 
-    def _tell_deadlock(self) -> None:
-        """Raise DeadlockedBranches, once: the cleaning up after it may wait again."""
+    def _raise_deadlock(self) -> None:
+        """Raise DeadlockedBranches, once: cleanup code may wait again."""
         if not self._deadlocked:
             self._deadlocked = True
-            standing = [branch.standing() for branch in list(self.branches)]
-            standing = standing or [Standing(threading.current_thread().name, *call_site())]
-            raise DeadlockedBranches({each.branch: f"{Path(each.file).name}:{each.line}" for each in standing})
+            lines = [branch.plan_line() for branch in list(self.branches)]
+            lines = lines or [BranchLine(threading.current_thread().name, *call_site())]
+            raise DeadlockedBranches({each.branch: f"{Path(each.file).name}:{each.line}" for each in lines})
 
-    def look(self, *, again: bool = False) -> None:
-        """See what has come by now, and have it strike.
+    def poll(self, *, again: bool = False) -> None:
+        """Poll the sources of strikes, and notify the waits of each source that strikes.
 
         Args:
-            again: Whether the thread has slept since it last looked, and nothing else: that is one look.
+            again: Whether the thread only slept since the last poll; both count as one.
         """
-        waiting = [each for each in self.outer if not each.struck]
+        waiting = [each for each in self.strike_sources if not each.struck]
         if not waiting:
             return
         if not again:
-            self.looks += 1
-        which = None if self.foreseen is None else self.foreseen(self.looks)
+            self.polls += 1
+        which = None if self.recorded_strikes is None else self.recorded_strikes(self.polls)
         if which is None or (again and not which):
             which = [number for number, each in enumerate(waiting) if each.is_due()]
         struck = [number for number in which if number < len(waiting)]
@@ -492,14 +466,14 @@ class Scheduler:
             each.struck = True
             each.notify_all()
         if struck and threading.current_thread() is threading.main_thread():
-            journal.strike(self.looks, struck)
+            journal.strike(self.polls, struck)
 
     def defers(self, frame: FrameType) -> bool:
-        """Whether a Ctrl-C that arrives in this frame has to wait for the next checkpoint."""
+        """Return whether a Ctrl-C that arrives in this frame has to wait for the next checkpoint."""
         return not self._is_outside() or _in_own_code(frame)
 
     def interrupt(self) -> None:
-        """Take note of a deferred Ctrl-C: the code outside of all branches runs next, and raises it."""
+        """Handle a deferred Ctrl-C: the code outside of all branches runs next, and raises it."""
         if self.branches and (self.joining or interrupts.is_pending()) and sys.stderr is not None:
             names = ", ".join(branch.name for branch in list(self.branches))
             sys.stderr.write(f"waiting for {names} to get to the next action; Ctrl-\\ ends the process at once\n")
@@ -510,7 +484,7 @@ class Scheduler:
 
 
 def _in_own_code(frame: FrameType) -> bool:
-    """Whether a frame of the plan language or the scheduler is on the stack above the innermost frame of the plan."""
+    """Return whether a frame of the plan language or the scheduler was called by the innermost frame of the plan."""
     plan = plan_frame(frame)[0]
     current: FrameType | None = frame
     while current is not None and current is not plan:
@@ -533,98 +507,96 @@ def scheduler() -> Scheduler:
     return _local.scheduler
 
 
-journal.looks = lambda: scheduler().looks
+journal.looks = lambda: scheduler().polls
 
 
 def schedule_alone() -> None:
-    """Give this thread a scheduler of its own, which knows none of its branches, in a forked child.
+    """Give this thread a new scheduler without branches, in a forked child.
 
-    The code that runs is outside of all branches for it, and the order is drawn on from where it is.
+    The running code is outside of all branches then, and the order continues.
     """
     before, _local.scheduler = _local.scheduler, Scheduler()
     _local.scheduler.continue_order(before)
     _local.scheduler.alone = True
 
 
+# --- deadlines and other strikes -------------------------------------------------------------------------------------
+
+
 class Limit(Condition, ABC):
-    """A moment at which a part of the plan is to be done; notified when it comes."""
+    """A deadline of a part of the plan; notified when it comes."""
 
     @property
     @abstractmethod
     def has_come(self) -> bool:
-        """Whether it is now, or was."""
+        """Whether the deadline is now, or has passed."""
 
     @property
     @abstractmethod
     def was_missed(self) -> bool:
-        """Whether it was before this moment."""
+        """Whether the deadline has passed."""
 
 
-class Outer(Condition):
-    """Something that the thread waits for in a ``with`` block, which strikes from outside; notified when it does.
+class StrikeSource(Condition):
+    """A source of a strike: a clock or a worker, which the scheduler polls in a ``with`` block.
 
-    Attributes:
-        struck: Whether it has, as far as its thread has looked.
-        end: Time of time.monotonic() at which it strikes by itself; infinity if none is known.
+    Args:
+        end: Time of time.monotonic() at which it strikes by itself; infinity if unknown.
     """
 
     def __init__(self, end: float = math.inf) -> None:
         super().__init__()
-        self.struck = False
+        self.struck = False  # whether its thread has seen the strike
         self.end = end
         self._scheduler = scheduler()
 
     def is_due(self) -> bool:
-        """Whether it may strike now."""
+        """Return whether it strikes now."""
         return self.end <= time.monotonic()
 
     def await_due(self) -> None:
-        """Block the thread until it may, where a recording says that it does now; a deadline may at any time."""
+        """Block the thread until it can strike, as the recording says that it struck now; a deadline always can."""
 
     @property
     def has_come(self) -> bool:
-        """Whether it has struck by now: its thread looks."""
+        """Whether it has struck by now."""
         if self.struck:
             return True
-        if self._scheduler is not scheduler():  # another thread, which has looks of its own, or a forked child's
+        if self._scheduler is not scheduler():  # in another thread or a forked child
             return self.is_due()
-        self._scheduler.look()
+        self._scheduler.poll()
         return self.struck
 
     def __enter__(self) -> Self:
-        self._scheduler.outer[self] = None
+        self._scheduler.strike_sources[self] = None
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._scheduler.outer.pop(self, None)
+        self._scheduler.strike_sources.pop(self, None)
 
 
-class Deadline(Outer, Limit):
-    """A moment of the clock.
-
-    Args:
-        seconds: How far it is from now.
-    """
+class Deadline(StrikeSource, Limit):
+    """A deadline of the clock, in seconds from now."""
 
     def __init__(self, seconds: float) -> None:
         super().__init__(time.monotonic() + seconds)
 
     @property
     def was_missed(self) -> bool:
-        """Whether it was before this moment: the clock never stands still."""
+        """Whether the deadline has passed."""
         return self.has_come
 
 
-def guide_strikes(foreseen: Foreseen, looks: int) -> None:
-    """Have strikes come in this thread as they did in a recorded run.
+def guide_strikes(recorded: RecordedStrikes, polls: int) -> None:
+    """Make strikes come at the same polls of this thread as in a recorded run.
 
-    Where the thread sleeps and the recording says nothing, they come by themselves: a signal or a thread of the plan's
-    own has woken it then, or the plan is another one.
+    If the thread sleeps and the recording has no strike, strikes come by themselves: in the recorded run a signal or
+    another thread woke it, or the plan has changed.
 
     Args:
-        foreseen: Gives them, by the numbers of the recorded looks.
-        looks: How many the recorded run had had by now.
+        recorded: The recorded strikes, by the recorded run's numbers of polls.
+        polls: Number of polls that the recorded run had made by now.
     """
     thread = scheduler()
-    difference = looks - thread.looks
-    thread.foreseen = lambda look: foreseen(look + difference)
+    difference = polls - thread.polls
+    thread.recorded_strikes = lambda poll: recorded(poll + difference)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pycram.scheduling.cancellation import join, raise_if_cancelled
 from pycram.scheduling.locks import refuse_held
-from pycram.scheduling.schedule import Outer, scheduler
+from pycram.scheduling.schedule import StrikeSource, scheduler
 from recorder.tracing.context import current_name
 from recorder.tracing.span import span
 
@@ -18,38 +18,33 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 
-class _Ended(Outer):
-    """The end of a worker."""
-
+class _WorkerEnd(StrikeSource):
     def __init__(self) -> None:
         super().__init__()
         self._set = threading.Event()
 
     def set(self) -> None:
-        """Say so, in the worker."""
+        """Signal the end, from the worker."""
         self._set.set()
         self._scheduler.ring()
 
     def is_due(self) -> bool:
-        """Whether it has ended."""
         return self._set.is_set()
 
     def await_due(self) -> None:
-        """Wait for it, without others."""
         self._set.wait()
 
 
 def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) -> Result:
     """Call a function in a worker thread, in the branch's context, while other branches run; return its result.
 
-    It is a task of its own on record, with what it returned, and at which checkpoint of the plan it came.
-
-    For what blocks outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, a long calculation that
-    releases the interpreter lock. A branch that is cancelled meanwhile stops when the function has returned: give it a
-    timeout of its own. What it changes in a world comes at no fixed place in the plan's order.
+    Use it for calls that block outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, a long
+    calculation that releases the interpreter lock. The call is recorded as a task, with its result and the checkpoint
+    of the plan at which it returned. A cancelled branch stops only when the function has returned: give the function a
+    timeout. Changes that it makes in a world have no fixed place in the plan's order.
 
     Raises:
-        BaseException: The function raised it.
+        BaseException: Any error of the function.
         Cancelled: The branch was cancelled meanwhile.
         LockHeld: The caller holds a lock.
     """
@@ -60,14 +55,14 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
     def work() -> None:
         try:
             results.append(function(*args, **kwargs))
-        except BaseException as error:  # noqa: BLE001  raised in the branch
+        except BaseException as error:  # noqa: BLE001  any error is raised in the branch
             errors.append(error)
         ended.set()
 
     name = f"{current_name()} {getattr(function, '__name__', 'function')}"
     task = span("in-thread", getattr(function, "__name__", "function"))
-    # a daemon: only Ctrl-C outside of all branches abandons it, and then the process may end
-    with task, _Ended() as ended:
+    # A daemon: only Ctrl-C outside of all branches abandons it, and then the process may end.
+    with task, _WorkerEnd() as ended:
         threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True).start()
         join(ended, lambda: ended.struck)
         task.checkpoint = scheduler().checkpoints

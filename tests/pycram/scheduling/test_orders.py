@@ -55,10 +55,10 @@ def test_what_was_drawn_is_told_as_precedences_that_make_the_same_order() -> Non
     drawn = set()
     for number in range(60):
         order = turns(f"pct:{number}:4:20")
-        made = [each.precedence for each in scheduler().order.made]
+        made = [each.precedence for each in scheduler().order.applied]
         drawn.add(order)
         assert turns(text_of(made)) == order
-        assert [each.precedence for each in scheduler().order.made] == made
+        assert [each.precedence for each in scheduler().order.applied] == made
     assert len(drawn) > 40
     assert turns("pct:3:4:20", seed=1) == turns("pct:3:4:20", seed=1) != turns("pct:3:4:20", seed=2)
 
