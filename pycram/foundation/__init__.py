@@ -1,1 +1,1 @@
-"""What every room uses: errors, checks of arguments, names, redirected output."""
+"""Foundation of all packages: errors, checks of arguments, names, redirected output."""

@@ -1,7 +1,7 @@
-"""Checks of what users give, before anything changes: numbers, positions, orientations, colours, names.
+"""Checks of arguments before anything changes: numbers, positions, orientations, colours, names.
 
-Each takes the parameter's name for the error and the given value, returns plain Python values (nothing of the caller's
-arrays is kept or aliased), and raises BadArgument for anything else.
+Each function takes the parameter's name and the given value, returns plain Python values, which don't alias the
+caller's arrays, and raises BadArgument for an impossible value.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def in_range(argument: str, value: object, low: float, high: float = math.inf) -
 
 
 def count(argument: str, value: object) -> int:
-    """Return a whole number from 0 up that records can hold."""
+    """Return a whole number from 0 up to the largest in JSON."""
     result = number(argument, value)
     if result != int(result) or not 0 <= result < _MAX_COUNT:
         raise BadArgument(argument, value, "a whole number from 0 up")
@@ -56,7 +56,7 @@ def count(argument: str, value: object) -> int:
 
 
 def switch(argument: str, value: object) -> bool:
-    """Return True or False, also given as 1 or 0."""
+    """Return True or False; 1 and 0 are accepted, too."""
     if isinstance(value, bool | int | np.bool_ | np.integer) and value in (0, 1):
         return bool(value)
     raise BadArgument(argument, value, "True or False")
@@ -71,7 +71,7 @@ def vector(argument: str, value: object) -> Vector:
 
 
 def quaternion(argument: str, value: object) -> Quaternion:
-    """Return the unit quaternion of 4 numbers x, y, z, w that aren't all zero; one of unit length keeps its bits."""
+    """Return 4 numbers x, y, z, w as a unit quaternion; if the length is 1 already, the numbers stay unchanged."""
     expected = "4 finite numbers x, y, z, w that aren't all zero"
     x, y, z, w = _numbers(argument, value, 4, expected)
     length = math.hypot(x, y, z, w)
@@ -83,7 +83,7 @@ def quaternion(argument: str, value: object) -> Quaternion:
 
 
 def color(argument: str, value: object) -> tuple[float, float, float, float]:
-    """Return a colour RGBA, each 0..1."""
+    """Return an RGBA colour with components in 0..1."""
     expected = "4 numbers r, g, b, a from 0 to 1"
     r, g, b, a = _numbers(argument, value, 4, expected)
     if min(r, g, b, a) < 0 or max(r, g, b, a) > 1:
@@ -92,7 +92,7 @@ def color(argument: str, value: object) -> tuple[float, float, float, float]:
 
 
 def text(argument: str, value: object) -> str:
-    """Return a string that isn't empty and that files can hold: it has no lone surrogates."""
+    """Return a string that isn't empty and has no lone surrogates, so that files can hold it."""
     if not isinstance(value, str) or not value.strip() or any("\ud800" <= letter <= "\udfff" for letter in value):
         raise BadArgument(argument, value, "a string that isn't empty")
     return value

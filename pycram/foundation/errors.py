@@ -1,11 +1,11 @@
-"""Errors: what all have in common, the two families, usage errors, and errors that happened together.
+"""Errors: base classes, usage errors, and chains of errors.
 
-A :class:`PlanFailure` says that the world refused: a plan may catch it and try something else. A :class:`UsageError`
-says that the program is wrong: nothing should catch it. Every error keeps its data as attributes, which the recording
-stores beside the message. A plan's own errors may be dataclasses, also frozen ones: the attributes that Python sets
-while an exception propagates (traceback, context) can be set all the same.
+A :class:`PlanFailure` means that the world prevents an action: a plan may catch it and try something else. A
+:class:`UsageError` means that the program is wrong: nothing should catch it. Every error keeps its data as attributes,
+which are recorded with the message. Errors of a plan may be dataclasses, also frozen ones: Python can still set the
+traceback and the context while the error propagates.
 
-How to write one of PyCRAM's own: as a dataclass of its data, with a template for the message::
+An error of PyCRAM is a dataclass of its data, with a template for the message::
 
     @dataclass_error
     class GraspFailed(PlanFailure):
@@ -17,9 +17,9 @@ How to write one of PyCRAM's own: as a dataclass of its data, with a template fo
         _template = "{arm} gripper can't take {body}"
 
 - Fields are the constructor's parameters, and the recorded data in the same order. ``kept_as`` copies a given value.
-- Where a template can't say it, override ``_message()``, which returns the message from the fields.
-- Where a field depends on others, set it in ``_complete()``, which runs before the message is made.
-- Where parameters and fields differ, write ``__init__`` instead, and call ``super().__init__(message)``.
+- If the message needs more than a template, override ``_message()``, which returns it from the fields.
+- If a field depends on others, set it in ``_complete()``, which runs before the message is made.
+- If parameters and fields differ, write ``__init__`` instead, and call ``super().__init__(message)``.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ ErrorType = TypeVar("ErrorType", bound=BaseException)
 
 
 class PycramError(Exception):
-    """Base of everything that PyCRAM raises on purpose."""
+    """Base of all errors that PyCRAM defines."""
 
     _template: ClassVar[str] = ""  # message of a dataclass error, with its fields in braces
 
@@ -65,17 +65,17 @@ class PycramError(Exception):
         return self._template.format_map(vars(self))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle and copy it with its fields: the class can't be called with the message alone."""
+        """Pickle and copy the error with its fields, as the class can't be called with the message alone."""
         slots = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
         return _restored, (type(self), self.args, slots, dict(vars(self)))
 
 
 class PlanFailure(PycramError):
-    """The world said no; a plan may handle it."""
+    """The world prevents an action; a plan may handle the failure."""
 
 
 class UsageError(PycramError):
-    """The program is wrong; plans must not handle it."""
+    """The program is wrong; plans must not handle the error."""
 
 
 def kept_as(convert: Callable[[Given], object], **default: Given | None) -> Given:
@@ -84,16 +84,16 @@ def kept_as(convert: Callable[[Given], object], **default: Given | None) -> Give
 
 
 def floats(values: Sequence[float]) -> list[float]:
-    """Return numbers as Python's floats, also those of an array."""
+    """Return numbers as Python floats; they may be an array."""
     return [float(value) for value in values]
 
 
 @dataclass_transform(eq_default=False, field_specifiers=(field, kept_as))
 def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
-    """Make an error a dataclass, with the message that its template or its ``_message()`` has.
+    """Make an error a dataclass whose message comes from its template or its ``_message()``.
 
-    Other code doesn't take it for a dataclass: one that a plan derives from it may be frozen, and has its own fields
-    only. Errors stay equal by identity, and print as exceptions do.
+    The traces of the dataclass are removed, so a dataclass that a plan derives from it may be frozen, and has only its
+    own fields. Errors stay equal by identity, and print like other exceptions.
     """
     dataclass(eq=False, repr=False, match_args=False)(kind)
     conversions = {each.name: each.metadata["convert"] for each in fields(cast("Any", kind)) if each.metadata}
@@ -117,7 +117,7 @@ def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
 def _restored(
     kind: type[PycramError], args: tuple[object, ...], slots: Mapping[str, object], fields: Mapping[str, object]
 ) -> PycramError:
-    """Make an error again that was pickled."""
+    """Return an error from its pickled parts."""
     error = kind.__new__(kind, *args)
     vars(error).update(fields)  # not by assignments: its class may refuse them
     for name, value in slots.items():
@@ -126,7 +126,7 @@ def _restored(
 
 
 def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:
-    """Yield the slots in which an error holds fields, as dataclasses with ``slots=True`` do."""
+    """Yield the slots of an error's fields, which dataclasses with ``slots=True`` have."""
     for base in type(error).__mro__:
         if issubclass(base, PycramError):
             for slot in vars(base).values():
@@ -134,16 +134,16 @@ def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:
                     yield slot
 
 
-#: What Python sets on an exception that propagates; context managers, those of contextlib among them, do so too.
+#: Attributes that Python and context managers set on an exception that propagates.
 _SET_BY_PYTHON: Final = frozenset({"__cause__", "__context__", "__notes__", "__suppress_context__", "__traceback__"})
 
 _raisable: Final[WeakSet[type[PycramError]]] = WeakSet()
 
 
 def _make_raisable(kind: type[PycramError]) -> None:
-    """Allow what Python sets on exceptions where a class refuses assignments, as frozen dataclasses do.
+    """Let Python set its attributes on instances of a class that prevents assignments, as frozen dataclasses do.
 
-    A dataclass gets its ``__setattr__`` only after ``__init_subclass__`` has run: hence with the first instance.
+    This is done with the first instance: a dataclass gets its ``__setattr__`` only after ``__init_subclass__``.
     """
     for base in kind.__mro__:
         if issubclass(base, PycramError) and base not in _raisable:
@@ -167,7 +167,7 @@ def _allow_python(kind: type[PycramError]) -> None:
 
 @dataclass_error
 class BadArgument(UsageError, ValueError):
-    """A value that no world could accept (NaN, wrong length, zero quaternion, ...)."""
+    """An impossible value of an argument (NaN, wrong length, zero quaternion, ...)."""
 
     argument: str  # name of the parameter
     value: object
@@ -188,7 +188,7 @@ class JointLimitError(BadArgument):
 
 
 class UnknownName(UsageError, LookupError):
-    """A name that the world, object or registry doesn't have."""
+    """A name that a world, object or registry doesn't have."""
 
     def __init__(self, kind: str, name: object, owner: str, known: Iterable[str]) -> None:
         names = list(known)
@@ -210,7 +210,7 @@ class AssetError(UsageError):
 
 @dataclass_error
 class AttachmentError(UsageError):
-    """An attachment that can't be made (cycle, itself, another world, already carried)."""
+    """An attachment that is impossible (cycle, itself, another world, already carried)."""
 
     carrier: str
     body: str
@@ -221,7 +221,7 @@ class AttachmentError(UsageError):
 
 @dataclass_error
 class ReadOnly(UsageError, AttributeError):
-    """An attribute was assigned that only methods change, as each change is a record."""
+    """A read-only attribute was assigned; methods change it, and record the change."""
 
     owner: str  # the world or object
     attribute: str
@@ -231,7 +231,7 @@ class ReadOnly(UsageError, AttributeError):
 
 
 class WorldClosed(UsageError):
-    """An action was tried in a world after its exit, or on an object after its removal."""
+    """An action was tried in a world after its end, or on an object after its removal."""
 
     def __init__(self, world: str, action: str, what: str = "the world") -> None:
         super().__init__(f"can't {action} in {world}: {what} is gone")
@@ -241,7 +241,7 @@ class WorldClosed(UsageError):
 
 @dataclass_error
 class NoWorld(UsageError):
-    """Nothing is current: no world was opened, or all have ended."""
+    """There is no current world, or it has no robot."""
 
     what: str = "world"  # or "robot"
 
@@ -296,7 +296,7 @@ class FollowsTrajectory(UsageError):
 
 @dataclass_error
 class DisplayError(UsageError):
-    """A window was asked for where none can open."""
+    """A window can't open."""
 
     reason: str
 
@@ -304,11 +304,9 @@ class DisplayError(UsageError):
 
 
 def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:
-    """Append errors to the context chain of one that is going to be raised; tracebacks then print all of them.
+    """Append other errors to an error's context chain, so that tracebacks print all of them, and return the error.
 
-    Args:
-        error: The error to raise, which is returned.
-        others: Errors that happened beside it; those that its chain holds already are left out.
+    Errors that the chain already has are left out.
     """
     for other in others:
         last: BaseException = error
@@ -323,18 +321,18 @@ def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:
 
 
 def call_all(calls: Iterable[Callable[[], object]]) -> list[Exception]:
-    """Make all calls, also after one that raised, and return the errors."""
+    """Make all calls, even after errors, and return the errors."""
     errors = []
     for call in calls:
         try:
             call()
-        except Exception as error:  # noqa: BLE001  the caller raises it when all are made
+        except Exception as error:  # noqa: BLE001  any error: the caller raises them after all calls
             errors.append(error)
     return errors
 
 
 def raise_unchanged(error: BaseException) -> NoReturn:
-    """Raise an error with the context that it has, also while another one is being handled."""
+    """Raise an error with its own context, even while another error is being handled."""
     context = error.__context__
     try:
         raise error
@@ -343,10 +341,10 @@ def raise_unchanged(error: BaseException) -> NoReturn:
 
 
 def _detached(error: BaseException, known: set[int]) -> bool:
-    """Cut an error's context chain before the known errors, as appending it to them would close a circle.
+    """Cut an error's context chain before the known errors, so that appending it to them makes no circle.
 
     Returns:
-        False if it was raised explicitly from one of them, and so can't be cut off.
+        False if it was raised explicitly ``from`` one of them: such a chain isn't cut.
     """
     seen: set[int] = set()
     later = error

@@ -1,7 +1,7 @@
 """Failures of worlds and motions (out of reach, not seen, in collision), and all usage errors.
 
-How to write one: :mod:`pycram.foundation.errors`. Unless said otherwise, lengths are in m, angles in rad, positions xyz
-in the world's frame, and orientations quaternions xyzw.
+See :mod:`pycram.foundation.errors` for how to write one. By default, lengths are in m, angles in rad, positions xyz in
+the world frame, and orientations quaternions xyzw.
 """
 
 from __future__ import annotations
@@ -88,26 +88,17 @@ _MAX_LISTED: Final = 3  # pairs that fit into a message
 
 @dataclass(frozen=True, slots=True)
 class CollisionPair:
-    """A link of a robot, or of what it holds, and the link that it meets.
+    """A link of a robot, or of an object that it holds, and the link that it touches."""
 
-    Attributes:
-        mover: name of the object that moves: the robot, or what it holds.
-        link: the mover's link; "" if it has only one.
-        body: name of the object that it meets; the robot itself, if it meets a link of its own.
-        body_link: that object's link; "" if it has only one.
-        depth: of the overlap, m.
-        gripper: name of the arm whose gripper holds the mover; "" for the robot's own links.
-    """
-
-    mover: str
-    link: str
-    body: str
-    body_link: str
-    depth: float = 0.0
-    gripper: str = ""
+    mover: str  # name of the object that moves: the robot, or an object that it holds
+    link: str  # the mover's link; "" if it has only one
+    body: str  # name of the touched object; the robot itself, if it touches a link of its own
+    body_link: str  # the touched link; "" if the object has only one
+    depth: float = 0.0  # of the overlap, m
+    gripper: str = ""  # name of the arm whose gripper holds the mover; "" for the robot's own links
 
     def __record__(self) -> Mapping[str, object]:
-        """Return its fields, as records have it."""
+        """Return the fields, for records."""
         return asdict(self)
 
     def __str__(self) -> str:
@@ -115,7 +106,7 @@ class CollisionPair:
 
 
 def phrases(pairs: Sequence[CollisionPair]) -> str:
-    """Return pairs in words, the first few."""
+    """Return a text of the first few pairs."""
     listed = ", ".join(map(str, pairs[:_MAX_LISTED]))
     return f"{listed}, and {len(pairs) - _MAX_LISTED} more" if len(pairs) > _MAX_LISTED else listed
 
@@ -129,7 +120,7 @@ def _point(coordinates: Sequence[float]) -> str:
 
 
 class ReasoningError(PlanFailure):
-    """A condition that a plan relied on doesn't hold (thesis, Listing 5.5)."""
+    """A condition of a plan doesn't hold (thesis, Listing 5.5)."""
 
 
 class PerceptionError(PlanFailure):
@@ -137,19 +128,19 @@ class PerceptionError(PlanFailure):
 
     def __init__(self, object_type: str = "", reasons: Mapping[str, str] | None = None) -> None:
         self.object_type = object_type
-        self.reasons = dict(reasons or {})  # for each object of that type, why it isn't seen
+        self.reasons = dict(reasons or {})  # why each object of that type isn't seen, by name
         why = "; ".join(f"{name} {reason}" for name, reason in self.reasons.items())
         super().__init__(f"no {object_type or 'object'} found: {why or 'the world has none'}")
 
 
 @dataclass_error
 class Unreachable(PlanFailure):
-    """No posture of the arm brings the tool there; if one does, but something is in its way, it is :class:`Blocked`."""
+    """No posture of the arm brings the tool to the target; see :class:`Blocked` for an obstacle."""
 
     arm: str  # name of the arm (or the tool frame)
     target: Sequence[float] = kept_as(floats)
     distance: float | None = None  # between the target and the nearest posture's tool, m
-    reason: str = ""  # what else prevented it
+    reason: str = ""  # another cause
 
     def _message(self) -> str:
         near = f"; the nearest posture stays {self.distance:.3f} m away" if self.distance is not None else ""
@@ -158,7 +149,7 @@ class Unreachable(PlanFailure):
 
 
 class Blocked(Unreachable):
-    """The arm reaches there, but something is in the way."""
+    """The arm reaches the target, but an obstacle is in the way."""
 
     def __init__(self, arm: str, target: Sequence[float], pairs: Sequence[CollisionPair], reason: str = "") -> None:
         super().__init__(arm, target, None, f"{phrases(pairs)}{'; ' + reason if reason else ''}")
@@ -168,11 +159,11 @@ class Blocked(Unreachable):
 
 @dataclass_error
 class InCollision(PlanFailure):
-    """The robot, or what it holds, would touch something there."""
+    """The robot, or an object that it holds, would touch other objects at the pose."""
 
     position: Sequence[float] = kept_as(floats)  # of the refused base pose
     orientation: Sequence[float] = kept_as(floats)
-    bodies: Sequence[str] = kept_as(list)  # names of what would be touched
+    bodies: Sequence[str] = kept_as(list)  # names of the objects that would be touched
     pairs: Sequence[CollisionPair] = kept_as(list, default=())  # the links that would overlap most, one pair an object
 
     def _message(self) -> str:
@@ -182,7 +173,7 @@ class InCollision(PlanFailure):
 
 @dataclass_error
 class NotDrivable(PlanFailure):
-    """A base can't stand there: it drives on its ground, and upright."""
+    """The pose is impossible for a base: it drives upright on its ground."""
 
     position: Sequence[float] = kept_as(floats)  # of the refused base pose
     orientation: Sequence[float] = kept_as(floats)
@@ -194,14 +185,14 @@ class NotDrivable(PlanFailure):
 
 @dataclass_error
 class PostureInCollision(PlanFailure):
-    """Arms would touch something in a posture that they don't touch now."""
+    """Arms in a posture would touch objects that they don't touch now."""
 
     arms: Sequence[str] = kept_as(list)
-    bodies: Sequence[str] = kept_as(list)  # names of what they would touch, the robot's own for itself
+    bodies: Sequence[str] = kept_as(list)  # names of the objects that they would touch; the robot's name for itself
     # The links that would overlap most, one pair an object; of the robot itself all
     pairs: Sequence[CollisionPair] = kept_as(list, default=())
     _: KW_ONLY
-    # Joint of the torso, and the height in m at which the arms would touch nothing; None if there is none
+    # Joint of the torso, and the height in m at which the arms would touch nothing; None without such a height
     torso: tuple[str, float] | None = None
 
     def _message(self) -> str:
@@ -214,7 +205,7 @@ class PostureInCollision(PlanFailure):
 class NoPath(PlanFailure):
     """No collision-free path was found within a budget of checks; this doesn't prove that none exists."""
 
-    mover: str  # what was to move: "left arm", "base", ...
+    mover: str  # the part that should move: "left arm", "base", ...
     goal: Mapping[str, float] = kept_as(dict)  # joint values by name; of a base x, y and yaw in the world
     checks: int  # configurations that were checked for collisions
     nearest: Mapping[str, float] = kept_as(dict)  # the configuration nearest to the goal to which a path was found
@@ -229,9 +220,9 @@ class NoPath(PlanFailure):
 
 @dataclass_error
 class NoPlace(PlanFailure):
-    """None of the places that were considered fulfils all constraints at the same time."""
+    """No place fulfils all constraints at the same time."""
 
-    wanted: str  # for what
+    wanted: str  # the purpose of the place
     excluded: Mapping[str, int] = kept_as(dict)  # number of places that each constraint excluded, in their order
     last: str  # the constraint that excluded the last places
 
@@ -244,7 +235,7 @@ class NoPlace(PlanFailure):
 
 @dataclass_error
 class MissingPart(PlanFailure):
-    """A robot doesn't have a part that a motion needs; another arm or another robot may."""
+    """A robot lacks a part that a motion needs; another arm or another robot may have the part."""
 
     owner: str  # the robot, or its arm
     part: str  # "gripper", "camera"
@@ -257,7 +248,7 @@ class LookingFailed(PlanFailure):
     """The head can't turn the camera to the target."""
 
     target: Sequence[float] = kept_as(floats)
-    angle: float  # that remains between the camera's axis and the target
+    angle: float  # between the camera's axis and the target, at the joint limits
 
     def _message(self) -> str:
         return f"the head can't look at {_point(self.target)}: {self.angle:.3f} rad remain at its joint limits"
@@ -275,12 +266,10 @@ class GraspFailed(PlanFailure):
 
 
 class DoesNotFit(GraspFailed):
-    """The object is too big or too thin for the gripper, from any side that is allowed."""
+    """The object is too big or too thin for the gripper, from every allowed side."""
 
     def __init__(self, arm: str, body: str, widths: Sequence[float], gap: float, widest: float, how: str = "") -> None:
-        self.widths = tuple(
-            sorted(widths)
-        )  # of the object between the fingers, m, of the sides and rims that were tried
+        self.widths = tuple(sorted(widths))  # of the object's sides and rims that were tried, between the fingers, m
         self.gap = gap  # between the fingers when closed, m: thinner things slip through
         self.widest = widest  # between the fingers when open, m
         thin = any(width < gap for width in widths)
@@ -304,7 +293,7 @@ class GripperBlocked(PlanFailure):
 
     arm: str
     body: str
-    pairs: Sequence[CollisionPair] = kept_as(list)  # the links that would meet, deepest first
+    pairs: Sequence[CollisionPair] = kept_as(list)  # the links that would touch each other, deepest first
 
     def _message(self) -> str:
         return f"{self.arm} gripper can't let go of {self.body}: {phrases(self.pairs)}; it stays as it is"
@@ -318,10 +307,10 @@ class PlaceFailed(PlanFailure):
     target: Sequence[float] = kept_as(floats)
     reason: str
     _: KW_ONLY
-    orientation: Sequence[float] | None = kept_as(floats, default=None)  # that was asked for; None for upright
-    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # links that would meet, if that prevented it
-    wanted: PoseLike | None = None  # in which it was released; None if it wasn't
-    rest: PoseLike | None = None  # in which it is now; None if it wasn't released
+    orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation; None for upright
+    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # links that would touch, if that is the cause
+    wanted: PoseLike | None = None  # pose at the release; None if it wasn't released
+    rest: PoseLike | None = None  # pose after the release; None if it wasn't released
     touching: Sequence[CollisionPair] = kept_as(list, default=())  # at rest
 
     def _complete(self) -> None:
@@ -338,7 +327,7 @@ class TrackingLost(PlanFailure):
 
     body: str
     number: int  # of the trajectory in its world
-    joint: str  # the first that deviated too far
+    joint: str  # the first joint that deviated too far
     error: float  # deviation of that joint, rad or m
     time: float  # reached on the trajectory, s
     pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body and its load at that time, hardest first
@@ -366,7 +355,7 @@ class TrajectoryEnded(PlanFailure):
 
 @dataclass_error
 class Displaced(PlanFailure):
-    """Another branch, or something else, has moved what a motion was to move further."""
+    """A joint or base was moved elsewhere between two parts of a motion, for example by another branch."""
 
     body: str
     coordinate: str  # name of the joint, or x, y or yaw of the base
@@ -389,10 +378,10 @@ class AccessFailed(PlanFailure):
     handle: str = ""  # the link by which it should be moved
     arm: str = ""
     asked: float | None = None  # requested value of the joint, rad or m
-    value: float | None = None  # of the joint, from which on it fails; None if it isn't the path that fails
-    reached: float | None = None  # up to which that arm would move it from the robot's place; None if it can't begin
+    value: float | None = None  # value of the joint from which on the path fails; None if the path isn't the cause
+    reached: float | None = None  # value that the arm would reach from there; None if it can't begin
     orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested of the gripper at that value
-    remedies: Sequence[str] = kept_as(list, default=())  # what would help, in words
+    remedies: Sequence[str] = kept_as(list, default=())  # remedies in words
 
     def _message(self) -> str:
         moved = "opened" if self.asked is None else f"moved to {self.asked:g}"
@@ -406,23 +395,23 @@ class AccessFailed(PlanFailure):
 
 
 class HandleUnreachable(AccessFailed, Unreachable):
-    """The arm doesn't get to the handle, or doesn't stay at it, as far as a door or drawer should move."""
+    """The arm can't reach the handle, or can't follow it as far as the door or drawer should move."""
 
     def __init__(
         self, joint: str, reason: str, *, target: Sequence[float], distance: float | None, turn: float, **details: Any
     ) -> None:
         AccessFailed.__init__(self, joint, reason, **details)
-        self.target = floats(target)  # xyz of the tool there in m, world frame
-        self.distance = distance  # that the tool stays away, m
-        self.turn = turn  # that remains to the orientation, rad
+        self.target = floats(target)  # of the tool
+        self.distance = distance  # between the target and the nearest posture's tool
+        self.turn = turn  # angle between requested and reached orientation
 
 
 class HandleBlocked(AccessFailed):
-    """The arm, or the door or drawer itself, would touch something on the way."""
+    """The arm, door or drawer would touch objects on the way."""
 
     def __init__(self, joint: str, reason: str, *, pairs: Sequence[CollisionPair], **details: Any) -> None:
         super().__init__(joint, reason, **details)
-        self.pairs = list(pairs)  # which link would touch which
+        self.pairs = list(pairs)  # the links that would touch each other
         self.bodies = _bodies(pairs)
 
 

@@ -1,4 +1,4 @@
-"""Names: of functions in records, and of exported classes in tracebacks."""
+"""Names of functions in records, and of exported classes in tracebacks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from recorder.records import escaped
 
 
 def qualified_name(function: object) -> str:
-    """Return module and qualified name of a callable, of the wrapped function if it is a partial."""
+    """Return module and qualified name of a callable; for a partial, those of the wrapped function."""
     while isinstance(function, partial):
         function = function.func
     named = function if hasattr(function, "__qualname__") else type(function)
@@ -16,6 +16,6 @@ def qualified_name(function: object) -> str:
 
 
 def export(module: str, *classes: type) -> None:
-    """Make classes print the module from which users import them, in tracebacks and in pickles."""
+    """Set the module from which users import classes, for tracebacks and pickles."""
     for exported in classes:
         exported.__module__ = module

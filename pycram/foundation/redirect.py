@@ -1,4 +1,4 @@
-"""File descriptors redirected for a while: native code prints past ``sys.stdout`` and ``sys.stderr``."""
+"""Redirected file descriptors: native code bypasses ``sys.stdout`` and ``sys.stderr``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def redirected(*descriptors: int, to: int) -> Iterator[None]:
-    """Redirect file descriptors of the whole process to another one during the block."""
+    """Redirect file descriptors of the whole process to another one during the ``with`` block."""
     sys.stdout.flush()
     sys.stderr.flush()
     with ExitStack() as restoring:
@@ -22,7 +22,7 @@ def redirected(*descriptors: int, to: int) -> Iterator[None]:
             copy = os.dup(descriptor)
             restoring.callback(os.close, copy)
             restoring.callback(os.dup2, copy, descriptor)
-        restoring.callback(ctypes.CDLL(None).fflush, None)  # C buffers what goes to a pipe or a file
+        restoring.callback(ctypes.CDLL(None).fflush, None)  # C buffers output to a pipe or a file
         for descriptor in descriptors:
             os.dup2(to, descriptor)
         yield
@@ -30,7 +30,7 @@ def redirected(*descriptors: int, to: int) -> Iterator[None]:
 
 @contextmanager
 def silenced(*descriptors: int) -> Iterator[None]:
-    """Drop what native code prints (greetings, progress): stdout belongs to results, stderr to people."""
+    """Drop output of native code (greetings, progress) during the ``with`` block."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         with redirected(*descriptors, to=nowhere):

@@ -1,7 +1,7 @@
-"""Refusals: what was asked and refused goes on record with its error, also where the plan catches that.
+"""Refusals: calls that PyCRAM rejects are recorded with their error, even if the plan catches the error.
 
-A refusal is recorded once, as what the plan itself called: of calls within calls of PyCRAM the outermost, of a call in
-the plan's own handler, resolver or query that one.
+A refusal is recorded once, as the call that the plan made: for nested PyCRAM calls the outermost is recorded; for a
+call inside a plan's handler, resolver or query, that call.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ T = TypeVar("T")
 Class = TypeVar("Class", bound=type)
 Error = TypeVar("Error", bound=BaseException)
 
-_RECORDED: Final = "_is_on_record"  # an attribute of errors; their data leaves it out
+_RECORDED: Final = "_is_on_record"  # an attribute of errors, which isn't part of their data
 
 
 def refusing(
     subject: str = "", kinds: type[BaseException] = UsageError, *, name: str = ""
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function so that what it refuses goes on record.
+    """Decorate a function so that its refusals are recorded.
 
     Args:
-        subject: What records call its first argument ("object", "world", ...); "" to call it by its name.
-        kinds: The errors that are refusals; a call with arguments that the function doesn't take is one, too.
-        name: What records call the function; its own name by default.
+        subject: Name of its argument ``self`` in records ("object", "world", ...); "" for the parameter's name.
+        kinds: The errors that are refusals; a call with wrong arguments is a refusal, too.
+        name: Name of the function in records; its own name by default.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
@@ -57,11 +57,11 @@ def refusing(
     return decorate
 
 
-_ASK: Final = refusing()(refusing).__code__  # of all decorated functions
+_ASK: Final = refusing()(refusing).__code__  # the code of all decorated functions
 
 
 def refusing_methods(subject: str) -> Callable[[Class], Class]:
-    """Decorate a class so that what its public methods and its constructor refuse goes on record."""
+    """Decorate a class so that refusals of its public methods and its constructor are recorded."""
 
     def decorate(kind: Class) -> Class:
         for name, member in list(vars(kind).items()):
@@ -78,39 +78,33 @@ def refusing_methods(subject: str) -> Callable[[Class], Class]:
 
 
 def refused(error: Error, name: str, arguments: Mapping[str, object]) -> Error:
-    """Record what was asked for, and return the error to raise.
-
-    Args:
-        error: Why not.
-        name: What was called.
-        arguments: With what.
-    """
+    """Record a rejected call, with the function's name and arguments, and return the error to raise."""
     if journal.recording():
         record = records.Refusal(name=name, arguments=records.arguments(arguments), failure=records.failure(error))
         world, sim_step = _where(arguments.values())
-        with suppress(OSError):  # a failing disk must not hide why; the next record raises it
+        with suppress(OSError):  # a failing disk must not hide the error; the next record raises the disk's error
             span.emit(record, world=world, sim_step=sim_step)
         mark_recorded(error)
     return error
 
 
 def mark_recorded(error: BaseException) -> None:
-    """Keep an error from being recorded as a refusal by the calls that it still passes through."""
+    """Prevent the calls through which an error still propagates from recording it as a refusal."""
     BaseException.__setattr__(error, _RECORDED, True)
 
 
 def is_recorded(error: BaseException) -> bool:
-    """Return whether it is on record already."""
+    """Return whether an error is on record."""
     return _RECORDED in vars(error)
 
 
 def _is_of_call(error: BaseException) -> bool:
-    """Return whether Python raised it as the function was called, before anything in it ran."""
+    """Return whether Python raised an error at the call of a function, before its first statement."""
     return error.__traceback__ is not None and error.__traceback__.tb_next is None
 
 
 def _is_part(frame: FrameType | None) -> bool:
-    """Return whether a call is part of another decorated one, without the plan's own code between them."""
+    """Return whether a call is part of another decorated call, without code of the plan between them."""
     while frame is not None and not is_plan(frame):
         if frame.f_code is _ASK:
             return True
@@ -121,7 +115,7 @@ def _is_part(frame: FrameType | None) -> bool:
 def _arguments(
     function: Callable[..., object], subject: str, args: tuple[object, ...], kwargs: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return what a function was called with by name, as far as it takes it; not the object that it makes."""
+    """Return the arguments of a call by name, or by index if they don't fit; without ``self`` of a constructor."""
     try:
         given = dict(inspect.signature(function).bind_partial(*args, **kwargs).arguments)
     except TypeError:
@@ -132,11 +126,11 @@ def _arguments(
 
 
 def _where(arguments: Iterable[object]) -> tuple[str, int]:
-    """Return name and simulated steps of the world of the first argument that is in one, else of the current world."""
+    """Return name and simulated steps of the first argument's world, or of the current world if there is none."""
     for argument in arguments:
-        envelope = getattr(type(argument), "_envelope", None)  # of its real type: a lazy result imitates another
+        envelope = getattr(type(argument), "_envelope", None)  # of its real type: a future imitates another
         if envelope is not None:
-            with suppress(AttributeError):  # it is only being made
+            with suppress(AttributeError):  # its constructor is still running
                 name, sim_step = envelope(argument)
                 return str(name), int(sim_step)
     return journal.current_world()

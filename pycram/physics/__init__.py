@@ -1,1 +1,1 @@
-"""The physics engine: the only room that knows PyBullet."""
+"""The physics engine: the only package that uses PyBullet."""

@@ -1,10 +1,9 @@
-"""One physics client: the only module that talks to PyBullet.
+"""A physics client: the only module that calls PyBullet.
 
-Everything above speaks of bodies, links and joints by name and of poses of link frames as URDF defines them; ids,
-indices and inertial frames stay in here. Every call names its client. PyBullet doesn't check its arguments (NaN, dead
-ids, meshes without shape), so callers check first; this module only translates.
+Its callers use names of bodies, links and joints, and poses of link frames as in the URDF; ids, indices and inertial
+frames stay in here. PyBullet doesn't check arguments (NaN, dead ids, meshes without shape), so callers check first.
 
-Simulation repeats bit for bit: overlapping pairs are ordered, all other settings are PyBullet's own.
+Simulation repeats bit for bit: overlapping pairs are ordered, all other settings are PyBullet's defaults.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ with needed(), silenced(1, 2):  # it prints its build time
 
 __all__ = ["Engine", "bullet", "decompose"]
 
-# Groups of the collision filter, bits of a mask. PyBullet lets a pair collide if either mask has the other's group, so
-# both have to leave it out.
+# Groups of the collision filter, bits of a mask. A pair collides if the mask of either body has the other's group, so
+# both masks have to leave it out.
 _DYNAMIC_GROUP: Final = 1
 _STATIC_GROUP: Final = 2
 _HELD_GROUP: Final = 32
@@ -62,12 +61,12 @@ def decompose(source: Path, target: Path) -> None:
 
 
 class Engine:
-    """A physics client, with PyBullet's window or without."""
+    """A physics client, with or without PyBullet's window."""
 
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
-        self._grip: tuple[int, int] | None = None  # body and link that the mouse holds
-        self._known: dict[int, Snapshot] = {}  # by body; replaced after changes: threads may be reading for the old one
+        self._grip: tuple[int, int] | None = None  # body and link that the mouse drags
+        self._known: dict[int, Snapshot] = {}  # by id; replaced, not changed, as other threads may read it
         if window:
             with silenced(1):
                 self._client: int = bullet.connect(bullet.GUI)
@@ -75,7 +74,7 @@ class Engine:
             self._client = bullet.connect(bullet.DIRECT)
         if self._client < 0:
             raise RuntimeError("PyBullet has no free physics client; too many worlds may be open")
-        # PyBullet caches files by name, which is right: models are stored under the hash of their content.
+        # PyBullet caches files by name; the names of models contain the hash of their content.
         bullet.setPhysicsEngineParameter(
             fixedTimeStep=1 / STEPS_PER_SECOND, deterministicOverlappingPairs=1, physicsClientId=self._client
         )
@@ -95,24 +94,22 @@ class Engine:
         """Load a checked URDF file.
 
         Args:
-            urdf: The file.
-            pose: Of its base link in the world.
-            fixed: Whether its base is fixed to the world.
-            robot: Whether its links ignore what a robot holds.
-            loading: How the body is made of the file.
-            start: Positions of its joints in rad or m by name; by default 0.
+            pose: Pose of the base link in the world.
+            fixed: Whether the base is fixed to the world.
+            robot: Whether the links pass through objects that a robot holds.
+            start: Positions of joints in rad or m by name; 0 by default.
 
         Raises:
-            AssetError: PyBullet refuses the file.
+            AssetError: PyBullet rejects the file.
         """
         c = self._client
         flags = bullet.URDF_USE_INERTIA_FROM_FILE if robot and loading.inertia else 0
-        if not self._window:  # nobody sees them: pictures are drawn from the model itself
+        if not self._window:  # pictures are drawn from the model itself
             flags |= bullet.URDF_IGNORE_VISUAL_SHAPES
-        journal.flush()  # a large model takes up to 90 ms, in which a process that is killed writes nothing
+        journal.flush()  # loading takes up to 90 ms; a process that is killed meanwhile writes nothing
         try:
             number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
-        except bullet.error as error:  # of what checks let through, as in a damaged recording
+        except bullet.error as error:  # the model of a damaged recording may pass all checks
             raise AssetError(str(urdf), f"PyBullet refuses it: {error}") from error
         base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
         links = {base: -1}
@@ -150,7 +147,7 @@ class Engine:
         return body
 
     def _loads(self, number: int, parents: Sequence[int]) -> list[Load]:
-        """Return what hangs on the joints of a body that has just been loaded, by index."""
+        """Return the loads of the joints of a body that has just been loaded, by index."""
         loads = []
         for index, parent in enumerate(parents):
             place = bullet.getLinkState(number, index, physicsClientId=self._client)[4]
@@ -159,23 +156,17 @@ class Engine:
         return loads
 
     def reset_collision_filter(self, body: Body, *, fixed: bool, robot: bool = False) -> None:
-        """Let a body's links collide as when it was loaded; the engine forgets its earlier contacts.
-
-        Args:
-            body: The body.
-            fixed: Whether its base is fixed to the world.
-            robot: Whether its links ignore what a robot holds.
-        """
+        """Let a body's links collide as when it was loaded (see :meth:`load`); the engine drops its cached contacts."""
         if robot:  # the base of a fixed body never collides with static things
             self._filter(body, _ROBOT_GROUP, ~_HELD_GROUP & ~_STATIC_GROUP, links=(-1,))
             self._filter(body, _ROBOT_GROUP, ~_HELD_GROUP, links=[index for index in body.links.values() if index >= 0])
-        elif fixed:  # furniture stands on the floor for good: no contact to solve
+        elif fixed:  # furniture never moves: no contact between it and the floor has to be solved
             self._filter(body, _STATIC_GROUP, ~_STATIC_GROUP)
         else:
             self._filter(body, _DYNAMIC_GROUP, _ALL)
 
     def ghost(self, body: Body) -> None:
-        """Let a body pass through everything for good; contact and distance queries see it regardless."""
+        """Let a body pass through everything permanently; contact and distance queries still see it."""
         self._filter(body, 0, 0)
 
     def _filter(self, body: Body, group: int, mask: int, links: Iterable[int] | None = None) -> None:
@@ -183,19 +174,18 @@ class Engine:
             bullet.setCollisionFilterGroupMask(body.id, index, group, mask, physicsClientId=self._client)
 
     def remove(self, body: Body) -> None:
-        """Remove a body; its constraints have to be gone."""
+        """Remove a body that has no constraints."""
         bullet.removeBody(body.id, physicsClientId=self._client)
         self._forget(body)
 
     def snapshot(self, body: Body) -> Snapshot:
-        """Return the state of a body; as long as that doesn't change, the same object."""
+        """Return the state of a body; the same object as long as the state doesn't change."""
         known = self._known
         if body.id not in known:
             known[body.id] = Snapshot(self.pose(body), self.velocity(body), *self.joints(body))
         return known[body.id]
 
     def _forget(self, body: Body) -> None:
-        """Forget the state of a body that has changed."""
         self._known = {number: state for number, state in self._known.items() if number != body.id}
 
     def pose(self, body: Body) -> Pose:
@@ -206,7 +196,7 @@ class Engine:
         return geometry.multiply(pose, geometry.invert(body.offset))
 
     def set_pose(self, body: Body, pose: Pose) -> None:
-        """Put the base link at a pose, at rest."""
+        """Set the pose of the base link, at rest."""
         self.set_center_pose(body, pose if body.offset is None else geometry.multiply(pose, body.offset))
 
     def center_pose(self, body: Body) -> Pose:
@@ -215,7 +205,7 @@ class Engine:
         return pose
 
     def set_center_pose(self, body: Body, pose: Pose) -> None:
-        """Put the base's centre of mass at a pose, at rest."""
+        """Set the pose of the base's centre of mass, at rest."""
         bullet.resetBasePositionAndOrientation(body.id, *pose, physicsClientId=self._client)
         self._forget(body)
 
@@ -244,7 +234,7 @@ class Engine:
         return position
 
     def set_joints(self, body: Body, positions: Mapping[str, float], speeds: Mapping[str, float] | None = None) -> None:
-        """Put joints to positions, at rest unless speeds (rad/s or m/s) are given; their motors keep them there."""
+        """Set positions of joints, at rest unless speeds (rad/s or m/s) are given; their motors hold them there."""
         for name, position in positions.items():
             joint, speed = body.joints[name], speeds[name] if speeds else 0.0
             bullet.resetJointState(body.id, joint.index, position, speed, physicsClientId=self._client)
@@ -252,7 +242,7 @@ class Engine:
         self._forget(body)
 
     def pose_joints(self, body: Body, positions: Mapping[str, float]) -> None:
-        """Put joints of a body that is never stepped: ten times as fast as :meth:`set_joints`, leaves the motors."""
+        """Set positions of joints of a body that is never stepped: ten times as fast, as motors stay as they are."""
         bullet.resetJointStatesMultiDof(
             body.id,
             [body.joints[name].index for name in positions],
@@ -263,16 +253,16 @@ class Engine:
         self._forget(body)
 
     def set_targets(self, body: Body, targets: Mapping[str, float]) -> None:
-        """Have the motors of joints keep positions (rad or m, by name) that they aren't at."""
+        """Set the motors' targets (rad or m, by joint name), without moving the joints."""
         for name, position in targets.items():
             self._hold(body, body.joints[name], position)
 
     def drive(self, body: Body, joints: Sequence[Joint], start: Sequence[float], end: Sequence[float]) -> None:
-        """Have the motors of joints bring them from where they are to be now (rad or m) to another place in one step.
+        """Let motors move joints in one step from their planned positions to the next ones (rad or m).
 
-        The place comes as velocity, which acts in full; of an error that is left, motors correct their gain's share.
+        The difference is commanded as a velocity, which acts in full; of a remaining error, motors correct their gain.
         """
-        bullet.setJointMotorControlArray(  # leaves the velocity limit as _hold has set it
+        bullet.setJointMotorControlArray(  # keeps the velocity limit that _hold has set
             body.id,
             [joint.index for joint in joints],
             bullet.POSITION_CONTROL,
@@ -300,12 +290,12 @@ class Engine:
             force=body.forces[joint.name],
             positionGain=body.gain,
             velocityGain=1.0,
-            maxVelocity=100.0,  # the engine would keep an earlier value
+            maxVelocity=100.0,  # otherwise the engine keeps an earlier value
             physicsClientId=self._client,
         )
 
     def link_pose(self, body: Body, link: str) -> Pose:
-        """Return the pose of a link's frame in the world, current without a step."""
+        """Return the pose of a link's frame in the world; up to date without a step."""
         index = body.links[link]
         if index < 0:
             return self.pose(body)
@@ -331,12 +321,12 @@ class Engine:
         return found[:, :3], found[:, 3:]
 
     def box(self, body: Body, link: str) -> tuple[Vector, Vector]:
-        """Return the axis-aligned bounds of a link's shape in the world, current without a step."""
+        """Return the axis-aligned bounds of a link's shape in the world; up to date without a step."""
         bounds: tuple[Vector, Vector] = bullet.getAABB(body.id, body.links[link], physicsClientId=self._client)
         return bounds
 
     def set_color(self, body: Body, color: Sequence[float]) -> None:
-        """Paint all links, RGBA 0..1."""
+        """Set the colour of all links, RGBA 0..1."""
         for index in body.links.values():
             bullet.changeVisualShape(body.id, index, rgbaColor=color, physicsClientId=self._client)
 
@@ -356,17 +346,10 @@ class Engine:
     # --- attachments -------------------------------------------------------------------------------------------------
 
     def fix(self, carrier: Body, link: str, body: Body, body_link: str, pose: Pose) -> int:
-        """Join a body to a carrier's link with a fixed constraint, which keeps the pose in simulation.
+        """Join two bodies by a fixed constraint, which keeps their relative pose in simulation; return its id.
 
         Args:
-            carrier: The body that carries.
-            link: Its link.
-            body: The carried body.
-            body_link: The link of it that is held.
-            pose: Of that link in the carrier's link.
-
-        Returns:
-            The constraint's id.
+            pose: Pose of the body's link in the carrier's link.
         """
         c = self._client
         parent = self._to_inertial(carrier, link, pose)
@@ -388,7 +371,7 @@ class Engine:
         return number
 
     def _to_inertial(self, body: Body, link: str, pose: Pose) -> Pose:
-        """Return a pose in a link's frame relative to its inertial frame, as constraints take it."""
+        """Return a pose in a link's frame relative to the link's inertial frame, as constraints need it."""
         at, turn = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[3:5]
         return pose if (at, turn) == IDENTITY else geometry.multiply(geometry.invert((at, turn)), pose)
 
@@ -399,7 +382,7 @@ class Engine:
     def pass_through(self, carrier: Body, link: str, body: Body, *, robot: bool, enable: bool) -> None:
         """Let a held body pass through its carrier in simulation, or collide with it again.
 
-        Contact and distance queries see both regardless.
+        Contact and distance queries still see both.
         """
         if robot:
             group, mask = (_HELD_GROUP, ~_ROBOT_GROUP) if enable else (_DYNAMIC_GROUP, _ALL)
@@ -423,10 +406,10 @@ class Engine:
         self._known = {}
 
     def dragged(self, bodies: Iterable[Body]) -> list[tuple[Body, str]]:
-        """Return the bodies, with their links, that somebody has dragged with the mouse since this was last asked.
+        """Return the bodies, with their links, that the mouse has dragged since the last call.
 
-        PyBullet doesn't tell: it grips what a line of sight through the pointer hits when the left button is pressed
-        without Alt and Control, which turn the camera, and lets go when that is released.
+        PyBullet doesn't report drags. It grips the body under the pointer when the left button is pressed without Alt
+        and Control, which turn the camera, and releases it with the button.
         """
         if not self._window:
             return []
@@ -448,35 +431,35 @@ class Engine:
         return (body, link) if body >= 0 else None
 
     def closest_points(self, a: Body, b: Body, distance: float = 0.0) -> list[ClosestPoint]:
-        """Return the closest points of all pairs of links of two bodies that are nearer than a distance in m."""
+        """Return the closest points of all pairs of links of two bodies within a distance in m."""
         points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
         return _named(a, b, points)
 
     def link_closest_points(
         self, a: Body, link: str, b: Body, distance: float = 0.0, *, link_b: str | None = None
     ) -> list[ClosestPoint]:
-        """Return closest points as :meth:`closest_points`, of one link of the first body, and one of the second."""
+        """Return the closest points of a link of the first body, and optionally of one link of the second."""
         client = self._client
         if link_b is None:
             return _named(a, b, bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=client))
-        if a is b:  # boxes of one body have no contacts at 0 exactly, however deep
+        if a is b:  # at exactly 0, PyBullet finds no contacts between boxes of one body
             distance = max(distance, _NEXT_TO_NOTHING)
         pair = a.links[link], b.links[link_b]
         points = bullet.getClosestPoints(a.id, b.id, distance, *pair, physicsClientId=client)
         return [ClosestPoint(link, link_b, *p[6:10]) for p in points or ()]
 
     def contacts(self, body: Body) -> list[Contact]:
-        """Return the contacts of the last step with other bodies."""
+        """Return the contacts with other bodies in the last step."""
         points = bullet.getContactPoints(body.id, physicsClientId=self._client) or ()
         return [Contact(p[3], p[2], p[4], p[6], p[7], p[9]) for p in points]
 
     def friction(self, body: int, link: int) -> float:
-        """Return a link's coefficient of sliding friction, by id and index; a contact has the product of both."""
+        """Return a link's coefficient of sliding friction, by id and index; a contact has the product of two."""
         coefficient: float = bullet.getDynamicsInfo(body, link, physicsClientId=self._client)[1]
         return coefficient
 
     def close(self) -> None:
-        """End the client; a second call does nothing."""
+        """Disconnect the client; a second call does nothing."""
         if self._client >= 0:
             client, self._client = self._client, -1
             if bullet.isConnected(physicsClientId=client):
@@ -485,7 +468,7 @@ class Engine:
 
     @property
     def connected(self) -> bool:
-        """Whether the client is connected; a window may have been closed by hand."""
+        """Whether the client is connected; somebody may have closed the window."""
         return self._client >= 0 and bool(bullet.isConnected(physicsClientId=self._client))
 
     def pump(self) -> None:
@@ -505,10 +488,10 @@ def _pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.flo
     """Return both ends of the line of sight through a pixel, in the world, m.
 
     Args:
-        camera: The window's, as PyBullet describes it: width, height, ..., forward, horizontal, vertical, ...,
+        camera: The window's camera as PyBullet describes it: width, height, ..., forward, horizontal, vertical, ...,
             distance, target. The vectors span the picture far away.
-        x: Of the pixel, from the left.
-        y: From above.
+        x: Pixels from the left.
+        y: Pixels from above.
     """
     width, height, *_ = camera
     forward, horizontal, vertical, target = (np.array(camera[index], float) for index in (5, 6, 7, 11))

@@ -1,7 +1,7 @@
-"""How a body is made of its model: decided here, written into the load record, and read from there when it is restored.
+"""Loading of models into the engine: options, which are recorded, and the forces of joint motors.
 
-Recordings have to come out the same when they are executed again, also those of earlier releases. So whatever changes
-the body that a model becomes is an option here, whose default in records is how 0.1.0 did it.
+Recordings of earlier releases have to give the same result when they are executed again. So everything that changes the
+loaded body is an option here; if a record lacks the option, its value is that of 0.1.0.
 """
 
 from __future__ import annotations
@@ -29,47 +29,43 @@ _GRAVITY: Final = 9.81  # m/s^2, that motors of robots have to bear
 
 @dataclass(frozen=True, slots=True)
 class Loading:
-    """How the engine makes a body of its model.
-
-    Attributes:
-        undamped: Damping and friction of the URDF's joints don't act. PyBullet applies them against the motors that
-            hold the joints, explicitly in time: a damping that is large for the link's inertia makes it oscillate ever
-            more (2e10 N m s/rad in a published PR2: 4 rad off after 0.5 s).
-        clamped: Joints start at 0 or, where that isn't allowed, at the limit nearest to it: else they would jump there
-            in the first steps.
-        mimic: Joints that mimic another follow it whenever that is set. In simulation each is held where it should be
-            by a motor of its own: PyBullet has no mimic joints.
-        inertia: Links of robots have the moments of inertia that the URDF says. Else PyBullet takes those of the boxes
-            around their collision shapes; a link without one has none, and motors move what hangs on it.
-        armature: Least moment of inertia of a robot's links that move, kg m^2, as the rotors of geared motors add it.
-            Without it the solver's 50 iterations don't bring the motors of wrists and fingers to agree.
-        gain: Share of the error of a robot's joint that its motor corrects in a step. What the solver leaves of the
-            load on chains of many joints grows to an error that the gain balances: with 0.1 some sagged by 5 mrad.
-        strength: How many times the most that gravity may pull at them a robot's motors hold, if that is more than what
-            all have, 500 N m or 10 kN: an industrial arm of 330 kg sank by 1.3 rad.
-    """
+    """Options by which the engine makes a body of a model."""
 
     undamped: bool = True
+    """Damping and friction of the URDF's joints are ignored. PyBullet applies them against the motors, explicitly in
+    time, so a damping that is large for the link's inertia causes growing oscillations (2e10 N m s/rad in a published
+    PR2: 4 rad off after 0.5 s)."""
     clamped: bool = True
+    """Joints start at 0, or at the nearest limit if 0 isn't allowed; otherwise they would jump in the first steps."""
     mimic: bool = True
+    """Joints that mimic another one follow it whenever that is set. In simulation a motor holds each of them, as
+    PyBullet has no mimic joints."""
     inertia: bool = True
+    """Links of robots have the URDF's moments of inertia. Otherwise PyBullet computes them from the boxes around the
+    collision shapes, which gives no inertia to a link without shape."""
     armature: float = 0.001
+    """Least moment of inertia of a robot's moving links, kg m^2, like that of the rotors of geared motors. Without it
+    the solver's 50 iterations don't converge for the motors of wrists and fingers."""
     gain: float = 1.0
+    """Share of the error of a robot's joint that its motor corrects in a step. The solver's remaining error grows on
+    long chains of joints: with 0.1, some sagged by 5 mrad."""
     strength: float = 2.0
+    """Largest force of a robot's motors, as a multiple of the largest load by gravity, if that is more than the 500 N m
+    or 10 kN of all motors: an industrial arm of 330 kg sank by 1.3 rad."""
 
     @classmethod
     def of(cls, record: LoadBody) -> Loading:
-        """Return how a recorded body was loaded."""
+        """Return the options with which a recorded body was loaded."""
         then = record.loading
         gain = then.gain or _AS_0_1_0.gain
         return cls(then.undamped, then.clamped, then.mimic, then.inertia, then.armature, gain, then.strength)
 
     def to_record(self) -> LoadingRecord | None:
-        """Return its record; None if it is that of 0.1.0, which had none."""
+        """Return the options' record; None for the options of 0.1.0, which had no such record."""
         return LoadingRecord(**asdict(self)) if self != _AS_0_1_0 else None
 
     def start(self, urdf: Urdf) -> dict[str, float]:
-        """Return the values (rad or m) at which joints start, by name; only of those that don't start at 0."""
+        """Return the start positions (rad or m) of the joints that don't start at 0, by name."""
         values = {}
         if self.clamped:
             joints = (urdf.joints[name] for name in urdf.movable)
@@ -80,7 +76,7 @@ class Loading:
 
 
 NOW: Final = Loading()
-"""How this release loads models."""
+"""The options of this release."""
 
 _AS_0_1_0: Final = Loading(
     undamped=False, clamped=False, mimic=False, inertia=False, armature=0.0, gain=0.1, strength=0.0
@@ -88,37 +84,30 @@ _AS_0_1_0: Final = Loading(
 
 
 class Load(NamedTuple):
-    """A link that hangs on a joint.
+    """A link that hangs on a joint."""
 
-    Attributes:
-        parent: index of the joint before, -1 for none; joints come after those that they hang on.
-        place: of the joint in the world, with all joints at 0, m.
-        mass: of the link, kg.
-        lever: from the joint to the link's centre of mass, m.
-    """
-
-    parent: int
-    place: Vector
-    mass: float
-    lever: float
+    parent: int  # index of the parent joint, -1 for none; parents come first
+    place: Vector  # of the joint in the world, with all joints at 0, m
+    mass: float  # of the link, kg
+    lever: float  # distance of the link's centre of mass from the joint, m
 
 
 def least_forces(joints: Collection[Joint]) -> dict[str, float]:
-    """Return the forces (N, N m) that the motors of all bodies' joints have, by joint."""
+    """Return the least motor forces (N, N m) of any body, by joint."""
     return {joint.name: _LEAST[joint.kind] for joint in joints}
 
 
 def holding_forces(joints: Collection[Joint], loads: Sequence[Load], strength: float) -> dict[str, float]:
-    """Return the forces (N, N m) of motors that bear what hangs on a robot's joints, by joint; the least, or more.
+    """Return the motor forces (N, N m) that hold a robot's links in any posture, by joint.
 
     Args:
-        joints: those that have motors.
-        loads: of all joints, also fixed ones, by index.
-        strength: how many times the most that gravity may pull in any posture they hold.
+        joints: The joints with motors.
+        loads: Loads of all joints by index, including fixed joints.
+        strength: Multiple of the largest load by gravity that the motors hold.
     """
     slides = [joint for joint in joints if joint.kind == "prismatic" and math.isfinite(joint.upper - joint.lower)]
     travels = {joint.index: max(abs(joint.lower), abs(joint.upper)) for joint in slides}
-    weights = [_GRAVITY * load.mass for load in loads]  # of all that hangs on each joint
+    weights = [_GRAVITY * load.mass for load in loads]  # of all links that hang on each joint
     torques = [_GRAVITY * load.mass * load.lever for load in loads]
     for index in reversed(range(len(loads))):
         load = loads[index]

@@ -28,15 +28,15 @@ _POLL_PERIOD: Final = 1 / 30  # s
 
 @contextmanager
 def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
-    """Check that a window can open, which is to be done in the ``with`` block.
+    """Check that a window can open, and keep the display open while the ``with`` block opens the window.
 
-    The display stays open in the block: many servers reset when their last client leaves, and refuse others meanwhile.
+    Many display servers reset when their last client disconnects, and reject others meanwhile.
 
     Args:
-        open_windows: Names of the worlds that have one already.
+        open_windows: Names of the worlds that have a window.
 
     Raises:
-        DisplayError: There is no display, it doesn't answer, or PyBullet's one window is taken.
+        DisplayError: There is no display, it doesn't answer, or another world has PyBullet's only window.
     """
     if open_windows:
         raise DisplayError(f"PyBullet has one window, and {open_windows[0]} has it; end that world first")
@@ -58,7 +58,7 @@ def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
 
 @contextmanager
 def _opened(display: str) -> Iterator[str | None]:
-    """Open a display of this machine with the library that PyBullet uses; yield None, or why it doesn't answer."""
+    """Open a display of this machine with PyBullet's library; yield None, or the reason why it doesn't answer."""
     try:
         x11 = ctypes.CDLL("libX11.so.6")
     except OSError as error:
@@ -76,7 +76,7 @@ def _opened(display: str) -> Iterator[str | None]:
 
 @contextmanager
 def _connected(host: str, port: int) -> Iterator[str | None]:
-    """Connect to another machine's display; the library would wait for ever for one that doesn't answer."""
+    """Connect to another machine's display; without an answer, PyBullet's library would wait for ever."""
     try:
         connection = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT)
     except OSError as error:
