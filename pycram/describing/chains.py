@@ -97,7 +97,8 @@ class Tree:
             text = " ".join(joint.name for joint in run)
             while run and run[0].type == "prismatic" and self._upright(run[0]):
                 run.pop(0)  # a torso
-            if len(run) >= ARM and not _LEG.search(text) and not _HEAD.search(text) and not _branches(below):
+            has_more_than_hand = any(_LEG.search(joint.name) or _WHEEL.search(joint.name) for joint in below)
+            if len(run) >= ARM and not _LEG.search(text) and not _HEAD.search(text) and not has_more_than_hand:
                 found.append((run, below))
             else:
                 pending += self._next[last.name]
@@ -151,11 +152,6 @@ class Tree:
         return "footprint" in self.urdf.root or any(
             joint.movable and (_WHEEL.search(joint.name) or self._is_free(joint)) for joint in joints
         )
-
-
-def _branches(below: list[Joint]) -> bool:
-    """Return whether joints below an arm are more than a hand."""
-    return any(_LEG.search(joint.name) or _WHEEL.search(joint.name) for joint in below)
 
 
 def _short_names(runs: list[list[str]], robot: str) -> list[str]:

@@ -37,36 +37,31 @@ def run(options: argparse.Namespace) -> int:
     if options.file is None and options.check is None:
         return _refused("give a URDF, or --check with a description")
     try:
-        if options.file and not options.check and is_furniture(model := load.load(options.file)):
-            return _furniture(model, options)
-        text = None if options.check else describe_robot(options.file)
         if options.check:
-            description = RobotDescription.load(options.check)
+            return _check(RobotDescription.load(options.check), options)
+        model = load.load(options.file)
+        if is_furniture(model):
+            print(describe_furniture(model, options.file), end="")
+            description = None
         else:
-            description = RobotDescription.parse(text or "", "the first description")
-        return _check(description, options) if options.check else _write(text or "", description, options)
+            text = describe_robot(options.file)
+            description = RobotDescription.parse(text, "the first description")
+            print(text, end="")
+        if options.picture:
+            with BulletWorld() as world:
+                if description is not None:
+                    body = _loaded(description, options.file, world)
+                else:
+                    body = Object(model.urdf.name or "furniture", "environment", options.file, world=world)
+                _draw(body, options.picture)
     except AssetError as error:
         return _refused(str(error))
-
-
-def _write(text: str, description: RobotDescription, options: argparse.Namespace) -> int:
-    print(text, end="")
-    if options.picture:
-        with BulletWorld() as world:
-            _draw(_loaded(description, options.file, world), options.picture)
-    return _FINE
-
-
-def _furniture(model: Model, options: argparse.Namespace) -> int:
-    print(describe_furniture(model, options.file), end="")
-    if options.picture:
-        with BulletWorld() as world:
-            _draw(Object(model.urdf.name or "furniture", "environment", options.file, world=world), options.picture)
     return _FINE
 
 
 def _check(description: RobotDescription, options: argparse.Namespace) -> int:
-    urdf = options.file or _urdf_of(description)
+    robot_name = description.robot.removesuffix("_with_gripper")
+    urdf = options.file or next((name for name in ROBOT_URDFS if Path(name).stem == robot_name), None)
     if urdf is None:
         return _refused(f"{options.check} describes {description.robot}, which isn't bundled: give its URDF, too")
     with BulletWorld() as world:
@@ -98,14 +93,6 @@ def _draw(body: Object, file: Path) -> None:
     except (OSError, ValueError) as error:  # ValueError: of a name that is no picture's
         raise AssetError(file, str(error)) from error
     print(f"picture in {file}", file=sys.stderr)
-
-
-def _urdf_of(description: RobotDescription) -> str | None:
-    """Return the bundled URDF of a description's robot; None if there is none."""
-    for name in ROBOT_URDFS:
-        if description.robot in (Path(name).stem, f"{Path(name).stem}_with_gripper"):
-            return name
-    return None
 
 
 def _refused(reason: str) -> int:

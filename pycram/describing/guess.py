@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pycram.models.load import Model
-    from recorder.geometry import Pose
     from recorder.urdf import Joint
 
 _WIDTH: Final = 110  # characters per line
@@ -118,7 +117,9 @@ def _arm(arm: ArmChain, hand: HandGuess | str, park: Sequence[float] | None) -> 
     yield from ("", f"[arms.{arm.name}]", f"base_link = {quoted(arm.joints[0].parent)}")
     yield f"tool_frame = {quoted(gripper.palm if gripper else arm.joints[-1].child)}"
     if gripper and gripper.offset != IDENTITY:
-        yield _offset(gripper.offset)
+        position, turn = gripper.offset
+        angles = ", ".join(f"{round(angle, 12) + 0.0}" for angle in geometry.to_rpy(turn))
+        yield f"tool_offset = {{ xyz = {_row(position)}, rpy = [{angles}] }}"
     yield from _listed("joints", [joint.name for joint in arm.joints])
     if park is not None:
         yield from ("", f"[arms.{arm.name}.poses]", f"park = {_row(park)}")
@@ -136,12 +137,6 @@ def _arm(arm: ArmChain, hand: HandGuess | str, park: Sequence[float] | None) -> 
     yield f"depth = {_number(hand.depth)}  # from the tool frame back, where an object fits"
     yield f"tips = {TIPS:g}  # from the tool frame forward, closed"
     yield f"underside = {_number(hand.underside)}  # below the tool frame when the gripper is level"
-
-
-def _offset(offset: Pose) -> str:
-    (x, y, z), turn = offset
-    angles = ", ".join(f"{round(angle, 12) + 0.0}" for angle in geometry.to_rpy(turn))
-    return f"tool_offset = {{ xyz = {_row((x, y, z))}, rpy = [{angles}] }}"
 
 
 def quoted(text: str) -> str:

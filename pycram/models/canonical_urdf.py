@@ -69,7 +69,10 @@ def read(source: Path, content: str | bytes) -> ET.Element:
         raise AssetError(source, f"is not well-formed XML: {error}") from error
     if source.suffix == ".xacro" or any(_XACRO in element.tag for element in root.iter()):
         raise _expand_first(source)
-    _unqualify(root)
+    namespace, end, tag = root.tag.rpartition("}")
+    if tag == "robot" and end:  # a document with its own default namespace, as URDFs of Drake have
+        for element in root.iter():
+            element.tag = element.tag.removeprefix(namespace + end)
     if root.tag != "robot":
         raise AssetError(source, f"its root element is <{root.tag}>, not <robot>")
     _strip(root)
@@ -86,14 +89,6 @@ def _expand_first(source: Path) -> AssetError:
     target = source.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
     target = target if target != source.name else f"expanded_{target}"
     return AssetError(source, f"is a xacro file; make a URDF of it first: xacro {source.name} > {target}")
-
-
-def _unqualify(root: ET.Element) -> None:
-    """Remove the namespace that a document declares for its own elements, as URDFs of Drake do."""
-    namespace, end, tag = root.tag.rpartition("}")
-    if tag == "robot" and end:
-        for element in root.iter():
-            element.tag = element.tag.removeprefix(namespace + end)
 
 
 def _strip(element: ET.Element) -> None:

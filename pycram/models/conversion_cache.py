@@ -24,7 +24,7 @@ from pycram.models.texture import warn_of_missing
 from recorder.user_folders import cache_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     Piece = tuple[str, bytes, Sequence[float] | None]
 
@@ -72,8 +72,9 @@ def get(
 
 def _name(kind: str, file: Path, content: bytes, beside: Iterable[Path]) -> str:
     digest = sha256(_code())
-    more = (_content(other) for other in beside)
-    for part in (kind.encode(), os.fsencode(file.name), content, *_beside(file, content), *more):
+    textures = [file.parent / os.fsdecode(name) for name in _textures(file, content)]
+    besides = [*_materials(file, content), *(_content(other) for other in (*textures, *beside))]
+    for part in (kind.encode(), os.fsencode(file.name), content, *besides):
         digest.update(b"%d:" % len(part) + part)
     return digest.hexdigest()
 
@@ -90,13 +91,6 @@ def _version(library: str) -> str:
         return version(library)
     except PackageNotFoundError:  # not every conversion needs every library
         return "none"
-
-
-def _beside(file: Path, content: bytes) -> Iterator[bytes]:
-    """Yield the contents of the materials and textures that a mesh names; a missing file is empty."""
-    yield from _materials(file, content)
-    for name in _textures(file, content):
-        yield _content(file.parent / os.fsdecode(name))
 
 
 def _materials(file: Path, content: bytes) -> list[bytes]:

@@ -119,22 +119,13 @@ def find(path: str | Path) -> Path:
         raise AssetError(path, "is not a file")
     if given.name == str(path):
         if given.name in ROBOT_URDFS:
-            return _robot_urdf(given.name)
+            file = _installed(given.name)  # its folder has the meshes
+            return _with_gripper(given.name, file) if given.name == "ur5.urdf" else file
         shipped = resources() / given
         if shipped.is_file():
             return shipped
     known = sorted(file.name for kind in ("*.urdf", "*.stl") for file in resources().glob(kind))
     raise AssetError(path, f"no such file; PyCRAM's own files are {', '.join([*ROBOT_URDFS, *known])}")
-
-
-def _robot_urdf(name: str) -> Path:
-    """Return the URDF of a bundled robot; the UR5 gets PyCRAM's own gripper.
-
-    Raises:
-        AssetError: example-robot-data isn't installed, or doesn't contain the robot.
-    """
-    file = _installed(name)
-    return _with_gripper(name, file, resources() / "two_finger_gripper.urdf") if name == "ur5.urdf" else file
 
 
 @cache
@@ -151,8 +142,9 @@ def _installed(name: str) -> Path:
     raise AssetError(name, f"is not in the installed {_DISTRIBUTION}")
 
 
-def _with_gripper(name: str, arm: Path, gripper: Path) -> Path:
-    """Store the URDF of an arm with a gripper: the z axis of the arm's flange is the gripper's x axis."""
+def _with_gripper(name: str, arm: Path) -> Path:
+    """Store the URDF of an arm with PyCRAM's gripper: the z axis of the arm's flange is the gripper's x axis."""
+    gripper = resources() / "two_finger_gripper.urdf"
     robot, hand = (ET.fromstring(read_text(file)) for file in (arm, gripper))  # noqa: S314  installed files
     robot.set("name", f"{robot.get('name')}_with_gripper")
     for mesh in robot.iter("mesh"):  # in the store, relative names of meshes would not be found

@@ -185,7 +185,11 @@ class _Search:
     def _named(self, kept: Sequence[tuple[Face, str]], drawers: set[str]) -> Furniture:
         opening = {opened for _, opened in kept if opened} | drawers
         joints = [name for name in self._urdf.joints if name in opening]
-        by_joint = dict(zip(joints, distinct(self._container_name(name, drawers) for name in joints), strict=True))
+        names = [
+            readable(self._urdf.joints[name].child, self._urdf.name, () if name in drawers else ("door",))
+            for name in joints
+        ]
+        by_joint = dict(zip(joints, distinct(names), strict=True))
         # faces of one link are numbered: in a container from below, else by size
         order = sorted(range(len(kept)), key=lambda number: 0.0 if kept[number][1] else -kept[number][0].area)
         named = dict(
@@ -202,10 +206,6 @@ class _Search:
             MappingProxyType({surface.name: surface for surface in surfaces}),
             MappingProxyType({container.name: container for container in containers}),
         )
-
-    def _container_name(self, joint: str, drawers: set[str]) -> str:
-        dropped = () if joint in drawers else ("door",)
-        return readable(self._urdf.joints[joint].child, self._urdf.name, dropped)
 
     def _surface(self, name: str, face: Face, container: str) -> Surface:
         x, y, z = face.middle.tolist()

@@ -76,16 +76,13 @@ def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
     """Return the pieces of a link with a level top, grouped by height, from low to high."""
     levels: list[list[Piece]] = []
     height = -math.inf
-    for piece in sorted((part for part in parts if _is_level(part)), key=lambda piece: float(piece.high[2])):
+    level = [piece for piece in parts if piece.planes[:, 2].max() >= _LEVEL and (piece.high - piece.low)[:2].min() > 0]
+    for piece in sorted(level, key=lambda piece: float(piece.high[2])):
         if piece.high[2] - height > _THICK:
             levels.append([])
             height = float(piece.high[2])
         levels[-1].append(piece)
     return levels
-
-
-def _is_level(piece: Piece) -> bool:
-    return bool(piece.planes[:, 2].max() >= _LEVEL) and bool((piece.high - piece.low)[:2].min() > 0)
 
 
 def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array) -> Iterator[Face]:

@@ -241,15 +241,12 @@ def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
     for asset in meshes:
         _check_mesh(store.write(asset.key, asset.content))
     for file in beside:
-        corrections.check(corrections.read(_text(file), file.name), tree)
+        try:
+            text = file.content.decode()
+        except UnicodeDecodeError as error:
+            raise AssetError(file.key, f"is not UTF-8: {error}") from error
+        corrections.check(corrections.read(text, file.name), tree)
     return Model(path, tree, (model, *others), loading)
-
-
-def _text(file: AssetFile) -> str:
-    try:
-        return file.content.decode()
-    except UnicodeDecodeError as error:
-        raise AssetError(file.key, f"is not UTF-8: {error}") from error
 
 
 def _file(key: str, content: bytes) -> AssetFile:
@@ -259,7 +256,7 @@ def _file(key: str, content: bytes) -> AssetFile:
         asset = corrections.asset(name, content)
     forbidden = name in _RESERVED or not name.isprintable() or len(os.fsencode(name)) > _MAX_NAME
     if asset.key != key or forbidden or "/" in name or "\\" in _ESCAPE.sub("", name):
-        raise AssetError(key, "doesn't match its name")
+        raise AssetError(key, "has a name that doesn't match its content")
     return asset
 
 

@@ -72,7 +72,7 @@ def _files(file: Path, color: Sequence[float] | None) -> Iterator[tuple[str, byt
     entry = _properties(file)
     if "friction" in entry:
         ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=repr(entry["friction"]))
-    _add_inertia(link, shape, _mass(shape, entry))
+    _add_inertia(link, shape, entry)
     for name, content, rgba in _visuals(file, color, entry):
         visual = ET.SubElement(link, "visual")
         ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=AssetFile(name, content).key)
@@ -152,14 +152,12 @@ def _parsed(text: str, table: Path) -> Mapping[str, object]:
     return parse_toml(text, table)
 
 
-def _mass(shape: trimesh.Trimesh, entry: Mapping[str, object]) -> float:
+def _add_inertia(link: ET.Element, shape: trimesh.Trimesh, entry: Mapping[str, object]) -> None:
     if "mass" in entry:
-        return number("mass", entry["mass"])
-    solid = shape if shape.is_watertight else shape.convex_hull
-    return float(max(abs(solid.volume) * DENSITY, 1e-3))
-
-
-def _add_inertia(link: ET.Element, shape: trimesh.Trimesh, mass: float) -> None:
+        mass = number("mass", entry["mass"])
+    else:
+        solid = shape if shape.is_watertight else shape.convex_hull
+        mass = float(max(abs(solid.volume) * DENSITY, 1e-3))
     solid = shape if shape.is_watertight and shape.volume > 0 else shape.convex_hull
     tensor = solid.moment_inertia * (mass / solid.volume)
     inertial = ET.SubElement(link, "inertial")

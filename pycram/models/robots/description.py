@@ -103,7 +103,10 @@ class RobotDescription:
                 fingers don't close around the tool frame.
         """
         try:
-            for link in self._links():
+            links = [self.base_link] + ([self.camera.frame] if self.camera else [])
+            links += [link for pair in self.may_touch for link in sorted(pair)]
+            links += [link for arm in self.arms.values() for link in arm.links()]
+            for link in links:
                 urdf.parent_joint(link)
             for name, values in self._values().items():
                 joint = urdf.joint(name)
@@ -126,11 +129,6 @@ class RobotDescription:
         except AssetError as error:
             return error.cause
         return ""
-
-    def _links(self) -> list[str]:
-        links = [self.base_link] + ([self.camera.frame] if self.camera else [])
-        links += [link for pair in self.may_touch for link in sorted(pair)]
-        return links + [link for arm in self.arms.values() for link in arm.links()]
 
     def _values(self) -> dict[str, list[float]]:
         """Return all joints in the description, with all values given for them."""

@@ -98,15 +98,15 @@ class Gripper:
         return bias * ((width - self.gap) / 2 + _AIR)
 
     def _ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> dict[str, Vector]:
-        return {finger: self._closing(urdf, tool_frame, tool_offset, finger) for finger in self.fingers}
+        """Return the motion of each finger's point that is at the tool frame's origin when closed, in m."""
+        ways: dict[str, Vector] = {}
+        for finger in self.fingers:
+            opened, closed = (self._in_tool(urdf, tool_frame, tool_offset, finger, share) for share in (1.0, 0.0))
+            x, y, z = geometry.multiply(opened, geometry.invert(closed))[0]
+            ways[finger] = -x, -y, -z
+        return ways
 
-    def _closing(self, urdf: Urdf, tool_frame: str, tool_offset: Pose, finger: str) -> Vector:
-        """Return the motion during closing, in m, of the finger's point that ends at the tool frame's origin."""
-        opened, closed = (self._finger_in_tool(urdf, tool_frame, tool_offset, finger, share) for share in (1.0, 0.0))
-        x, y, z = geometry.multiply(opened, geometry.invert(closed))[0]
-        return -x, -y, -z
-
-    def _finger_in_tool(self, urdf: Urdf, tool_frame: str, tool_offset: Pose, finger: str, share: float) -> Pose:
+    def _in_tool(self, urdf: Urdf, tool_frame: str, tool_offset: Pose, finger: str, share: float) -> Pose:
         positions = self.at(share)
         tool = geometry.multiply(urdf.forward_kinematics(positions, tool_frame), tool_offset)
         return geometry.multiply(geometry.invert(tool), urdf.forward_kinematics(positions, finger))
