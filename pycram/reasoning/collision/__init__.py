@@ -1,1 +1,1 @@
-"""What a robot would touch in other postures, without touching the world."""
+"""Collisions of a robot in other postures, computed in copies of the world."""

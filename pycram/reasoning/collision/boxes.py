@@ -1,8 +1,8 @@
-"""Oriented bounding boxes of the convex pieces of bodies, and which overlap: the broad phase of collision checks.
+"""Oriented bounding boxes around the convex pieces of bodies, and their overlaps: the broad phase of collision checks.
 
-Boxes are turned as their links are. First their bounds along the world's axes are compared, then the boxes themselves,
-by separating axes (Gottschalk, Lin, Manocha: OBBTree, SIGGRAPH 1996). Each is a little wider than its piece, as the
-engine pads shapes, so that the pieces of boxes that don't overlap don't touch.
+Boxes have the orientation of their links. An overlap test compares first the boxes' bounds along the world's axes,
+then the boxes by separating axes (Gottschalk, Lin, Manocha: OBBTree, SIGGRAPH 1996). Each box is a little wider than
+its piece, because the engine pads shapes: if two boxes don't overlap, their pieces don't touch.
 """
 
 from __future__ import annotations
@@ -39,33 +39,34 @@ if TYPE_CHECKING:
 
 
 _MARGIN: Final = 1.5e-3  # m to each side: the engine's millimetre, and rounding
-_PARALLEL: Final = 1e-5  # added to cosines: parallel edges have no cross product, but rounding gives them one
-_MAX_BOXES: Final = 8  # of a link; more pieces, as of a bowl's wall, get one box for all
-_CORNERS: Final = np.array(list(itertools.product((0.0, 1.0), repeat=3)))  # of a box, in shares of its edges
+_PARALLEL: Final = 1e-5  # added to cosines: the cross product of parallel edges is zero, up to rounding
+_MAX_BOXES: Final = 8  # boxes of a link; a link with more pieces, as a bowl's wall, gets a single box
+_CORNERS: Final = np.array(list(itertools.product((0.0, 1.0), repeat=3)))  # corners of a box in shares of its edges
 
-# Of the cross product of edge i of a box and edge j of another, for 3 * i + j, with k and l the axes after i, m and n
-# those after j: k, l, (k, j), (l, j); and of the four terms of both boxes' sizes along it the edges and the cosines.
+# For the cross product of edge i of a box and edge j of another, with number 3 * i + j. k and l are the axes after i,
+# m and n the axes after j: k, l, (k, j), (l, j). Then the edges and cosines of the four terms of both boxes' sizes
+# along it.
 _I, _J = np.divmod(np.arange(9), 3)
 _K, _L, _M, _N = (_I + 1) % 3, (_I + 2) % 3, (_J + 1) % 3, (_J + 2) % 3
 _KJ, _LJ = 3 * _K + _J, 3 * _L + _J
 _SIZES: Final = np.concatenate([_K, _L, 3 + _M, 3 + _N])
 _COSINES: Final = np.concatenate([_LJ, _KJ, 3 * _I + _N, 3 * _I + _M])
 _CACHED: Final = 64
-_NEIGHBOURS: Final = 3  # joints between links whose limits keep them apart; their hulls overlap
+_NEIGHBOURS: Final = 3  # joints between links whose limits keep them apart, although their hulls overlap
 
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """k oriented boxes, which are equal only if they are the same."""
+    """k oriented boxes. Two sets of boxes are equal only if they are the same object."""
 
-    links: tuple[str, ...]  # (k,) names of the links that they are around
+    links: tuple[str, ...]  # (k,) names of the links in the boxes
     centers: Array  # (k, 3) in the world, m
-    axes: Array  # (k, 3, 3) their unit axes in the world are the columns
+    axes: Array  # (k, 3, 3) in the world, with the unit axes as columns
     half_extents: Array  # (k, 3), m
 
     @classmethod
     def around(cls, engine: Engine, body: Body, model: Object) -> Boxes:
-        """Return the boxes of a body where the engine has it; ``model`` is the object whose shapes it has."""
+        """Return the boxes of a body at its pose in an engine; ``model`` is the object with the body's shapes."""
         names, low, high = _bounds(model.model.path)
         positions, orientations = engine.link_frames(body, names)
         axes = geometry.to_matrices(orientations)
@@ -74,26 +75,26 @@ class Boxes:
 
     @cached_property
     def ends(self) -> tuple[Array, Array]:
-        """Lowest and highest corners (k, 3) of the boxes along the world's axes around these, m."""
+        """Lowest and highest corners (k, 3) of the boxes' bounds along the world's axes, m."""
         extents = _world_extents(self.axes, self.half_extents)
         return self.centers - extents, self.centers + extents
 
     def subset(self, which: NDArray[np.bool_]) -> Boxes:
-        """Return those of (k,) flags."""
+        """Return the boxes with a true flag, of (k,) flags."""
         links = tuple(link for link, wanted in zip(self.links, which, strict=True) if wanted)
         return Boxes(links, self.centers[which], self.axes[which], self.half_extents[which])
 
     def widened(self, margin: float) -> Boxes:
-        """Return them wider by a margin in m to each side."""
+        """Return the boxes, wider by a margin in m to each side."""
         return Boxes(self.links, self.centers, self.axes, self.half_extents + margin)
 
     @classmethod
     def swept(cls, path: Path, poses: Mapping[str, Sequence[Pose]]) -> Boxes:
-        """Return boxes, along the axes of a frame, around all that some links' pieces sweep.
+        """Return boxes along the axes of a frame around the space that the pieces of some links sweep.
 
         Args:
             path: the model's canonical URDF.
-            poses: by link its poses in that frame, so close that it stays within a millimetre between them.
+            poses: by link its poses in the frame; between two poses it must stay within a millimetre.
         """
         names, low, high = _bounds(path)
         kept = [number for number, name in enumerate(names) if name in poses]
@@ -108,12 +109,12 @@ class Boxes:
         return cls(links, ends.mean(axis=1), axes, (ends[:, 1] - ends[:, 0]) / 2 + _MARGIN)
 
     def placed(self, pose: Pose) -> Boxes:
-        """Return them with the frame that they are in at a pose."""
+        """Return the boxes with their frame at a pose."""
         centers, axes = self.moved(geometry.pose_matrix(pose)[None])
         return Boxes(self.links, centers, axes, self.half_extents)
 
     def raised(self, up: float) -> Boxes:
-        """Return a box along the world's axes around all of them, and around what they sweep on a way up, m."""
+        """Return one box along the world's axes around the space that all boxes sweep on a way up, m."""
         if not self.links:
             return self
         lows, highs = self.ends
@@ -122,7 +123,7 @@ class Boxes:
         return Boxes(self.links[:1], ((low + high) / 2)[None], np.eye(3)[None], ((high - low) / 2)[None])
 
     def moved(self, transforms: Array) -> tuple[Array, Array]:
-        """Return centers (n, k, 3), m, and axes (n, k, 3, 3) of the boxes moved by transforms (n, k, 4, 4)."""
+        """Return centers (n, k, 3) in m and axes (n, k, 3, 3) of the boxes, moved by transforms (n, k, 4, 4)."""
         turns = transforms[..., :3, :3]
         return (turns @ self.centers[:, :, None])[..., 0] + transforms[..., :3, 3], turns @ self.axes
 
@@ -130,7 +131,7 @@ class Boxes:
 @lru_cache(maxsize=256)
 @notable
 def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
-    """Return links, and lowest and highest corners (k, 3) in their frames: of each piece, or of all if many."""
+    """Return the links, and the lowest and highest corners (k, 3) in the links' frames, of their pieces."""
     pieces: dict[str, list[shapes.Ends]] = {}
     for link, ends in shapes.piece_bounds(path):
         pieces.setdefault(link, []).append(ends)
@@ -156,22 +157,22 @@ def concatenate(parts: Sequence[Boxes]) -> Boxes:
 
 
 def _world_extents(axes: Array, half_extents: Array) -> Array:
-    """Return half extents (..., 3) along the world's axes of boxes with axes (..., 3, 3), m."""
+    """Return half extents (..., 3) in m along the world's axes for boxes with axes (..., 3, 3)."""
     along: Array = np.einsum("...ij,...j->...i", np.abs(axes), half_extents)
     return along
 
 
 def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) -> tuple[Indices, Indices, Indices]:
-    """Return which boxes overlap which others, in many postures at once.
+    """Return the overlaps between two sets of boxes, for many postures together.
 
     Args:
-        centers: (n, k, 3) of the boxes in each posture, in the world, m.
-        axes: (n, k, 3, 3) of the boxes.
-        half_extents: (k, 3) of the boxes, m.
-        others: boxes that stay.
+        centers: (n, k, 3) of the moving boxes in each posture, in the world, m.
+        axes: (n, k, 3, 3) of the moving boxes.
+        half_extents: (k, 3) of the moving boxes, m.
+        others: the boxes that don't move.
 
     Returns:
-        Indices of postures, boxes and others that overlap, in order.
+        Numbers of postures, moving boxes and other boxes that overlap, in order.
     """
     extents = _world_extents(axes, half_extents)
     lows, highs = centers - extents, centers + extents
@@ -197,17 +198,17 @@ def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) ->
 def overlapping_pairs(
     centers: Array, axes: Array, half_extents: Array, a: Indices, b: Indices
 ) -> tuple[Indices, Indices]:
-    """Return which of some pairs of boxes overlap, in many postures at once.
+    """Return the overlaps among pairs of boxes, for many postures together.
 
     Args:
-        centers: (n, k, 3) in each posture, in the world, m.
+        centers: (n, k, 3) of the boxes in each posture, in the world, m.
         axes: (n, k, 3, 3) of the boxes.
         half_extents: (k, 3) of the boxes, m.
-        a: (m,) indices of the first boxes.
-        b: (m,) indices of the second boxes.
+        a: (m,) numbers of the first boxes of pairs.
+        b: (m,) numbers of the second boxes of pairs.
 
     Returns:
-        Indices of postures and of the pairs that overlap in them, in order.
+        Numbers of postures, and of the pairs that overlap in them, in order.
     """
     sizes = _world_extents(axes, half_extents)
     close = np.ones((len(centers), len(a)), dtype=bool)
@@ -226,16 +227,16 @@ def overlapping_pairs(
 
 
 def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> NDArray[np.bool_]:
-    """Return whether boxes (centers, axes, half extents) overlap, pair by pair (n,): none of 15 axes separates them."""
+    """Return for pairs (n,) of boxes (centers, axes, half extents) whether they overlap, by 15 separating axes."""
     (centers, axes, halves), (other_centers, other_axes, other_halves) = a, b
     back = axes.transpose(0, 2, 1)
-    turn = back @ other_axes  # the other's axes in the box's frame
+    turn = back @ other_axes  # the other boxes' axes in the boxes' frames
     offset = (back @ (other_centers - centers)[:, :, None])[:, :, 0]
     cosines = np.abs(turn) + _PARALLEL
     overlap: NDArray[np.bool_] = np.all(
         np.abs(offset) <= halves + (cosines @ other_halves[:, :, None])[:, :, 0], axis=1
     )
-    left = np.flatnonzero(overlap)  # the few that the box's own axes don't separate
+    left = np.flatnonzero(overlap)  # the few pairs that the boxes' own axes don't separate
     turn, offset, cosines, halves, other_halves = (part[left] for part in (turn, offset, cosines, halves, other_halves))
     along = (turn.transpose(0, 2, 1) @ offset[:, :, None])[:, :, 0]
     apart = (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
@@ -251,20 +252,16 @@ def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> ND
 
 
 class MovingLinks:
-    """Links that joints move, with what they hold, and the others of the same robot.
+    """Links that joints move, with the objects that they hold, and the other links of the same robot.
 
     Args:
-        engine: where it stands.
-        body: the engine's side of it.
-        boxes: around all its pieces, as it stands there.
-        held: what it holds: object, the robot's link, and the boxes around the object's pieces.
+        engine: has the robot.
+        body: the robot in the engine.
+        boxes: around all pieces of the robot in the engine.
+        held: for each held object the object, the robot's link, and the boxes around the object's pieces.
         joints: names of the joints that will be moved.
-        all_links: check all links, not just those that the joints move.
+        all_links: check all links, not only the moved ones.
 
-    Attributes:
-        moving: links that are checked.
-        owners: (k,) whose these boxes are.
-        drivers: (k,) the number of the joint that moves each of these boxes, -1 where none does.
     """
 
     def __init__(
@@ -282,28 +279,30 @@ class MovingLinks:
         may_touch = robot.description.may_touch if robot.description else frozenset()
         fixed = _structure(robot.model.path, robot.name, boxes.links, joints, all_links, held_links, may_touch)
         self.moving, self.owners, self.drivers = fixed.moving, fixed.owners, fixed.drivers
-        self.joint_counts = joint_counts(robot.model.path, joints)  # how many of the joints each link hangs on
+        self.joint_counts = joint_counts(robot.model.path, joints)  # moving joints above each link
         positions = dict(zip(robot.joints, engine.joints(body)[0], strict=True))
-        self.positions = {name: positions[name] for name in joints}  # values of the joints, rad or m
+        self.positions = {name: positions[name] for name in joints}  # present values of the joints, rad or m
         self.base_pose = engine.pose(body)  # of the robot
-        # how the joints move the links
+        # transforms of the links by the joints
         self.articulation = Articulation(engine, body, drivers(robot.model.path, joints))
         swung = [each for other, link, each in held if link in fixed.moving]
-        # names of the objects that they hold
+        # names of the held objects
         self.held = frozenset(other.name for other, link, _ in held if link in fixed.moving)
         self._all_boxes = concatenate([boxes, *swung])
-        self.boxes = self._all_boxes.subset(fixed.checked)  # around the links that are checked, and what they hold
+        self.boxes = self._all_boxes.subset(fixed.checked)  # around the checked links and the objects that they hold
         self._robot, self._structure = robot.name, fixed
         self._swung = fixed.all_drivers >= 0
         self._swung_boxes = self._all_boxes.subset(self._swung)
 
     def self_overlaps(self, transforms: NDArray[np.float64]) -> list[dict[tuple[Owner, Owner], None]]:
-        """Return for each posture links, more than a shoulder apart, whose boxes overlap; the first of a pair moves.
+        """Return for each posture the pairs of links with overlapping boxes; the first link of a pair moves.
 
-        What a link holds is as far from others as the link is. Where one of the two is held, it comes first.
+        Neighbours, which are less than a shoulder apart, are left out.
+
+        A held object has the same neighbours as its link. If one of a pair is held, it comes first.
 
         Args:
-            transforms: (n, joints + 1, 4, 4) of the joints in each posture, as the articulation has them.
+            transforms: (n, joints + 1, 4, 4) of the joints in each posture, as from the articulation.
         """
         a, b = self._structure.pairs
         found: list[dict[tuple[Owner, Owner], None]] = [{} for _ in transforms]
@@ -322,25 +321,25 @@ class MovingLinks:
         return found
 
     def hangs_on(self, link: str, other: str) -> bool:
-        """Return whether one link hangs on all joints of another, as on a trunk; each is solid or holds something."""
+        """Return whether a link is below all joints of another link; both must have shapes or hold an object."""
         own, numbers = self._structure.own, self._structure.numbers
         return not own[numbers[other], numbers[link]]
 
 
 @dataclass(frozen=True, slots=True)
 class _Structure:
-    """What of moving links doesn't depend on where the robot is."""
+    """The part of moving links that doesn't depend on the pose of the robot."""
 
-    moving: frozenset[str]  # as of :class:`MovingLinks`
-    owners: Sequence[Owner]  # the same
-    drivers: NDArray[np.intp]  # the same
-    all_owners: Sequence[Owner]  # whose all boxes are: of the robot, and of what it holds in links that move
-    all_drivers: NDArray[np.intp]  # the number of the joint that moves each of all boxes, -1 where none does
-    checked: NDArray[np.bool_]  # which of all boxes are checked
-    # numbers of boxes, one before the other, that could meet: they aren't neighbours
+    moving: frozenset[str]  # links that are checked
+    owners: Sequence[Owner]  # (k,) the owner of each checked box
+    drivers: NDArray[np.intp]  # (k,) number of the joint that moves each checked box, -1 for none
+    all_owners: Sequence[Owner]  # the owner of each box: of the robot, and of the objects that moving links hold
+    all_drivers: NDArray[np.intp]  # number of the joint that moves each box, -1 for none
+    checked: NDArray[np.bool_]  # whether each box is checked
+    # numbers of boxes that could touch, in pairs in ascending order; neighbours are left out
     pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
-    own: NDArray[np.intp]  # (n, n) how many of all joints the one box's link hangs on, but not the other's
-    numbers: Mapping[str, int]  # of a box of each link
+    own: NDArray[np.intp]  # (n, n) number of joints above the first box's link that aren't above the second box's link
+    numbers: Mapping[str, int]  # number of a box of each link
 
 
 @lru_cache(maxsize=_CACHED)
@@ -354,13 +353,13 @@ def _structure(
     held: tuple[tuple[str, str, tuple[str, ...]], ...],
     may_touch: frozenset[frozenset[str]],
 ) -> _Structure:
-    """Return it for the model with a canonical URDF.
+    """Return the structure for a model with a canonical URDF.
 
     Args:
-        robot_links: links that boxes are around.
+        robot_links: links of the boxes.
         joints: names of the joints that will be moved.
-        all_links: check all links.
-        held: what is held: name, the robot's link, links that boxes are around.
+        all_links: check all links, not only the moved ones.
+        held: for each held object its name, the robot's link, and the links of its boxes.
         may_touch: pairs of the robot's links that may overlap.
     """
     urdf = stored_tree(path)
@@ -368,19 +367,19 @@ def _structure(
     swung = [each for each in held if each[1] in moving]
     owners = [(robot, link) for link in robot_links]
     owners += [(name, link) for name, _, boxes in swung for link in boxes]
-    links = [*robot_links, *(link for _, link, boxes in swung for _ in boxes)]  # what is held moves as its link
+    links = [*robot_links, *(link for _, link, boxes in swung for _ in boxes)]  # a held object moves with its link
     of_links = drivers(path, joints).of_links
     all_drivers = np.array([of_links[link] for link in links], dtype=np.intp)
     checked = np.array([link in moving for link in links], dtype=bool)
     names, own_links = np.array(links), np.arange(len(links)) < len(robot_links)
     own = _own_joints(urdf, links, joints)
     every = _own_joints(urdf, links, urdf.movable)
-    still = np.where(checked, 0, every.T)  # another arm's, say
+    still = np.where(checked, 0, every.T)  # another arm's links, for example
     apart = checked[:, None] & (np.maximum(own, np.maximum(own.T, still)) > _NEIGHBOURS)
     for link, other in map(sorted, may_touch):
         pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
         apart &= ~(pair | pair.T)
-    first, second = np.nonzero(apart & ~(checked & (names[:, None] >= names)))  # each pair once
+    first, second = np.nonzero(apart & ~(checked & (names[:, None] >= names)))  # each pair only once
     return _Structure(
         moving=moving,
         owners=list(itertools.compress(owners, checked)),
@@ -395,7 +394,7 @@ def _structure(
 
 
 def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> NDArray[np.intp]:
-    """Return how many of some joints the one link hangs on, but not the other: (n, n) for n links."""
+    """Return the number (n, n) of joints above the first link that aren't above the second link, for n links."""
     columns = {name: number for number, name in enumerate(joints)}
     above: dict[str, NDArray[np.intp]] = {}
     for link in urdf.links:  # parents come before their children
@@ -411,7 +410,7 @@ def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> 
 @lru_cache(maxsize=_CACHED)
 @notable
 def joint_counts(path: Path, joints: tuple[str, ...]) -> Mapping[str, int]:
-    """Return how many of some joints each link hangs on, of the model with a canonical URDF."""
+    """Return the number of moving joints above each link, for a model with a canonical URDF."""
     urdf = stored_tree(path)
     counts: dict[str, int] = {}
     for link in urdf.links:  # parents come before their children

@@ -1,7 +1,7 @@
-"""What a robot would touch in other postures or at another pose (thesis 4.4.6): tried in a simulation clone.
+"""The collision checker: what a robot would touch in other postures or at another pose (thesis 4.4.6).
 
-Boxes say at once which links could touch in many postures (:mod:`pycram.reasoning.collision.boxes`, the broad phase);
-the engine checks only these pairs, one by one as they are needed (the narrow phase).
+Boxes give the links that could touch in many postures (:mod:`pycram.reasoning.collision.boxes`, the broad phase). The
+engine checks only these pairs in a simulation clone, one by one when they are needed (the narrow phase).
 """
 
 from __future__ import annotations
@@ -28,47 +28,47 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
-    #: What moves and one of its links, what is touched and one of its links.
+    #: A moving object and its link, and another object and its link.
     Pair = tuple[Object, str, Object, str]
 
-DEPTH: Final = 2e-3  # m of overlap below which shapes, which the engine pads, don't count as colliding
+DEPTH: Final = 2e-3  # m of overlap, below which shapes don't collide, because the engine pads them
 _SELF_DEPTH: Final = 0.02  # m; the robot's own shapes are hulls, which overlap where the robot doesn't
-_STANDING: Final = 0.9  # of a normal's length pointing up
-_FEET: Final = 0.02  # m above the ground
+_STANDING: Final = 0.9  # vertical component of a normal where a robot stands
+_FEET: Final = 0.02  # m above the ground that count as the feet
 
 
 class Collision(TypedDict):
-    """How a robot collides with an object, as records carry it."""
+    """A collision of a robot with an object, as in records."""
 
-    links: list[str]  # links of the robot, or of what it holds, that touch the object
-    by: list[str]  # links of the object that they touch
+    links: list[str]  # links of the robot, or of held objects, that touch the object
+    by: list[str]  # links of the object that are touched
     depth: float  # of the deepest touch, m
-    pair: CollisionPair  # the links that touch there
+    pair: CollisionPair  # the links of the deepest touch
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A posture, and what could touch in it."""
+    """A posture, and the links that could touch in it."""
 
-    positions: Mapping[str, float]  # joint values in rad or m by name; the others stay
-    base: Pose | None  # pose of the robot's base; None where it stands
-    # (n,) numbers of boxes that move, and of the others that they overlap
+    positions: Mapping[str, float]  # joint values in rad or m by name; other joints keep their values
+    base: Pose | None  # pose of the robot's base; None for its present pose
+    # (n,) numbers of moving boxes, and of the other boxes that overlap them
     overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]
-    transforms: NDArray[np.float64]  # (joints + 1, 4, 4) how the joints move what hangs on them
-    # the links in these boxes, in the order in which they are checked; empty until then
+    transforms: NDArray[np.float64]  # (joints + 1, 4, 4) of the links by the joints
+    # the links in these boxes in the order of the checks; empty until they are needed
     pairs: list[Pair] = field(default_factory=list)
     touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # of the pairs that the engine has checked
 
 
 class CollisionChecker:
-    """A robot that is tried in postures. Use it as a context manager, with the world's lock held.
+    """Checks postures of a robot for collisions. Use it as a context manager, with the world locked.
 
     Args:
-        joints: names of the joints that will be moved; what they don't move isn't checked.
-        ignored: objects that don't count.
-        all_links: check all links of the robot, not just those that the joints move.
-        ignored_links: objects with links of theirs that don't count, as those that move along.
-        margin: m by which other objects are looked at before they are touched.
+        joints: names of the moving joints; links that they don't move aren't checked.
+        ignored: objects that may be touched.
+        all_links: check all links of the robot, not only the moved ones.
+        ignored_links: objects with links that may be touched, as links that move along.
+        margin: m of distance up to which other objects are checked as well.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class CollisionChecker:
         ignored_links: Collection[tuple[Object, str]] = (),
         margin: float = 0.0,
     ) -> None:
-        self.robot = robot  # the robot
+        self.robot = robot
         self._margin = margin
         self._clone = clone = clone_of(robot.world, "reach")
         clone.sync()
@@ -112,8 +112,8 @@ class CollisionChecker:
         every = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
         self._other_boxes = every.widened(margin) if margin else every
         self._other_owners = list(itertools.compress(owners, counted))
-        self._copies: dict[tuple[Object, str], Body] = {}  # of what was checked, by object and link
-        self._base = links.base_pose  # of the clone's robot, as the candidate below
+        self._copies: dict[tuple[Object, str], Body] = {}  # checked bodies by object and link
+        self._base = links.base_pose  # of the clone's robot, as it was placed last
         self._placed: Candidate | None = None
 
     def __enter__(self) -> Self:
@@ -126,25 +126,25 @@ class CollisionChecker:
             self._clone.invalidate(self.robot.name, *(body.name for body in self._link_of))
 
     def predict(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[Candidate]:
-        """Return what could touch in postures, all at once.
+        """Return candidates for postures, all together.
 
         Args:
-            postures: joint values in rad or m by name; the others stay.
-            base: pose of the robot's base in them; it stays by default.
+            postures: joint values in rad or m by name; other joints keep their values.
+            base: pose of the robot's base; its present pose by default.
         """
         transforms = self._links.articulation.transforms(postures)
         moved = transforms if base is None else self._carried([base]) @ transforms
         return self._overlapping(postures, [base] * len(postures), transforms, moved)
 
     def predict_at(self, bases: Sequence[Pose]) -> list[Candidate]:
-        """Return what could touch in the present posture with the robot's base at poses, all at once."""
+        """Return candidates for the present posture with the robot's base at poses, all together."""
         if not bases:
             return []
         transforms = self._links.articulation.transforms([{}] * len(bases))
         return self._overlapping([{}] * len(bases), bases, transforms, self._carried(bases)[:, None] @ transforms)
 
     def _carried(self, bases: Sequence[Pose]) -> NDArray[np.float64]:
-        """Return (n, 4, 4) how the robot moves from where it stands to poses of its base."""
+        """Return transforms (n, 4, 4) of the robot from its present pose to poses of its base."""
         placed = np.zeros((len(bases), 4, 4))
         placed[:, :3, :3] = geometry.to_matrices(np.array([orientation for _, orientation in bases]))
         placed[:, :3, 3] = [position for position, _ in bases]
@@ -152,9 +152,9 @@ class CollisionChecker:
         return placed @ geometry.pose_matrix(geometry.invert(self._links.base_pose))
 
     def boxes(self, candidate: Candidate) -> Boxes:
-        """Return the boxes around the robot's links that are checked where they are in a candidate, with its base here.
+        """Return the boxes around the robot's checked links in a candidate, with the base at its present pose.
 
-        What it holds has none.
+        Held objects are left out.
         """
         boxes, links = self._links.boxes, self._links
         centers, axes = boxes.moved(candidate.transforms[None, links.drivers])
@@ -168,7 +168,7 @@ class CollisionChecker:
         transforms: NDArray[np.float64],
         moved: NDArray[np.float64],
     ) -> list[Candidate]:
-        """Return candidates with transforms of their joints, and those (n, joints + 1, 4, 4) with the base's."""
+        """Return candidates for transforms by the joints, and for transforms (n, joints + 1, 4, 4) with the base."""
         centers, axes = self._links.boxes.moved(moved[:, self._links.drivers])
         posture, box, other = overlaps(centers, axes, self._links.boxes.half_extents, self._other_boxes)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
@@ -178,10 +178,10 @@ class CollisionChecker:
         ]
 
     def pairs(self, candidate: Candidate) -> Sequence[Pair]:
-        """Return the links in overlapping boxes, each pair once; not those of the robot itself.
+        """Return the pairs of links in overlapping boxes, each pair once, without pairs of the robot's own links.
 
-        First comes the first pair of each object, then the second, and so on: who is hit counts before how. Furniture
-        comes after other things, as its boxes are wide and mostly overlap for nothing.
+        The first pair of each object comes first, then the second pairs, and so on: it is more important which objects
+        are touched than how. Furniture comes after other objects, because its boxes are wide.
         """
         if not candidate.pairs:
             boxes, others = candidate.overlaps
@@ -204,15 +204,14 @@ class CollisionChecker:
     def collisions(
         self, candidate: Candidate, links: Collection[str] | None = None
     ) -> Iterator[tuple[Pair, list[ClosestPoint]]]:
-        """Check the pairs of a candidate, one after the other; what was checked before is known.
+        """Check the pairs of a candidate one after the other; results are cached.
 
         Args:
-            candidate: that was predicted.
-            links: the robot's links that are checked, and what it holds with them; all that move by default.
+            links: links of the robot to check, with the objects that they hold; all moved links by default.
 
         Yields:
-            Two links that touch, and where. The floor that a robot stands on doesn't collide with its wheels; what it
-            holds moves along and may collide with others too.
+            Two links that touch, with their contact points. The wheels of a robot don't collide with its floor, and
+            held objects don't collide with the robot.
         """
         for pair in self.pairs(candidate):
             mover, link, body, _ = pair
@@ -225,7 +224,7 @@ class CollisionChecker:
                 yield pair, touches
 
     def touched(self, candidate: Candidate) -> dict[Object, Collision]:
-        """Return what a robot collides with in a candidate, deepest first."""
+        """Return the collisions of a robot in a candidate, deepest first."""
         found: dict[Object, list[tuple[Pair, float]]] = {}
         for pair, touches in self.collisions(candidate):
             found.setdefault(pair[2], []).append((pair, max(-touch.distance for touch in touches)))
@@ -241,17 +240,16 @@ class CollisionChecker:
         return dict(sorted(collisions.items(), key=lambda item: (-item[1]["depth"], item[0].name)))
 
     def in_the_way(self, candidate: Candidate, own_pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
-        """Return what a robot collides with in a candidate, by the links that overlap most, and which of its own links.
+        """Return the collisions in a candidate: the deepest for each object, and pairs of the robot's own links.
 
         Args:
-            candidate: that was predicted.
-            own_pairs: its :meth:`self_pairs`, where they are known already.
+            own_pairs: the candidate's :meth:`self_pairs`, if they are known.
         """
         touched = [collision["pair"] for collision in self.touched(candidate).values()]
         return touched + self.self_collisions(candidate, own_pairs)
 
     def known(self, candidate: Candidate) -> list[CollisionPair]:
-        """Return what is touched in a candidate as far as it was checked, deepest first."""
+        """Return the pairs that have been checked and collide, deepest first."""
         depths = {
             pair: max((-touch.distance for touch in touches), default=0.0)
             for pair, touches in candidate.touches.items()
@@ -260,11 +258,10 @@ class CollisionChecker:
         return sorted(found, key=lambda pair: -pair.depth)
 
     def self_collisions(self, candidate: Candidate, pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
-        """Return pairs of the robot's own links, or of what they hold, more than a shoulder apart, that overlap.
+        """Return the colliding pairs of the robot's own links, or of held objects; neighbours are left out.
 
         Args:
-            candidate: that was predicted.
-            pairs: its :meth:`self_pairs`, where they are known already.
+            pairs: the candidate's :meth:`self_pairs`, if they are known.
         """
         if pairs is None:
             (pairs,) = self.self_pairs([candidate])
@@ -272,16 +269,16 @@ class CollisionChecker:
         return [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
 
     def self_pairs(self, candidates: Sequence[Candidate]) -> list[list[Pair]]:
-        """Return for each its own links, and what they hold, more than a shoulder apart, whose boxes overlap."""
+        """Return for each candidate the pairs of own links and held objects, not neighbours, with overlapping boxes."""
         if not candidates:
             return []
         found = self._links.self_overlaps(np.array([candidate.transforms for candidate in candidates]))
         return [[(self._own[a], link, self._own[b], other) for (a, link), (b, other) in each] for each in found]
 
     def depth(self, candidate: Candidate, pair: Pair) -> float:
-        """Return how deep two links overlap in a candidate, m; wheels don't overlap the floor that they stand on.
+        """Return the overlap in m of two links in a candidate; wheels don't overlap their floor.
 
-        It is negative where they are apart, down to the margin.
+        It is negative for links with a distance, down to the margin.
         """
         touches = self._touches(candidate, pair)
         if touches and pair[0].is_robot and pair[2].is_environment:
@@ -289,9 +286,9 @@ class CollisionChecker:
         return max((-touch.distance for touch in touches), default=-self._margin)
 
     def least(self, pair: Pair) -> float:
-        """Return the overlap in m from which on two links collide: more for the robot's own, and for what one carries.
+        """Return the overlap in m from which on two links collide; it is greater for the robot's own links.
 
-        A hand brings what it holds to the trunk and the shoulder that it hangs on, whose hulls are wide.
+        Held objects come near the trunk and the arm's own shoulder, whose hulls are wide.
         """
         mover, _, body, other = pair
         if body is not self.robot:
@@ -300,7 +297,7 @@ class CollisionChecker:
         return _SELF_DEPTH if mover is body or carries else DEPTH
 
     def named(self, pair: Pair, depth: float) -> CollisionPair:
-        """Return a pair of links, and how deep they overlap in m, by their names."""
+        """Return a pair of links by name, with its overlap in m."""
         mover, link, body, other = pair
         gripper = ""
         if mover is not self.robot:
@@ -309,7 +306,7 @@ class CollisionChecker:
         return CollisionPair(mover.name, link_name(mover, link), body.name, link_name(body, other), depth, gripper)
 
     def _touches(self, candidate: Candidate, pair: Pair) -> list[ClosestPoint]:
-        """Return where two links touch; only for this the clone's robot is moved."""
+        """Return the contact points of two links; only this moves the clone's robot."""
         touches = candidate.touches.get(pair)
         if touches is None:
             self._place(candidate)
@@ -320,7 +317,7 @@ class CollisionChecker:
         return touches
 
     def _copy(self, body: Object, link: str) -> Body:
-        """Return the body of the clone that has a link of an object: furniture is there link by link."""
+        """Return the body in the clone with a link of an object; furniture has a body for each link."""
         copy = self._copies.get((body, link))
         if copy is None:
             copy = self._clone.link(body, link) if body.is_environment else self._clone.body(body.name)
@@ -328,12 +325,12 @@ class CollisionChecker:
         return copy
 
     def closest_points(self, candidate: Candidate, other: Body) -> list[ClosestPoint]:
-        """Return where the whole robot, as in a candidate, overlaps a body of the clone."""
+        """Return the contact points of the whole robot in a candidate with a body in the clone."""
         self._place(candidate)
         return self._clone.engine.closest_points(self._clone.body(self.robot.name), other)
 
     def _place(self, candidate: Candidate) -> None:
-        """Move the clone's robot, with what it holds, into a candidate's posture."""
+        """Move the clone's robot and its held objects into the posture of a candidate."""
         if candidate is self._placed:
             return
         self._placed = candidate
@@ -347,20 +344,20 @@ class CollisionChecker:
             engine.set_pose(self._clone.body(body.name), geometry.multiply(engine.link_pose(robot, link), pose))
 
     def links_beyond(self, joints: Collection[str]) -> set[str]:
-        """Return the robot's links that hang on all of some joints: with an arm's joints its hand.
+        """Return the robot's links below all of some joints: the hand for an arm's joints.
 
         Args:
-            joints: names of some of those that will be moved, one after the other.
+            joints: names of moving joints in a chain.
         """
         names = tuple(joints)
         counts = joint_counts(self.robot.model.path, names)
         return {link for link, count in counts.items() if count == len(names)}
 
     def constant_links(self, link: str | None) -> set[str]:
-        """Return the robot's links that are where they are whatever the joints do.
+        """Return the robot's links that the moving joints don't move.
 
         Args:
-            link: stays at one pose as well, as the hand in all postures for one grasp.
+            link: also counts as fixed, as the hand in all postures for a grasp.
         """
         counts = self._links.joint_counts
         constant = {0} if link is None else {0, counts[link]}
@@ -368,20 +365,20 @@ class CollisionChecker:
 
 
 def link_name(body: Object, link: str) -> str:
-    """Return how a collision pair names a link: "" if the object has only one."""
+    """Return the link's name in a collision pair: "" if the object has only one link."""
     return link if len(body.links) > 1 else ""
 
 
 def touched(
     robot: Object, positions: Mapping[str, float], base: Pose | None = None, *, all_links: bool = False
 ) -> dict[Object, Collision]:
-    """Return what a robot would collide with in another posture or at another pose, deepest first.
+    """Return the collisions of a robot in another posture or at another pose, deepest first.
 
     Args:
         robot: its world is locked.
-        positions: joint values in rad or m by name that differ from the present ones.
+        positions: joint values in rad or m by name; other joints keep their values.
         base: pose of the robot's base; the present one by default.
-        all_links: check all links of the robot, not just those that the joints move.
+        all_links: check all links of the robot, not only the moved ones.
     """
     with CollisionChecker(robot, positions, all_links=all_links) as checker:
         (candidate,) = checker.predict([positions], base)
@@ -389,11 +386,11 @@ def touched(
 
 
 def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None = None) -> list[CollisionPair]:
-    """Return what a robot would collide with in a posture, by the links that overlap most, and which of its own links.
+    """Return the collisions in a posture: the deepest for each object, and pairs of the robot's own links.
 
     Args:
         robot: its world is locked.
-        positions: joint values in rad or m by name that differ from the present ones.
+        positions: joint values in rad or m by name; other joints keep their values.
         base: pose of the robot's base; the present one by default.
     """
     with CollisionChecker(robot, positions) as checker:
@@ -402,15 +399,15 @@ def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None 
 
 
 def newly_touched(robot: Object, positions: Mapping[str, float], base: Pose | None = None) -> list[CollisionPair]:
-    """Return what a robot would collide with in a posture, but for what it touches already, as on purpose.
+    """Return the collisions of a robot in a posture, without those that it has already, as on purpose.
 
     Args:
         robot: its world is locked.
-        positions: joint values in rad or m by name that differ from the present ones.
-        base: pose of the robot's base there; the present one by default.
+        positions: joint values in rad or m by name; other joints keep their values.
+        base: pose of the robot's base; the present one by default.
 
     Returns:
-        For each object the links that overlap most, by the objects' names; of the robot itself all pairs, at the end.
+        For each object, ordered by name, the links that overlap most; then all pairs of the robot's own links.
     """
     now = robot.get_joint_positions()
     with CollisionChecker(robot, positions) as checker:
@@ -431,7 +428,7 @@ def _ends(pair: CollisionPair) -> tuple[str, ...]:
 
 
 def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
-    """Return what a robot carries, directly and through other things: object, the robot's link, pose in that link."""
+    """Return the objects that a robot carries, also indirectly: object, the robot's link, and the pose in that link."""
     held: list[tuple[Object, str, Pose]] = []
     queue = [(attachment.body, attachment.carrier_link) for attachment in robot.carried]
     while queue:
@@ -443,5 +440,5 @@ def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
 
 
 def _carries_wheels(touch: ClosestPoint) -> bool:
-    """Return whether a robot stands there rather than bumps: a contact from below, at the height of its base's feet."""
+    """Return whether the robot stands at a touch: a contact from below, at the height of its feet."""
     return touch.normal[2] > _STANDING and touch.position[2] < _FEET

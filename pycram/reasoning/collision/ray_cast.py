@@ -1,8 +1,7 @@
-"""Ray casts: where straight lines enter and leave an object's collision shapes.
+"""Ray casts: the points at which straight lines enter and leave an object's collision shapes.
 
-A gripper has to know how wide an object is where the fingers go, which neither its bounds nor its origin say: bounds
-grow when it turns, and a hollow one has walls. Lines are intersected with the convex pieces of the model, all at once;
-no engine is asked, so nothing can be stale and nothing is moved.
+A gripper must know the width of an object between its fingers. The object's bounds don't tell it: they grow with a
+rotation, and ignore hollows. All lines are intersected with the model's convex pieces together, without the engine.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_PADDING: Final = 1e-3  # m by which the engine makes hulls thicker to all sides
-_PARALLEL: Final = 1e-9  # of a plane's unit normal along a line: with less the line never meets the plane
+_PADDING: Final = 1e-3  # m by which the engine pads hulls
+_PARALLEL: Final = 1e-9  # component of a plane's unit normal along a line, below which the line never meets the plane
 
 
 def center(body: Object) -> Vector:
@@ -43,8 +42,8 @@ def half_extent(low: Sequence[float], high: Sequence[float], direction: Sequence
     """Return half of the size of a box along a direction, m.
 
     Args:
-        low: its lowest corner.
-        high: its highest corner.
+        low: lowest corner of the box.
+        high: highest corner of the box.
         direction: a unit vector.
     """
     (x0, y0, z0), (x1, y1, z1), (x, y, z) = low, high, direction
@@ -53,24 +52,21 @@ def half_extent(low: Sequence[float], high: Sequence[float], direction: Sequence
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """Parallel lines, side by side."""
+    """Parallel lines at equal distances."""
 
-    frame: Pose  # in the world; lines go along one of its axes
-    first: float  # of the points along another of its axes where there is a line, m
-    step: float  # from one point to the next, m
+    frame: Pose  # in the world; the lines are along one of its axes
+    first: float  # first coordinate of a line along another axis, m
+    step: float  # m between lines
 
 
 class RayCaster:
-    """Casts rays at one object, as it stands.
+    """Casts rays at one object as it stands.
 
     Args:
         body: its world is locked.
-        lean: rotation xyzw about the center of its bounds that is undone before: what leans is described as if it
-            stood upright.
+        lean: rotation xyzw about the center of the object's bounds that is undone first, so that a leaning object is
+            treated as upright.
 
-    Attributes:
-        low: lowest corner of its bounds in the world, m.
-        high: highest corner of its bounds in the world, m.
     """
 
     def __init__(self, body: Object, lean: Quaternion | None = None) -> None:
@@ -95,16 +91,16 @@ class RayCaster:
         self._planes[:, 3] = solids.offsets + (normals * positions[solids.pieces]).sum(axis=1) + _PADDING
 
     def extents(self, scans: Sequence[Scan], count: int | Sequence[int], zs: Sequence[float]) -> Array:
-        """Return how far the object extends along the y axes of frames.
+        """Return the extents of the object along the y axes of frames.
 
         Args:
-            scans: lines along the y axes, at points along the x axes.
-            count: of points in each.
-            zs: of lines, m; of all of them together the farthest points count.
+            scans: lines along the y axes, at coordinates along the x axes.
+            count: of lines in each scan.
+            zs: of the lines, m; the extreme points of all z are returned.
 
         Returns:
-            (len(scans), greatest count, 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
-            Beyond a scan's own count it says nothing.
+            (len(scans), greatest count, 2), m: lowest and highest y in the frame at each x; nan outside of the object.
+            Values beyond a scan's own count are undefined.
         """
         hits = self._intersect(scans, (0, 2, 1), count, zs)
         ends = hits.nearest(np.stack([hits.enter.min(axis=1), -hits.leave.max(axis=1)], axis=1))
@@ -112,16 +108,16 @@ class RayCaster:
         return np.where(found[:, :, :1] <= found[:, :, 1:], found, np.nan)
 
     def walls(self, scans: Sequence[Scan], count: int, ys: Sequence[float]) -> Array:
-        """Return where the walls of something hollow are, looked for from the z axes of frames along their x axes.
+        """Return the walls of a hollow object along the x axes of frames, seen from the z axes.
 
         Args:
-            scans: lines along the x axes, at points along the z axes; those lie inside of the hollow.
-            count: of points in each.
-            ys: of lines, m; of all of them together the farthest points count.
+            scans: lines along the x axes, at coordinates along the z axes; these points are in the hollow.
+            count: of lines in each scan.
+            ys: of the lines, m; the extreme points of all y are returned.
 
         Returns:
-            (len(scans), count, 2), m: x of the wall's inside and outside at each z; inside is nan where a line enters
-            no piece, as where it begins within the solid, both where there is nothing.
+            (len(scans), count, 2), m: x of the inside and the outside of the wall at each z. The inside is nan if a
+            line enters no piece, as if it begins in a wall; both are nan if there is no wall.
         """
         hits = self._intersect(scans, (2, 1, 0), count, ys)
         first = hits.nearest(np.where(hits.enter > 0.0, hits.enter, np.inf))
@@ -132,12 +128,12 @@ class RayCaster:
     def _intersect(
         self, scans: Sequence[Scan], order: tuple[int, int, int], count: int | Sequence[int], vs: Sequence[float]
     ) -> _Intersections:
-        """Intersect parallel lines with the object's pieces: all in one go, since each call of numpy takes its time.
+        """Intersect parallel lines with the object's pieces, all together, because each call of numpy takes its time.
 
         Args:
-            order: of the frames' axes: u and v across the lines, w along them.
-            count: of points along u, in each scan.
-            vs: of lines along v, lowest first, m.
+            order: of the frames' axes: u and v across the lines, w along the lines.
+            count: of lines along u in each scan.
+            vs: coordinates of lines along v, lowest first, m.
         """
         last = np.broadcast_to(count, len(scans)) - 1
         most = int(last.max(initial=0)) + 1
@@ -155,7 +151,7 @@ class RayCaster:
         reach = np.abs(across.transpose(0, 2, 1)[:, None] @ self._edges).sum(axis=3)
         near = (np.abs(away) <= reach + np.abs(half)).all(axis=2)
         where, which = np.nonzero(near)
-        # of the points along u those where lines can meet a piece at all
+        # the coordinates along u at which lines can meet a piece
         middles, spread = away[where, which, 0], reach[where, which, 0]
         paces = np.where(steps == 0.0, _PARALLEL, steps)[where]
         middles, spread = middles / paces + last[where] / 2, np.abs(spread / paces)
@@ -166,7 +162,7 @@ class RayCaster:
         planes = (self._planes @ frames).reshape(-1, 4).take(np.flatnonzero(near[:, self._pieces]), axis=0)
         number = np.repeat(np.arange(len(where)), self._counts[which])
         u, v, along, room = planes.T
-        # a plane that lines go along is left far away by those within, and was left long ago by those without
+        # a line along a plane leaves it far ahead if it is inside, and left it far behind if it is outside
         along = np.where(np.abs(along) < _PARALLEL, _PARALLEL, along)
         factors = np.empty((len(planes), 3))
         factors[:, 0] = room - u * (firsts[where] + begins * steps[where])[number]
@@ -176,7 +172,7 @@ class RayCaster:
         lines = np.empty((3, len(vs), width))
         lines[0], lines[1], lines[2] = 1.0, np.arange(width), np.reshape(vs, (-1, 1))
         found = []
-        for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes of both
+        for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes of both kinds
             mine = np.flatnonzero(side)
             counts = np.bincount(number[mine], minlength=len(where))
             each = np.arange(counts.max(initial=1))[:, None]
@@ -190,16 +186,16 @@ class RayCaster:
 
 @dataclass(frozen=True, slots=True)
 class _Intersections:
-    """Where the lines of scans pass through n pieces that are near them."""
+    """The intersections of the lines of scans with n nearby pieces."""
 
-    pieces: NDArray[np.intp]  # (scans,) how many of them are near each scan: the first ones, the next ones,
-    count: int  # of points in a scan at most
-    begins: NDArray[np.intp]  # (n,) the first point where lines may hit the piece
-    enter: Array  # (n, beside, width), m: where each line enters the piece, inf where it misses it
-    leave: Array  # (n, beside, width), m: where each line leaves it, -inf where it misses it
+    pieces: NDArray[np.intp]  # (scans,) number of pieces near each scan, in the order of the pieces
+    count: int  # greatest count of lines in a scan
+    begins: NDArray[np.intp]  # (n,) the first line that can meet the piece
+    enter: Array  # (n, beside, width), m: where each line enters the piece; inf if it misses
+    leave: Array  # (n, beside, width), m: where each line leaves the piece; -inf if it misses
 
     def nearest(self, values: Array) -> Array:
-        """Return the lowest of the values (n, beside, width) of pieces: (scans, beside, count); inf where none is."""
+        """Return the lowest of the values (n, beside, width) of pieces: (scans, beside, count); inf for no piece."""
         pieces, beside, width = values.shape
         cells = np.full((pieces, beside, self.count), np.inf)
         across = np.arange(pieces)[:, None, None], np.arange(beside)[:, None]

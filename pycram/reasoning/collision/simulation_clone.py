@@ -1,9 +1,9 @@
-"""Simulation clones: copies of a world in physics clients of their own, where things may be tried.
+"""Simulation clones: copies of a world in other physics clients, for experiments.
 
-Whatever happens in a clone, the world has the same bits afterwards. There are two kinds. In a :class:`PosingClone`
-bodies are put into poses and postures and pass through each other; each is loaded when somebody asks for it, furniture
-link by link. A :class:`PhysicsClone` is stepped: its bodies collide. Both are brought to the world's state before each
-query; bodies that have not changed cost a comparison.
+An experiment in a clone doesn't change a bit of the world. There are two kinds. In a :class:`PosingClone`, bodies are
+put into poses and postures, and pass through each other. Each body is loaded when it is needed; furniture has a body
+for each link. In a :class:`PhysicsClone`, bodies collide, and time is simulated. Each query first brings its clone to
+the world's state; for an unchanged body this is only a comparison.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
-    #: An object, and its link; "" for all of it.
+    #: An object and its link; "" for the whole object.
     Part: TypeAlias = tuple[Object, str]
 
 T = TypeVar("T")
 
-_MAX_CACHED: Final = 8  # values of an object
-_MAX_JOINED: Final = 8  # sets of objects whose boxes are kept together
+_MAX_CACHED: Final = 8  # cached values of an object
+_MAX_JOINED: Final = 8  # cached sets of objects with their boxes
 _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 
@@ -43,22 +43,16 @@ _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 class _Copy:
     """A body of the clone."""
 
-    original: Body  # the object's body in the world, whose id a later one may get
+    original: Body  # the object's body in the world; a later body may get the same id
     body: Body  # the copy
-    state: Snapshot | None = None  # the object's at which the copy is; None if it isn't as any
+    state: Snapshot | None = None  # the object's state that the copy has; None if the copy was changed
 
 
 class SimulationClone:
-    """Copies of a world's objects, or of parts of them, in a physics client.
-
-    Use it with the world's lock held.
-
-    Attributes:
-        engine: the physics client.
-    """
+    """Copies of a world's objects, or of their parts, in a physics client. Use it with the world locked."""
 
     def __init__(self, world: BulletWorld) -> None:
-        self.world = weakref.proxy(world)  # the same
+        self.world = weakref.proxy(world)
         self._engine: Engine | None = None
         self._copies: dict[tuple[str, str], _Copy] = {}  # by object and link; "" for the whole object
         self._values: weakref.WeakKeyDictionary[Object, dict[Hashable, tuple[Snapshot, object]]]
@@ -66,13 +60,13 @@ class SimulationClone:
 
     @property
     def engine(self) -> Engine:
-        """The physics client, started at its first use."""
+        """The physics client, which starts at its first use."""
         if self._engine is None:
             self._engine = Engine()
         return self._engine
 
     def _forget_removed(self) -> None:
-        """Remove copies of what is no longer in the world."""
+        """Remove the copies of objects that are no longer in the world."""
         living = {body.name: body.handle for body in self.world.objects}
         for key, copy in list(self._copies.items()):
             if living.get(key[0]) is not copy.original:
@@ -80,7 +74,7 @@ class SimulationClone:
                 del self._copies[key]
 
     def _load(self, body: Object, link: str, path: Path) -> _Copy:
-        """Load a model as an object, or as a part of one that has a link's frame; where it is doesn't matter yet."""
+        """Load a model as an object, or as a part with a link's frame, at any pose."""
         robot = body.is_robot and not link
         loading = body.model.loading
         loaded = self.engine.load(path, geometry.IDENTITY, fixed=body.fixed, robot=robot, loading=loading)
@@ -88,7 +82,7 @@ class SimulationClone:
         return copy
 
     def invalidate(self, *names: str) -> None:
-        """Mark copies that are no longer as they were synced: they are put back before they are used again.
+        """Mark copies as changed: they are restored before their next use.
 
         Args:
             names: of the objects; all by default.
@@ -98,7 +92,7 @@ class SimulationClone:
                 copy.state = None
 
     def cached(self, body: Object, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return what was computed of an object in the world; it is computed again when it has moved since.
+        """Return a computed value of an object in the world; it is computed again after the object has moved.
 
         Args:
             key: identifies the value.
@@ -118,13 +112,13 @@ class SimulationClone:
         return take_snapshot(body)
 
     def close(self) -> None:
-        """End its physics client."""
+        """End the physics client."""
         if self._engine is not None:
             self._engine.close()
 
 
 class PosingClone(SimulationClone):
-    """A clone whose bodies pass through each other, for closest points in poses and postures that are tried."""
+    """A clone whose bodies pass through each other, for closest points in poses and postures."""
 
     def __init__(self, world: BulletWorld) -> None:
         super().__init__(world)
@@ -132,14 +126,14 @@ class PosingClone(SimulationClone):
         self._joined: dict[tuple[Boxes, ...], Boxes] = {}
 
     def sync(self) -> None:
-        """Bring the clone to the world's state; each body is loaded and put where it belongs when it is asked for."""
+        """Bring the clone to the world's state; each body follows when it is needed."""
         self._forget_removed()
         self._states = {body.name: take_snapshot(body) for body in self.world.objects}
 
     def body(self, name: str) -> Body:
-        """Return the copy of an object, as it was synced unless somebody has moved it since."""
+        """Return the copy of an object in its synced state, unless the caller has moved it since."""
         copy = self._copies.get((name, ""))
-        if copy is not None and copy.state is self._states[name]:  # as mostly: it is asked for many times in a query
+        if copy is not None and copy.state is self._states[name]:  # the usual case: a query needs a body many times
             return copy.body
         body: Object = self.world.get_object(name)
         if copy is None:
@@ -154,11 +148,11 @@ class PosingClone(SimulationClone):
         return copy.body
 
     def state(self, body: Object) -> Snapshot:
-        """Return the state of an object in the world, as it was synced."""
+        """Return the synced state of an object in the world."""
         return self._states[body.name]
 
     def link(self, body: Object, link: str) -> Body:
-        """Return a copy of one link of an object that has collision shapes, as it was synced: furniture has many."""
+        """Return a copy of one link of an object, as synced; the link must have collision shapes."""
         copy = self._copies.get((body.name, link))
         if copy is None:
             copy = self._load(body, link, rigid_parts.single_link(body.model.path, link))
@@ -170,11 +164,11 @@ class PosingClone(SimulationClone):
         return copy.body
 
     def boxes(self, body: Object) -> Boxes:
-        """Return the boxes around an object's pieces, as it was synced."""
+        """Return the boxes around an object's pieces, as synced."""
         return self.cached(body, "boxes", lambda: Boxes.around(body.world.engine, body.handle, body))
 
     def all_boxes(self, bodies: Iterable[Object]) -> tuple[Boxes, Sequence[Object]]:
-        """Return the boxes around pieces of objects, one after the other, as they were synced; and whose each is."""
+        """Return the boxes around the pieces of objects, as synced, and the owner of each box."""
         parts = [(body, self.boxes(body)) for body in bodies]
         key = tuple(boxes for _, boxes in parts)
         if key not in self._joined:
@@ -184,7 +178,7 @@ class PosingClone(SimulationClone):
         return self._joined[key], [body for body, boxes in parts for _ in boxes.links]
 
     def overlapping(self, boxes: Boxes, bodies: Iterable[Object]) -> dict[Part, Body]:
-        """Return copies of what comes into boxes in the world, in order: of furniture the links, of others all."""
+        """Return copies of everything in some boxes, in order: the links of furniture, and other objects as a whole."""
         every, owners = self.all_boxes(bodies)
         *_, found = overlaps(boxes.centers[None], boxes.axes[None], boxes.half_extents, every)
         near = [(owners[number], every.links[number]) for number in sorted(set(found.tolist()))]
@@ -193,14 +187,14 @@ class PosingClone(SimulationClone):
 
 
 class PlacedPart(NamedTuple):
-    """A rigid part of furniture, and its body in a clone."""
+    """A rigid part of furniture, with its body in a clone."""
 
     part: RigidPart
     body: Body
 
 
 class PhysicsClone(SimulationClone):
-    """A clone that is stepped: its bodies collide."""
+    """A clone in which bodies collide and time is simulated."""
 
     def __init__(self, world: BulletWorld) -> None:
         super().__init__(world)
@@ -208,12 +202,12 @@ class PhysicsClone(SimulationClone):
         self._held: list[tuple[int, Body, str, Body, bool]] = []
 
     def sync(self, bodies: Iterable[Object]) -> tuple[dict[str, Body], dict[str, list[PlacedPart]]]:
-        """Bring some objects to the world's state, with the attachments among them; all others are out of the way.
+        """Bring some objects to the world's state, with the attachments among them; other objects are moved away.
 
-        Furniture is there as its rigid parts, of which a step costs less, unless it carries something.
+        Furniture is divided into its rigid parts, which take less time to simulate, unless it carries something.
 
         Returns:
-            The engine's bodies of the objects that are whole, and the parts of the others, both by the objects' names.
+            The bodies of undivided objects, and the parts of the others, both by the objects' names.
         """
         wanted = list(bodies)
         self._release()
@@ -267,7 +261,7 @@ class PhysicsClone(SimulationClone):
         return found
 
     def _forget_contacts(self, copy: Body, body: Object) -> None:
-        """Forget the contacts of earlier queries, which would change the last bits of the answer."""
+        """Forget the contacts of earlier queries, which would change the last bits of the result."""
         self.engine.reset_collision_filter(copy, fixed=body.fixed, robot=body.is_robot)
 
     def _hold(self, held: Attachment, copies: Mapping[str, Body]) -> None:
@@ -289,7 +283,7 @@ class PhysicsClone(SimulationClone):
 
 
 def _divides(body: Object) -> bool:
-    """Return whether an object can be simulated as its rigid parts: they are fixed, and their joints are held."""
+    """Return whether an object can be simulated as rigid parts: it is fixed, and its joints are held."""
     return body.is_environment and not body.carried and set(body.urdf.movable) == body.handle.joints.keys()
 
 
@@ -309,8 +303,8 @@ def clone_of(world: BulletWorld, purpose: str) -> SimulationClone:
     """Return the world's clone for a purpose, made at its first use and ended with the world.
 
     Args:
-        world: the world; its lock is held.
-        purpose: "reach", for postures; "physics" and "physics with robots", which are stepped.
+        world: is locked.
+        purpose: "reach" for postures; "physics" and "physics with robots" for simulated time.
     """
     with _registry:
         clones = _clones.setdefault(world, {})

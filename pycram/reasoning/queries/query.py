@@ -1,7 +1,7 @@
-"""What every reasoning query has in common: it leaves no trace, and its answer goes on record.
+"""Reasoning queries: the decorator that makes queries of functions, and their answers.
 
-While a query runs, the world's lock is held and the world refuses changes. Queries may ask each other; each call is one
-record, and a refusal if it was asked wrongly.
+A query leaves no trace, and its answer is recorded. While it runs, its world is locked and refuses changes. Queries
+may ask each other; each call is one record, or a refusal if its arguments are wrong.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ T = TypeVar("T")
 P = ParamSpec("P")
 
 RECORDED_AS: Final = {"gripper_name": "gripper"}
-"""What records call arguments whose parameter has another name."""
+"""Names in records of arguments whose parameters have other names."""
 _OBJECTS: Final = ("object", "object1", "object2", "robot")
 
 
 class Verdict(int):
-    """Yes or no, and why: behaves as a bool."""
+    """A yes or no with its evidence; it behaves like a bool."""
 
-    evidence: Mapping[str, object]  # what the answer rests on
-    picture: records.Picture | None  # what the camera saw, if one was asked
-    considered: Choice | None  # what was considered for it, if that goes on record
+    evidence: Mapping[str, object]  # facts behind the answer
+    picture: records.Picture | None  # the picture of the camera, if the query renders one
+    considered: Choice | None  # the candidates for the answer, if they are recorded
 
     def __new__(
         cls,
@@ -48,7 +48,7 @@ class Verdict(int):
         picture: records.Picture | None = None,
         considered: Choice | None = None,
     ) -> Self:
-        """Make it from anything that is true or false."""
+        """Make a verdict from a true or false value."""
         verdict = super().__new__(cls, bool(answer))
         verdict.evidence = dict(evidence or {})
         verdict.picture = picture
@@ -61,12 +61,12 @@ class Verdict(int):
     __str__ = __repr__
 
     def __record__(self) -> object:
-        """How it stands in records."""
+        """Return the value in records."""
         return bool(self)
 
 
 class Found(list[T], Generic[T]):
-    """What was found, and why: behaves as a list."""
+    """A list of results with their evidence; it behaves like a list."""
 
     def __init__(
         self,
@@ -76,9 +76,9 @@ class Found(list[T], Generic[T]):
         considered: Choice | None = None,
     ) -> None:
         super().__init__(items)
-        self.evidence: Mapping[str, object] = dict(evidence or {})  # what the answer rests on
-        self.picture = picture  # what the camera saw, if one was asked
-        self.considered = considered  # what was considered for it, if that goes on record
+        self.evidence: Mapping[str, object] = dict(evidence or {})  # facts behind the answer
+        self.picture = picture  # the picture of the camera, if the query renders one
+        self.considered = considered  # the candidates for the answer, if they are recorded
 
 
 Answer = TypeVar("Answer", bound="Verdict | Found[Any]")
@@ -98,15 +98,15 @@ _CHECKS: Final[Mapping[str, Callable[[str, Any], object]]] = {
 
 
 def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
-    """Make a query of a function that answers about a world.
+    """Make a query of a function that answers a question about a world.
 
-    The function gets results in place of futures, and arguments that have been checked. Which checks, the names of its
-    parameters say: ``object``, ``object1``, ``object2``, ``robot`` and ``ignoring`` are of one world, which is
-    ``world`` if that is given; ``gripper_name`` is a link of the robot. A ``robot`` beside a ``camera`` says whose
-    frame the camera is, by default the world's robot's. All parameters but ``world`` go on record, in order.
+    The function receives results instead of futures, and checked arguments. The names of its parameters define the
+    checks: ``object``, ``object1``, ``object2``, ``robot`` and ``ignoring`` must be in one world, which is ``world``
+    if that is given; ``gripper_name`` must be a link of the robot. If there is a ``camera``, ``robot`` is the owner of
+    its frame, by default the world's robot. All arguments except ``world`` are recorded, in order.
 
     Args:
-        function: what the query answers; what it raises as a :class:`~pycram.failures.UsageError` is a refusal.
+        function: returns the answer; a :class:` pycram.failures.UsageError` that it raises is recorded as a refusal.
     """
     signature = inspect.signature(function)
 
@@ -127,7 +127,7 @@ def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
 
 
 def _check(arguments: dict[str, Any]) -> BulletWorld:
-    """Check arguments, put what the checks return in their place, and return the world that they are about."""
+    """Check the arguments, replace them by the checked values, and return their world."""
     for name, check in _CHECKS.items():
         if name in arguments:
             arguments[name] = check(name, arguments[name])
@@ -145,7 +145,7 @@ def _check(arguments: dict[str, Any]) -> BulletWorld:
 
 
 class Oracle(Protocol):
-    """Answers queries of a run that a recording guides; called with their world locked."""
+    """Answers queries of a run that a recording guides. It is called with the world locked."""
 
     def __call__(
         self, question: Question, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]
@@ -153,9 +153,7 @@ class Oracle(Protocol):
         """Return the answer to a question.
 
         Args:
-            question: what is asked.
-            world: of which world.
-            ask: gives its own answer.
+            ask: returns the query's own answer.
         """
 
 
@@ -164,7 +162,7 @@ _oracle: Oracle | None = None
 
 @contextmanager
 def answered_by(oracle: Oracle) -> Iterator[None]:
-    """Have an oracle answer all queries of this process while the block runs."""
+    """Let an oracle answer all queries of this process in the block."""
     global _oracle  # noqa: PLW0603  a run is the process's
     before, _oracle = _oracle, oracle
     try:
@@ -174,7 +172,7 @@ def answered_by(oracle: Oracle) -> Iterator[None]:
 
 
 def _answer(function: Callable[..., Answer], world: BulletWorld, arguments: Mapping[str, object]) -> Answer:
-    """Call a query's function with the world locked against changes, and record the answer."""
+    """Call a query's function with the world locked, and record the answer."""
     asked = {
         RECORDED_AS.get(name, name): value
         for name, value in arguments.items()
@@ -193,11 +191,11 @@ def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
     """Return the world that objects are in.
 
     Args:
-        world: the world that was named, if any.
+        world: the given world, if any.
 
     Raises:
-        BadArgument: something isn't an object, or objects are in different worlds.
-        NoWorld: nothing says which world.
+        BadArgument: An argument isn't an object, or objects are in different worlds.
+        NoWorld: No world is given, and none is current.
     """
     if world is not None and not isinstance(world, BulletWorld):
         raise BadArgument("world", world, "a BulletWorld")
@@ -208,7 +206,7 @@ def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
             world = body.world
         elif body.world is not world:
             raise BadArgument("object", body, f"an object of {world.name}; {body.name} is in {body.world.name}")
-        _ = body.handle  # a removed one says so
+        _ = body.handle  # raises an error for a removed object
     world = world or BulletWorld.current_bullet_world
     if world is None:
         raise NoWorld

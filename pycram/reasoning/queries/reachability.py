@@ -1,4 +1,4 @@
-"""Whether a robot reaches something with a link (thesis 4.4.5): within joint limits, and collision-free if asked."""
+"""Reachability: whether a robot reaches a target with a link (thesis 4.4.5), and what blocks its way (thesis 4.4.6)."""
 
 from __future__ import annotations
 
@@ -46,15 +46,14 @@ def reachable(
 
     Args:
         pose: an object, or a position xyz in the world, m.
-        gripper_name: the link, mostly a tool frame.
-        world: their world.
-        threshold: m that the link may stay away.
-        orientation: xyzw that the link shall have there; any by default.
-        grasp: "front", "top", "left" or "right" instead: the orientation of the link for that side.
-        collision_free: also ask that nothing is in the way.
+        gripper_name: the link, usually a tool frame.
+        threshold: m between the link and the target that counts as reached.
+        orientation: xyzw of the link at the target; any by default.
+        grasp: "front", "top", "left" or "right", instead of an orientation: the side from which the link comes.
+        collision_free: whether nothing may be in the way.
 
     Raises:
-        BadArgument: both orientation and grasp are given.
+        BadArgument: Both orientation and grasp are given.
     """
     target = unwrap(pose)
     if grasp is not None and orientation is not None:
@@ -91,15 +90,14 @@ def reachable_object(
     """Return whether a robot reaches an object with a link (thesis 4.4.5).
 
     Args:
-        gripper_name: the link, mostly a tool frame.
-        world: their world.
-        threshold: m that the link may stay away.
+        gripper_name: the link, usually a tool frame.
+        threshold: m between the link and the target that counts as reached.
         grasp: "front", "top", "left" or "right"; any orientation by default.
-        orientation: xyzw that the link shall have instead.
-        collision_free: also ask that nothing else is in the way.
+        orientation: xyzw of the link at the target, instead of a grasp.
+        collision_free: whether no other object may be in the way.
 
     Returns:
-        The answer; the evidence has the joints of the posture.
+        The answer. The evidence has the joint values of the posture.
     """
     if grasp is not None:
         orientation = grasp_orientation(grasp, robot)
@@ -122,13 +120,13 @@ def reachable_pose(
 
     Args:
         pose: position xyz in the world, m.
-        gripper_name: the link, mostly a tool frame.
-        threshold: m that the link may stay away.
-        orientation: xyzw that the link shall have there; any by default.
-        collision_free: also ask that nothing is in the way.
+        gripper_name: the link, usually a tool frame.
+        threshold: m between the link and the target that counts as reached.
+        orientation: xyzw of the link at the target; any by default.
+        collision_free: whether nothing may be in the way.
 
     Returns:
-        The answer; the evidence has the joints of the posture.
+        The answer. The evidence has the joint values of the posture.
     """
     return _reach(robot, gripper_name, pose, orientation, threshold, [] if collision_free else None)
 
@@ -146,23 +144,23 @@ def reachable_poses(
     collision_free: bool = False,
     ignoring: Sequence[Object] = (),
 ) -> Found[Verdict]:
-    """As :func:`reachable_pose`, for many targets or for many poses of the robot, in a fraction of the time.
+    """Answer :func:`reachable_pose` for many targets or many poses of the robot, in a fraction of the time.
 
     Args:
-        poses: positions xyz in the world, m. One of them goes with all bases, one base with all of them; else there
-            are as many of each.
-        gripper_name: the link, mostly a tool frame.
-        threshold: m that the link may stay away.
-        bases: positions and orientations of the robot's base to try; where it stands by default.
-        orientations: xyzw that the link shall have, one or as many as poses; any by default.
-        collision_free: also ask that nothing is in the way, of the base neither.
-        ignoring: objects that aren't in the way, as the one that is to be grasped.
+        poses: positions xyz in the world, m. A single one is used for all bases, and a single base for all poses;
+            otherwise there must be as many poses as bases.
+        gripper_name: the link, usually a tool frame.
+        threshold: m between the link and a target that counts as reached.
+        bases: positions and orientations of the robot's base to try; its present pose by default.
+        orientations: xyzw of the link at the targets, one or as many as poses; any by default.
+        collision_free: whether nothing may be in the way, including the robot at each base.
+        ignoring: objects that may be touched, as the object to grasp.
 
     Returns:
         The answers in order, each with its evidence.
 
     Raises:
-        BadArgument: numbers of poses, orientations and bases don't fit.
+        BadArgument: The numbers of poses, orientations and bases don't match.
     """
     count = max(len(poses), len(bases or ()), len(orientations or ()))
     positions = _repeated("poses", [checks.vector("pose", pose) for pose in poses], count)
@@ -189,7 +187,7 @@ def reachable_poses(
 
 
 def _summed_up(verdicts: Sequence[Verdict]) -> Choice:
-    """Return why some of many targets aren't reached; the first that is reached is the chosen one."""
+    """Return the reasons why targets aren't reached, as a choice of the first reached target."""
     considered = considering()
     for number, verdict in enumerate(verdicts, 1):
         reasons = verdict.considered.reasons() if verdict.considered is not None else []
@@ -202,7 +200,7 @@ def _summed_up(verdicts: Sequence[Verdict]) -> Choice:
 
 
 def _repeated(name: str, given: Sequence[T], count: int) -> Sequence[T]:
-    """Return as many as needed: those given, or the only one again and again."""
+    """Return the given values, or a single value repeated."""
     if len(given) not in {1, count}:
         raise BadArgument(name, len(given), f"1 or {count} of them")
     return given if len(given) == count else [given[0]] * count
@@ -211,7 +209,7 @@ def _repeated(name: str, given: Sequence[T], count: int) -> Sequence[T]:
 def _checker(
     robot: Object, solver: Solver, ignored: Sequence[Object] | None, *, all_links: bool = False
 ) -> AbstractContextManager[CollisionChecker | None]:
-    """Return what looks for collisions; None instead of objects that don't count: nothing does."""
+    """Return a collision checker; None if all objects may be touched."""
     return nullcontext() if ignored is None else CollisionChecker(robot, solver.joints, ignored, all_links=all_links)
 
 
@@ -223,7 +221,7 @@ def _reach(
     threshold: float,
     ignored: Sequence[Object] | None,
 ) -> Verdict:
-    """Return whether a robot reaches one target; ``ignored`` are objects that may be touched, None if all may."""
+    """Return whether a robot reaches a target. The ``ignored`` objects may be touched; None for all objects."""
     solver = Solver(robot, link)
     (postures,) = solver.search([(position, orientation, None)], thorough=ignored is not None, threshold=threshold)
     with _checker(robot, solver, ignored) as checker:
@@ -237,17 +235,17 @@ def _judge(
     oriented: str | None,
     base: Pose | None = None,
 ) -> Verdict:
-    """Return whether one of some postures will do.
+    """Return whether one of some postures is good.
 
     Args:
-        found: at least one; if the first doesn't reach, none does.
-        threshold: m that the link may stay away.
-        checker: where the robot may touch nothing, itself neither; None if it may.
+        found: at least one posture; if the first doesn't reach, none does.
+        threshold: m between the link and the target that counts as reached.
+        checker: for collisions; None to ignore collisions.
         oriented: the link, if all postures bring it to one orientation.
         base: pose of the robot's base; None where it stands.
 
     Returns:
-        The answer; the evidence has the posture that will do, or the first that won't and what it touches.
+        The answer. The evidence has the good posture, or the first bad posture with its collisions.
     """
     postures = [posture for posture in found if posture.reaches(threshold)]
     evidence = (postures or found)[0].evidence()
@@ -273,7 +271,7 @@ def _judge(
             }
         evidence.setdefault("obstacles", obstacles)
         if any(not constant.isdisjoint(info["links"]) for info in touched.values()):
-            break  # no other posture will be better
+            break  # no other posture is better
     return Verdict(False, evidence, considered=considered)
 
 
@@ -286,25 +284,24 @@ def blocking(
     *,
     grasp: str | None = None,
 ) -> Found[Object]:
-    """Return what a robot would touch if it reached for an object (thesis 4.4.6).
+    """Return the objects that a robot would touch if it reached for an object (thesis 4.4.6).
 
-    Of the postures that reach, the one that touches least counts: a plan would take that one.
+    The posture that touches least counts, because a plan would take it.
 
     Args:
-        gripper_name: the link, mostly a tool frame.
-        world: their world.
-        grasp: "front", "top", "left" or "right"; by default the one that touches least.
+        gripper_name: the link, usually a tool frame.
+        grasp: "front", "top", "left" or "right"; by default the side that touches least.
 
     Returns:
-        The objects in the way, deepest first, without the target and what the robot holds, and without the floor it
-        stands on; the environment has the type "environment". Empty if it can't be reached at all, which the
-        evidence says.
+        The objects in the way, deepest first, except the target, held objects, and the floor below the robot.
+        Furniture has the type "environment". The list is empty if the robot can't reach the object at all; the
+        evidence tells.
 
     Raises:
-        UnknownName: another grasp, or a link that the robot doesn't have.
+        UnknownName: There is no such grasp, or the robot has no such link.
     """
     if grasp is not None:
-        grasp_orientation(grasp, robot)  # refuses unknown ones
+        grasp_orientation(grasp, robot)  # raises an error for unknown grasps
     considered = considering()
     plan = choice.best(object, robot, gripper_name, None if grasp is None else (grasp,), choice=considered)
     if plan.grasp is not None:

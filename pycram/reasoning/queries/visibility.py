@@ -1,8 +1,8 @@
-"""What a camera sees of an object (thesis 4.4.3, 4.4.4).
+"""Visibility: what a camera sees of an object (thesis 4.4.3, 4.4.4).
 
-Two images are compared pixel by pixel: of the object alone, and of all that could be before it. They show just the
-part of the image plane in which the object can be, so that a few thousand pixels decide precisely however far it is.
-The object's pixels outside of the camera's image count as not seen.
+Two images are compared pixel by pixel: one of the object alone, and one of all objects that could be before it. They
+show only the part of the image plane in which the object can be. So a few thousand pixels give a precise share at any
+distance. Pixels of the object outside of the camera's image count as not seen.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ if TYPE_CHECKING:
 
 
 VISIBLE_SHARE: Final = 0.8
-"""Share of an object's pixels that make it visible (thesis 4.4.3)."""
+"""Share of an object's pixels above which the object is visible (thesis 4.4.3)."""
 
-_PIXELS: Final = 80**2  # of the part that is rendered
-_FIELD: Final = math.tan(math.radians(60) / 2)  # of half the field of view where no camera says another
-_MAX_NAMES: Final = 250  # in a picture; beyond them it shows nothing
-_MARGIN: Final = 0.05  # of the part's size around the object
+_PIXELS: Final = 80**2  # pixels of the rendered part
+_FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of view, for cameras without another one
+_MAX_NAMES: Final = 250  # names in a picture; objects with higher numbers aren't shown
+_MARGIN: Final = 0.05  # share of the part's size around the object
 _RAY: Final = 1e-3  # half the width of a ray, at 1 m
-_AT: Final = 0.05  # m before a point that belong to it, as of the board that it lies on
+_AT: Final = 0.05  # m before a point that count as the point, as the board below it
 
 
 @query
@@ -57,20 +57,20 @@ def visible(
     robot: Object | None = None,
     threshold: float = VISIBLE_SHARE,
 ) -> Verdict:
-    """Return whether an object is seen (thesis 4.4.3).
+    """Return whether an object is visible (thesis 4.4.3).
 
     Args:
-        camera: a position in m (looks at the object), (position, orientation) of an optical frame, or the name of a
-            robot's camera frame, as it is directed now and with its field of view.
-        robot: whose camera; the world's robot by default.
-        threshold: share of its pixels that has to be exceeded.
+        camera: a position in m, with the camera directed to the object; (position, orientation) of an optical frame;
+            or the name of a robot's camera frame, with its present direction and its field of view.
+        robot: the owner of the camera frame; the world's robot by default.
+        threshold: share of the object's pixels; the object is visible above it.
 
     Returns:
-        The answer; the evidence has the share, the pixels and what hides them.
+        The answer. The evidence has the share, the pixels, and the objects that hide it.
 
     Raises:
-        NoWorld: a frame is named, but the world has no robot.
-        UnknownName: the robot has no such frame.
+        NoWorld: The camera is a frame's name, but the world has no robot.
+        UnknownName: The robot has no such frame.
     """
     seen = view(object, _camera(camera, object, robot))
     return Verdict(seen.share > threshold, seen.evidence(), seen.picture())
@@ -80,14 +80,14 @@ def visible(
 def occluding(
     object: Object, camera: Sequence[float] | str, world: BulletWorld | None = None, *, robot: Object | None = None
 ) -> Found[Object]:
-    """Return what stands between an object and a camera (thesis 4.4.4).
+    """Return the objects between an object and a camera (thesis 4.4.4).
 
     Args:
         camera: as for :func:`visible`.
-        robot: whose camera; the world's robot by default.
+        robot: the owner of the camera frame; the world's robot by default.
 
     Returns:
-        The objects in between, most hiding first; the evidence has their shares.
+        The objects in between; the one that hides most comes first. The evidence has their shares.
     """
     seen = view(object, _camera(camera, object, robot))
     return Found(map(object.world.get_object, seen.hiding), seen.evidence(), seen.picture())
@@ -95,32 +95,32 @@ def occluding(
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What of an object is seen."""
+    """A view of an object."""
 
-    share: float  # seen pixels of all its pixels, 0 to 1
-    alone: int  # pixels that it would have if nothing else were there and the image had no border
-    seen: int  # pixels of it that are seen
-    hiding: Mapping[str, float]  # share of its pixels that each other object hides, most hiding first
-    reason: str = ""  # in words, where nothing is seen
-    bodies: Sequence[str] = ()  # names of the object and of what is before it; empty if nothing was rendered
-    # (height, width) what was rendered: 0 where nothing is, n where the n-th body is
+    share: float  # share of the object's pixels that are seen, 0 to 1
+    alone: int  # pixels of the object without other objects and without the image's border
+    seen: int  # pixels of the object that are seen
+    hiding: Mapping[str, float]  # share of the object's pixels that each other object hides, largest first
+    reason: str = ""  # why nothing is seen
+    bodies: Sequence[str] = ()  # names of the object and of the objects before it; empty if nothing was rendered
+    # (height, width) the rendered picture: n for the n-th body, 0 for none
     pixels: NDArray[np.uint8] | None = None
 
     def picture(self) -> Picture | None:
-        """Return what was rendered, as records carry it."""
+        """Return the rendered picture for a record."""
         if self.pixels is None:
             return None
         height, width = self.pixels.shape
         return Picture(width=width, height=height, bodies=self.bodies, pixels=zlib.compress(self.pixels.tobytes()))
 
     def evidence(self) -> dict[str, object]:
-        """Return it as records carry it."""
+        """Return the view as evidence for a record."""
         counts: dict[str, object] = {"share": self.share, "pixels_seen": self.seen, "pixels_alone": self.alone}
         return counts | {"hidden_by": dict(self.hiding)} | ({"reason": self.reason} if self.reason else {})
 
 
 def _camera(given: object, target: Object, robot: Object | None) -> Camera:
-    """Return the camera that a query means: a frame of the robot, a pose, or a position that looks at the target."""
+    """Return the camera of a query: a frame of the robot, a pose, or a position that is directed to the target."""
     if isinstance(given, str):
         return _camera_of(robot, given)
     try:
@@ -132,13 +132,13 @@ def _camera(given: object, target: Object, robot: Object | None) -> Camera:
     else:
         eye = checks.vector("camera position", parts)
         aim = center(target)
-        inside = math.dist(eye, aim) < NEAR  # nothing is seen then, whatever the direction
+        inside = math.dist(eye, aim) < NEAR  # nothing is seen from there in any direction
         pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, aim))
     return Camera(pose, _FIELD, _FIELD)
 
 
 def _camera_of(robot: Object | None, frame: str) -> Camera:
-    """Return the camera in a robot's frame, with its field of view if the robot's description has one."""
+    """Return the camera in a robot's frame, with the field of view in the robot's description if it has one."""
     if robot is None:
         raise NoWorld("robot")
     position, orientation = robot.get_link_position_and_orientation(frame)
@@ -152,10 +152,10 @@ def _camera_of(robot: Object | None, frame: str) -> Camera:
 
 
 def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View:
-    """Return what a camera sees of an object; its world is locked.
+    """Return the view of an object by a camera; its world is locked.
 
     Args:
-        without: objects that hide nothing, as a robot that will stand elsewhere.
+        without: objects that hide nothing, as a robot that will move.
     """
     frame = camera.window
     window, reason = _window(body, camera, frame)
@@ -182,10 +182,10 @@ def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View
 def _pixels(
     body: Object, others: Sequence[Object], alone: Rendering, before: Rendering
 ) -> tuple[list[str], NDArray[np.uint8]]:
-    """Return names of the bodies in a picture, and which of them each pixel shows."""
-    owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)  # 0 is the object, -1 nothing
+    """Return the names of the bodies in a picture, and the number of the body at each pixel."""
+    owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)  # 0 is the object, -1 is no object
     near = [int(owner) for owner in np.unique(owners) if owner > 0][:_MAX_NAMES]
-    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last one is that of -1
+    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last number is for -1
     numbers[0] = 1
     numbers[near] = range(2, len(near) + 2)
     return [body.name, *(others[owner - 1].name for owner in near)], numbers[owners]
@@ -198,7 +198,7 @@ def _hiding(others: Sequence[Object], covering: NDArray[np.int64], alone: int) -
 
 
 def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None, str]:
-    """Return the part of the image plane that can show the object; None and why if none can."""
+    """Return the part of the image plane that can show the object; None with the reason if there is none."""
     low, high = body.get_AABB()
     if all(a <= x <= b for a, x, b in zip(low, camera.pose[0], high, strict=True)):
         return None, "is around the camera"
@@ -210,7 +210,7 @@ def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None,
     if (depth > camera.far).all():
         return None, "is too far away"
     if (depth < camera.near).any():
-        return frame, ""  # it reaches through the image plane
+        return frame, ""  # the object reaches through the image plane
     x, y = points[:, 0] / depth, points[:, 1] / depth
     border = _MARGIN * max(float(np.ptp(x)), float(np.ptp(y)), 1e-6)
     window = Window(float(x.min()) - border, float(y.min()) - border, float(x.max()) + border, float(y.max()) + border)
@@ -221,7 +221,7 @@ def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None,
 
 
 def _inside(window: Window, frame: Window, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return which pixels of a part lie within the camera's image."""
+    """Return for each pixel of a part whether it is within the camera's image."""
     width, height = size
     x = window.left + (np.arange(width) + 0.5) / width * (window.right - window.left)
     y = window.top + (np.arange(height) + 0.5) / height * (window.bottom - window.top)
@@ -232,7 +232,7 @@ def _inside(window: Window, frame: Window, size: tuple[int, int]) -> NDArray[np.
 
 
 def seen_share(robot: Object, body: Object, base: Pose) -> View:
-    """Return what a robot's camera would see of an object; the robot itself and what it holds hide nothing.
+    """Return the view of an object by a robot's camera from another base; the robot and held objects hide nothing.
 
     Args:
         robot: its world is locked.
@@ -242,7 +242,7 @@ def seen_share(robot: Object, body: Object, base: Pose) -> View:
 
 
 def in_sight(robot: Object, point: Sequence[float], base: PoseLike) -> bool:
-    """Return whether nothing fixed is between a robot's camera, with its head turned there, and a point.
+    """Return whether no fixed object is between a point and the robot's camera, which is turned to the point.
 
     Args:
         robot: its world is locked.
@@ -259,7 +259,7 @@ def in_sight(robot: Object, point: Sequence[float], base: PoseLike) -> bool:
 
 
 def _eye(robot: Object, point: Sequence[float], base: PoseLike) -> Camera:
-    """Return a robot's camera with its base at a pose and its head turned to a point."""
+    """Return a robot's camera with the base at a pose and the head turned to a point."""
     description = robot.description
     if description is None or description.camera is None:
         raise MissingPart(robot.name, "camera")
