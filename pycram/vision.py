@@ -1,7 +1,10 @@
-"""Cameras: which of a world's objects is seen at each pixel.
+"""Cameras and their renderer: the depth and the object at each pixel.
 
-Frames are optical: z looks ahead, x is to the right, y is down. Links of a robot that are around the camera are its
-housing, which it looks out of: they are not seen.
+Frames are optical: z points ahead, x to the right, y down. Links of a robot around the camera are its housing, and
+aren't rendered.
+
+PyBullet's own renderer hangs if a vertex is in the plane of the camera, and draws everything before the near plane as
+lines across the picture. This one clips triangles at the near plane first, so nothing is divided by zero.
 """
 
 from __future__ import annotations
@@ -25,28 +28,28 @@ if TYPE_CHECKING:
 
 NEAR: Final = 0.02  # m
 FAR: Final = 20.0  # m
-_SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB behind everything, above and below
-_HOUSING: Final = 0.005  # m that a housing may end before the lens
-_LARGE: Final = 400  # pixels of its bounds from which on a triangle is drawn by itself
-_BAND: Final = 32  # rows of such a one that are drawn together: most of the bounds of a slanted one is left out
-_BATCH: Final = 1 << 16  # pixels of smaller ones that are drawn together; more would only take memory
+_SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background, at the top and at the bottom
+_HOUSING: Final = 0.005  # m by which a housing may end before the lens
+_LARGE: Final = 400  # pixels of a triangle's bounds from which on it is drawn alone
+_BAND: Final = 32  # rows of such a triangle that are drawn together; this skips most of the bounds of a slanted one
+_BATCH: Final = 1 << 16  # pixels of smaller triangles that are drawn together; more would only take memory
 
 
 @dataclass(frozen=True, slots=True)
 class Rendering:
-    """What a camera sees."""
+    """A rendered picture."""
 
-    depth: NDArray[np.float64]  # (height, width) along the camera's axis in m; inf where nothing is
-    bodies: NDArray[np.int64]  # (height, width) indices of the objects that were rendered, -1 where nothing is
-    triangles: NDArray[np.float64]  # (n, 3, 3) that were rendered, in the camera's frame, m
-    colors: NDArray[np.float64]  # (n, 3) of them, RGB 0..1
-    seen: NDArray[np.int64]  # (height, width) the number of the triangle that is seen, -1 where nothing is
+    depth: NDArray[np.float64]  # (height, width) along the camera's axis in m; inf without an object
+    bodies: NDArray[np.int64]  # (height, width) numbers of the rendered objects; -1 without an object
+    triangles: NDArray[np.float64]  # (n, 3, 3) rendered triangles in the camera's frame, m
+    colors: NDArray[np.float64]  # (n, 3) of the triangles, RGB 0..1
+    seen: NDArray[np.int64]  # (height, width) number of the triangle at each pixel; -1 without a triangle
 
     def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
         """Return a colour image, lit from above and from the camera.
 
         Args:
-            up: unit vector in the camera's frame that points upwards in the world.
+            up: unit vector in the camera's frame that points up in the world.
 
         Returns:
             (height, width, 3) RGB.
@@ -56,14 +59,14 @@ class Rendering:
         corners = self.triangles[numbers]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-        normals *= -np.sign((normals * corners[:, 0]).sum(axis=1, keepdims=True))  # they face the camera
+        normals *= -np.sign((normals * corners[:, 0]).sum(axis=1, keepdims=True))  # normals point to the camera
         light = 0.5 + 0.25 * normals @ np.asarray(up) + 0.35 * np.maximum(-normals[:, 2], 0.0)
         lit = np.clip(self.colors[numbers] * light[:, None], 0.0, 1.0)
         rows[shown] = lit[np.searchsorted(numbers, self.seen[shown])]
         return np.asarray(rows * 255, dtype=np.uint8)
 
     def before(self, other: Rendering) -> Rendering:
-        """Return this picture with another one of the same camera and size: the nearer is seen at each pixel."""
+        """Return this picture merged with another one of the same camera and size: the nearer object is seen."""
         nearer = other.depth < self.depth
         return Rendering(
             np.where(nearer, other.depth, self.depth),
@@ -76,19 +79,19 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True)
 class Drawable:
-    """A body as a camera needs it, whether a physics engine or a recording tells where its k links are."""
+    """A body to render, from a physics engine or from a recording. It has k links."""
 
-    shapes: Shapes  # its links' shapes, in the links' frames
+    shapes: Shapes  # of the links, in their frames
     positions: NDArray[np.float64]  # (k, 3) of the links' frames in the world, m
-    orientations: NDArray[np.float64]  # (k, 4) of the same, xyzw
-    color: Sequence[float] | None  # RGBA 0..1 of the whole body; None for the colours of its model
-    is_robot: bool  # whether links of it that surround the camera are the camera's housing
+    orientations: NDArray[np.float64]  # (k, 4) of the links' frames in the world, xyzw
+    color: Sequence[float] | None  # RGBA 0..1 of the whole body; None for the model's colours
+    is_robot: bool  # whether links around the camera are its housing
 
 
 def drawable_link(
     shapes: Shapes, at: int, pose: Pose, color: Sequence[float] | None, *, is_robot: bool = False
 ) -> Drawable:
-    """Return the n-th link with shapes of a model, alone, at a pose in the world; its mesh is read when it is seen."""
+    """Return the n-th link with shapes of a model at a pose in the world; its mesh is read when it is rendered."""
     one = Shapes(
         (shapes.links[at],),
         LazySequence([lambda: shapes.triangles[at]]),
@@ -100,7 +103,7 @@ def drawable_link(
 
 
 def drawable(body: Object) -> Drawable:
-    """Return an object of a live world, whose lock is held, as cameras need it."""
+    """Return an object of a live world to render; the world is locked."""
     shapes = shapes_of(body.model.path)
     frames = body.world.engine.link_frames(body.handle, shapes.links)
     return Drawable(shapes, *frames, body.color, body.is_robot)
@@ -108,27 +111,27 @@ def drawable(body: Object) -> Drawable:
 
 @dataclass(frozen=True, slots=True)
 class _Boxes:
-    """Boxes of k links, in their frames, and where these are in the world."""
+    """Boxes of k links, in the links' frames, with the frames in the world."""
 
     low: NDArray[np.float64]  # (k, 3) lowest corners, m
     high: NDArray[np.float64]  # (k, 3) highest corners, m
-    positions: NDArray[np.float64]  # (k, 3) of the frames, m
-    turns: NDArray[np.float64]  # (k, 3, 3) of the frames
+    positions: NDArray[np.float64]  # (k, 3) of the links' frames, m
+    turns: NDArray[np.float64]  # (k, 3, 3) of the links' frames
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
     """A pinhole camera in the world."""
 
-    pose: Pose  # position in m and orientation xyzw of its optical frame
+    pose: Pose  # position in m and orientation xyzw of the optical frame
     right: float  # tangent of half the horizontal field of view
     down: float  # tangent of half the vertical field of view
-    near: float = NEAR  # m from which on it sees
-    far: float = FAR  # m up to which it sees
+    near: float = NEAR  # m to the nearest visible point
+    far: float = FAR  # m to the farthest visible point
 
     @property
     def window(self) -> Window:
-        """The part of the image plane that it sees."""
+        """The part of the image plane in the camera's picture."""
         return Window(-self.right, -self.down, self.right, self.down)
 
     def to_frame(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -142,10 +145,9 @@ class Camera:
         """Render objects through a part of the image plane.
 
         Args:
-            bodies: the objects, of one world whose lock is held; nothing else is seen.
-            window: the part of the image plane.
+            bodies: the objects to render, of one world, which is locked.
             size: width and height in pixels.
-            far: m up to which anything matters, if less than the camera sees.
+            far: m to the farthest relevant point, if that is less than the camera's.
         """
         return self.draw([drawable(body) for body in bodies], window, size, far)
 
@@ -164,7 +166,7 @@ class Camera:
     def _parts(
         self, bodies: Sequence[Drawable], window: Window, far: float
     ) -> Iterator[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
-        """Yield links that may be seen: index of the body, triangles in the camera's frame, colours."""
+        """Yield links that may be visible: number of the body, triangles in the camera's frame, colours."""
         models = [body.shapes for body in bodies]
         links = [(index, link) for index, shapes in enumerate(models) for link in range(len(shapes.links))]
         if not links:
@@ -187,7 +189,7 @@ class Camera:
             yield index, turned + self.to_frame(boxes.positions[number]), colors
 
     def _shown(self, boxes: _Boxes, window: Window, far: float) -> NDArray[np.bool_]:
-        """Return which boxes have a bounding sphere in the view frustum of a window."""
+        """Return for each box whether its bounding sphere is in the view frustum of a window."""
         centers = np.einsum("kij,kj->ki", boxes.turns, (boxes.low + boxes.high) / 2) + boxes.positions
         radii = np.linalg.norm(boxes.high - boxes.low, axis=1) / 2
         x, y, z = self.to_frame(centers).T
@@ -198,7 +200,7 @@ class Camera:
         return np.asarray(shown)
 
     def _in(self, boxes: _Boxes) -> NDArray[np.bool_]:
-        """Return which boxes are around the camera."""
+        """Return for each box whether it is around the camera."""
         eye = np.einsum("kji,kj->ki", boxes.turns, np.asarray(self.pose[0]) - boxes.positions)
         return np.asarray(((eye >= boxes.low - _HOUSING) & (eye <= boxes.high + _HOUSING)).all(axis=1))
 
@@ -216,17 +218,16 @@ class Window:
 def rasterize(
     triangles: NDArray[np.float64], window: Window, size: tuple[int, int], near: float, far: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return which triangle is seen at each pixel's center, from either side.
+    """Return the depth and the triangle at each pixel's center; triangles are visible from both sides.
 
     Args:
-        triangles: (n, 3, 3), corners in the camera's frame, m.
-        window: what the picture shows.
+        triangles: (n, 3, 3) corners in the camera's frame, m.
         size: width and height in pixels.
-        near: m from which on anything is seen.
-        far: m up to which it is.
+        near: m to the nearest visible point.
+        far: m to the farthest visible point.
 
     Returns:
-        (height, width) depth along z in m, inf where nothing is; (height, width) numbers of the triangles, -1 for none.
+        (height, width) depth along z in m, inf without a triangle; (height, width) number of the triangle, -1 for none.
     """
     width, height = size
     nearness = np.full((height, width), 1.0 / far)  # 1 / depth
@@ -240,7 +241,7 @@ def rasterize(
     shown = np.flatnonzero((left < right) & (top < bottom) & (inverse.max(axis=1) >= 1.0 / far))
     planes = np.zeros((len(u), 4, 3))
     planes[shown] = _planes(u[shown], v[shown], inverse[shown])
-    shown = shown[np.isfinite(planes[shown]).all(axis=(1, 2))]  # of an edge-on triangle nothing is seen
+    shown = shown[np.isfinite(planes[shown]).all(axis=(1, 2))]  # edge-on triangles aren't visible
     pixels = (right - left) * (bottom - top)
     large = shown[pixels[shown] > _LARGE]
     for number, low, high, start, end in _bands(planes[large], left[large], right[large], top[large], bottom[large]):
@@ -255,7 +256,7 @@ def rasterize(
             seen[area][better] = numbers[large[number]]
     small = shown[pixels[shown] <= _LARGE]
     for part, columns, rows in _covered(small, left, right, top, bottom):
-        for corner in range(3):  # one after the other: most pixels are out of the first
+        for corner in range(3):  # one corner after the other: the first one excludes most pixels
             kept = _value(planes[:, corner], part, columns, rows) >= 0
             part, columns, rows = part[kept], columns[kept], rows[kept]  # noqa: PLW2901
         close = _value(planes[:, 3], part, columns, rows)
@@ -269,14 +270,14 @@ def rasterize(
 def _value(
     factors: NDArray[np.float64], part: NDArray[np.int64], columns: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the values of planes of triangles (n, 3) at pixels, each for one of the triangles."""
+    """Return the values of planes of triangles (n, 3) at pixels, each for one triangle."""
     a, b, c = factors.T
     values: NDArray[np.float64] = a[part] * columns + b[part] * rows + c[part]
     return values
 
 
 def _bounds(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first pixel along an axis whose center may lie in each triangle, and the one after the last."""
+    """Return the first pixel along an axis whose center may be in each triangle, and the pixel after the last."""
     low = np.ceil(np.clip(axis.min(axis=1), 0, limit)).astype(np.int64)
     high = np.floor(np.clip(axis.max(axis=1), -1, limit - 1)).astype(np.int64) + 1
     return low, high
@@ -289,7 +290,7 @@ def _bands(
     top: NDArray[np.int64],
     bottom: NDArray[np.int64],
 ) -> Iterator[tuple[int, int, int, int, int]]:
-    """Yield bands of rows of triangles and the columns that they cover: number, rows, columns, each end excluded."""
+    """Yield bands of rows of triangles, and the columns in them: number, rows, columns, each with its end excluded."""
     counts = -(-(bottom - top) // _BAND)
     owner = np.repeat(np.arange(len(counts)), counts)
     low = top[owner] + _BAND * (np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts))
@@ -297,7 +298,7 @@ def _bands(
     a, b, c = planes[owner, :3].transpose(2, 0, 1)  # an edge is where a * column + b * row + c is 0
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([-(b * row[:, None] + c) / a for row in (low, high - 1)])
-        slack = 1 + 1e-12 * (np.abs(b) * high[:, None] + np.abs(c)) / np.abs(a)  # so much these may be wrong by
+        slack = 1 + 1e-12 * (np.abs(b) * high[:, None] + np.abs(c)) / np.abs(a)  # possible rounding error
         first = np.where(a > 0, ends.min(axis=0) - slack, -np.inf).max(axis=1, initial=-np.inf)
         last = np.where(a < 0, ends.max(axis=0) + slack, np.inf).min(axis=1, initial=np.inf)
     start = np.clip(np.floor(first), left[owner], right[owner]).astype(np.int64)
@@ -307,7 +308,7 @@ def _bands(
 
 
 def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return factors (n, 4, 3) of column, row and 1: weights of the corners, and 1 / depth, linear in the image."""
+    """Return factors (n, 4, 3) of column, row and 1: for the weights of the corners, and for 1 / depth."""
     u1, v1, u2, v2 = np.roll(u, -1, axis=1), np.roll(v, -1, axis=1), np.roll(u, 1, axis=1), np.roll(v, 1, axis=1)
     edges = np.stack([v1 - v2, u2 - u1, u1 * v2 - u2 * v1], axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -317,13 +318,13 @@ def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.
 
 
 def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return what of triangles is beyond the near plane, as triangles, and the numbers of those that they come from."""
+    """Return the parts of triangles beyond the near plane, as triangles, with the numbers of the original triangles."""
     beyond = triangles[:, :, 2] > near
     count = beyond.sum(axis=1)
     numbers = np.arange(len(triangles))
     all_three, one, two = (numbers[count == wanted] for wanted in (3, 1, 2))
-    tip, left, right = _odd_first(triangles[one], beyond[one])  # the tip is beyond
-    lost, first, second = _odd_first(triangles[two], ~beyond[two])  # the tip is not
+    tip, left, right = _odd_first(triangles[one], beyond[one])  # the tip is beyond the near plane
+    lost, first, second = _odd_first(triangles[two], ~beyond[two])  # the tip is before the near plane
     on_first, on_second = _at(first, lost, near), _at(second, lost, near)
     parts = [
         triangles[all_three],
@@ -335,14 +336,14 @@ def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float
 
 
 def _odd_first(triangles: NDArray[np.float64], odd: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
-    """Return the corners of triangles, the odd one first."""
+    """Return the corners of triangles, with the odd corner first."""
     rows = np.arange(len(triangles))
     start = odd.argmax(axis=1)
     return tuple(triangles[rows, (start + turn) % 3] for turn in range(3))
 
 
 def _at(a: NDArray[np.float64], b: NDArray[np.float64], near: float) -> NDArray[np.float64]:
-    """Return where edges that cross the near plane cross it."""
+    """Return the points at which edges cross the near plane."""
     share = (near - a[:, 2]) / (b[:, 2] - a[:, 2])
     return a + share[:, None] * (b - a)
 
@@ -354,7 +355,7 @@ def _covered(
     top: NDArray[np.int64],
     bottom: NDArray[np.int64],
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield pixels in the bounds of triangles: numbers of triangles, columns, rows; not too many at once."""
+    """Yield pixels in the bounds of triangles in batches: numbers of triangles, columns, rows."""
     wide = right - left
     counts = wide[shown] * (bottom - top)[shown]
     cuts = np.flatnonzero(np.diff(np.cumsum(counts) // _BATCH, prepend=0))

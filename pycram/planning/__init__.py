@@ -1,7 +1,7 @@
 """Motions that take time: collision-free paths, and the fastest timing of each. Nothing here changes a world.
 
-A query has a start and a goal in a :mod:`space`, which tells the free configurations. :mod:`path` takes the straight
-line, or the path that :mod:`rrt_connect` finds. :mod:`timing` makes it as fast as the velocity limits allow.
+A query has a start and a goal in a :mod:`space`, which has the free configurations. :mod:`path` takes the straight
+line, or a path that :mod:`rrt_connect` finds. :mod:`timing` makes it as fast as the limits allow.
 """
 
 from pycram.planning.motions import (

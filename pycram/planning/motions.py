@@ -1,4 +1,4 @@
-"""Motions of joints: from where they are to a goal, or along way points."""
+"""Motions of joints and bases on collision-free paths, along way points, and on straight lines."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-_JOINT_STEP: Final = 0.05  # rad or m of a joint between configurations that are checked while a path is searched
-_THERE: Final = 1e-3  # rad or m that a joint may be from its goal and not be moved: what motors keep to
-_LINE_STEP: Final = 0.01  # m of the tool from one posture to the next
-_LINE_TURN: Final = 0.05  # rad likewise
-_JUMP: Final = 0.35  # rad or m of a joint from one posture to the next: more, and the arm changes its posture
-_ROOM: Final = 3.0  # m around start and goal that a path may go
-_WIDER: Final = 9.0  # m likewise, if there is none: to the next door
-_METRES_A_TURN: Final = 0.5  # m for a radian of turn, as the outline of a robot moves
-_BASE_STEP: Final = 0.06  # m between poses that are checked while a path is searched
+_JOINT_STEP: Final = 0.05  # rad or m of a joint between checked configurations in a search
+_THERE: Final = 1e-3  # rad or m from its goal within which a joint isn't moved; motors are no more accurate
+_LINE_STEP: Final = 0.01  # m of the tool between neighbouring postures
+_LINE_TURN: Final = 0.05  # rad of the tool between neighbouring postures
+_JUMP: Final = 0.35  # rad or m of a joint between neighbouring postures, above which the arm changes its posture
+_ROOM: Final = 3.0  # m around start and goal for a path
+_WIDER: Final = 9.0  # m around start and goal for a second search, as to the next door
+_METRES_A_TURN: Final = 0.5  # m for a radian of turn, as a robot's outline moves
+_BASE_STEP: Final = 0.06  # m between checked poses in a search
 
 
 def joint_motion(
@@ -59,24 +59,24 @@ def joint_motion(
     ignored_links: Collection[tuple[Object, str]] = (),
     seed: int | None = None,
 ) -> Planned:
-    """Return a motion of joints to a goal on which the robot touches nothing that it doesn't touch at the start.
+    """Return a motion of joints to a goal without new collisions: the robot touches only what it touches at the start.
 
-    What the robot holds moves along. Joints that can go further than a turn go to the equivalent turn that is nearest.
-    The choice between the straight line and a search is on record.
+    Held objects move along. Joints without limits go to the nearest equivalent angle. The choice between the straight
+    line and a search is recorded.
 
     Args:
-        goal: joint values in rad or m by name; others stay, also those of an arm that is there already.
-        start: joint values that the robot will have when it begins, where they aren't the present ones.
-        ignored: objects that don't count as obstacles.
-        ignored_links: objects with links of theirs that don't.
+        goal: joint values in rad or m by name; other joints stay, and so do the joints of an arm that is there already.
+        start: joint values at the start that differ from the present ones.
+        ignored: objects that aren't obstacles.
+        ignored_links: objects with links that aren't obstacles.
         seed: of the search; the run's by default.
 
     Raises:
-        UnknownName: It has no such joint.
-        BadArgument: A value is no number, or joints that mimic each other contradict each other.
+        UnknownName: The robot has no such joint.
+        BadArgument: A value isn't a number, or joints that mimic each other contradict each other.
         JointLimitError: The goal is outside a joint's limits.
-        PostureInCollision: Something would be touched at the goal.
-        NoPath: No path was found within :data:`pycram.planning.path.MAX_CHECKS` checks.
+        PostureInCollision: The robot would touch something at the goal.
+        NoPath: The search found no path within :data:`pycram.planning.path.MAX_CHECKS` checks.
     """
     wanted = coupled(robot, checked_positions(robot, goal))
     changed = coupled(robot, checked_positions(robot, start or {}))
@@ -102,7 +102,7 @@ def joint_motion(
 
 
 def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> Planned:
-    """Return a path that was found as a motion of all joints that move, also of those that mimic others."""
+    """Return the motion of all moving joints on a path, including joints that mimic others."""
     way_points = moved.with_followers(found.way_points)
     knots = found.knots
     if len(moved.joints) > len(moved.searched):
@@ -114,11 +114,11 @@ def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> Planned:
 
 
 class _Moved:
-    """The joints that a motion moves, between two postures.
+    """The moving joints between two postures.
 
     Args:
         now: values of all joints at the start.
-        wanted: values of those that are to move.
+        wanted: values of the joints to move.
     """
 
     def __init__(self, robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> None:
@@ -130,44 +130,44 @@ class _Moved:
         moving = [group for group in groups if any(abs(wanted[name] - now[name]) > _THERE for name in group)]
         names = {name for group in moving or groups for name in group}
         followers = [name for name in wanted if name in mimics and mimics[name].leader in wanted]
-        # those whose values are searched; the others that move mimic them
+        # names of the joints that are searched; the other moving joints mimic them
         self.searched = tuple(name for name in wanted if name in names and name not in followers)
         self._followers = [name for name in followers if mimics[name].leader in self.searched]
-        self.joints = (*self.searched, *self._followers)  # all that move
+        self.joints = (*self.searched, *self._followers)  # names of all moving joints
         self._robot = robot
-        # values of joints that stay but count, by name
+        # by name values of other joints that matter
         self.kept = {name: wanted[name] for name in wanted if name not in self.joints}
-        # (d, n) how far joints that mimic go for each that is searched
+        # (d, n) factors of joints that mimic, for each searched joint
         self.slopes = np.zeros((len(self.searched), len(self._followers)))
         for column, name in enumerate(self._followers):
             self.slopes[self.searched.index(mimics[name].leader), column] = mimics[name].multiplier
         self._lower, self._upper = np.array([robot.joint_limits(name) for name in self.searched]).reshape(-1, 2).T
         self._slides = np.array([robot.urdf.joint(name).type == "prismatic" for name in self.searched])
-        self.start = np.array([now[name] for name in self.searched])  # (d,) values of those that are searched
-        # (d,) likewise, by the nearest turns
+        self.start = np.array([now[name] for name in self.searched])  # (d,) values of the searched joints
+        # (d,) values of the searched joints, at the nearest equivalent angles
         self.goal = np.array([wanted[name] for name in self.searched]) if moving else self.start
         self.arms = [arm.name for arm in arms if any(name in self.joints for name in arm.joints)]
 
     @property
     def name(self) -> str:
-        """What moves, in words."""
+        """Name of the moving part, for messages."""
         return f"{' and '.join(self.arms)} arm" if self.arms else ", ".join(self.searched)
 
     def space(self) -> Space:
-        """Return the space: within limits, and half a turn around start and goal."""
+        """Return the space: within the joints' limits, and half a turn around start and goal."""
         low, high = np.minimum(self.start, self.goal), np.maximum(self.start, self.goal)
         turn = np.where(self._slides, np.inf, np.pi)
         lower, upper = np.maximum(low - turn, self._lower), np.minimum(high + turn, self._upper)
         return Space(np.minimum(lower, low), np.maximum(upper, high), np.ones(len(low)), _JOINT_STEP)
 
     def posture(self, row: Array) -> dict[str, float]:
-        """Return the values of all joints that count, by name, for values (d,) of those that are searched."""
+        """Return the values of all joints that matter, by name, for values (d,) of the searched joints."""
         searched = dict(zip(self.searched, row.tolist(), strict=True))
         followers = self._robot.urdf.followers(searched) if self._followers else {}
         return self.kept | searched | {name: followers[name] for name in self._followers}
 
     def with_followers(self, rows: Array) -> Array:
-        """Return values (n, joints) of all that move for values (n, d) of those that are searched."""
+        """Return values (n, joints) of all moving joints for values (n, d) of the searched joints."""
         if not self._followers:
             return rows
         postures = [self.posture(row) for row in rows]
@@ -175,8 +175,8 @@ class _Moved:
 
 
 def _turned(robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> dict[str, float]:
-    """Return values of joints at the equivalent turns that are nearest to where they are now."""
-    slides = [robot.urdf.joint(name).type == "prismatic" for name in wanted]  # has no turns
+    """Return the equivalent values of joints that are nearest to their present values."""
+    slides = [robot.urdf.joint(name).type == "prismatic" for name in wanted]  # no equivalent values
     lower, upper = np.array([robot.joint_limits(name) for name in wanted]).reshape(-1, 2).T
     lower = np.where(slides, np.inf, lower)
     start, goal = np.array([now[name] for name in wanted]), np.array([*wanted.values()])
@@ -184,23 +184,23 @@ def _turned(robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]
 
 
 def through(body: Object, way_points: Sequence[Mapping[str, float]]) -> Planned:
-    """Return the fastest motion of a body's joints along a path that is given; see :func:`together`."""
+    """Return the fastest motion of a body's joints along a given path; see :func:`together`."""
     return together([(body, way_points)])[0]
 
 
 def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> list[Planned]:
-    """Return the fastest motions of several bodies, as an arm and a drawer, that are at their way points together.
+    """Return the fastest motions of several bodies, as an arm and a drawer, that reach their way points together.
 
-    Nothing is checked for collisions. Corners between way points that are far apart are rounded by up to 0.04 rad.
+    Collisions aren't checked. Corners between distant way points are rounded by up to 0.04 rad.
 
     Args:
-        paths: bodies, and for each as many way points, from where it is to where it goes: joint values in rad or m of
-            the same joints by name.
+        paths: for each body its way points, as many as the other bodies have, from its present state to its goal:
+            joint values in rad or m of the same joints by name.
 
     Raises:
         UnknownName: A body has no such joint.
-        BadArgument: There are no way points, not as many for each body, or not of the same joints.
-        JointLimitError: One is outside a joint's limits.
+        BadArgument: There are no way points, different numbers for the bodies, or different joints.
+        JointLimitError: A way point is outside a joint's limits.
     """
     tables: list[Array] = []
     names: list[tuple[str, ...]] = []
@@ -223,20 +223,20 @@ def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> l
 
 
 def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) -> list[dict[str, float]]:
-    """Return postures that bring an arm's tool to a pose on a straight line, with its orientation turning evenly.
+    """Return postures that bring an arm's tool to a pose on a straight line, with a constant turn.
 
-    Nothing is checked for collisions.
+    Collisions aren't checked.
 
     Args:
-        start: joint values in rad or m by name where the line begins, also of other joints; these stay, and others are
-            as they are.
+        start: joint values in rad or m by name at the start of the line, also of other joints, which don't move.
+            Joints without a value keep their present one.
         goal: position and orientation of the tool in the world.
 
     Returns:
         Postures of all joints of the start, from the start to the end of the line.
 
     Raises:
-        Unreachable: The arm doesn't get there, or would have to change its posture on the way.
+        Unreachable: The arm doesn't reach the pose, or would have to change its posture during the motion.
     """
     position, orientation = checks.vector("goal", goal[0]), checks.quaternion("goal", goal[1])
     begin = checked_positions(robot, start)
@@ -269,12 +269,12 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
 
 
 def _turned_by(change: np.ndarray, chain: Chain) -> np.ndarray:
-    """Return the change (joints,) of a posture, of joints without limits by less than half a turn."""
+    """Return the change (joints,) of a posture, with less than half a turn for joints without limits."""
     return np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    """Return the matrix (3, 3) that turns about a vector (3,) by its length in rad."""
+    """Return the matrix (3, 3) of a rotation vector (3,) in rad."""
     angle = float(np.linalg.norm(vector))
     x, y, z = (vector / angle if angle else vector).tolist()
     sine = math.sin(angle / 2)
@@ -289,22 +289,22 @@ def base_motion(
     start: tuple[Sequence[float], Sequence[float]] | None = None,
     seed: int | None = None,
 ) -> Planned:
-    """Return a motion of a robot's base to a pose on which it touches nothing that it doesn't touch at the start.
+    """Return a motion of a robot's base to a pose without new collisions: it touches only what it touches at the start.
 
-    All links of the robot in its present posture count, and what it holds. Height and lean stay: only x, y and yaw
-    move, all at once. The choice between the straight line and a search is on record.
+    All links of the robot in its present posture are checked, with the held objects. Height and lean are constant; x,
+    y and yaw move together. The choice between the straight line and a search is recorded.
 
     Args:
-        position: xyz of the goal in m.
+        position: xyz of the goal, m.
         orientation: xyzw of the goal.
-        start: position and orientation from which it begins; the present ones by default.
+        start: position and orientation at the start; the present ones by default.
         seed: of the search; the run's by default.
 
     Raises:
-        BadArgument: The pose is none.
-        NotDrivable: Its base is fixed, or the goal isn't on its ground.
-        InCollision: Something would be touched at the goal.
-        NoPath: No path was found within :data:`pycram.planning.path.MAX_CHECKS` checks.
+        BadArgument: The goal isn't a pose.
+        NotDrivable: The base is fixed, or the goal isn't on its ground.
+        InCollision: The robot would touch something at the goal.
+        NoPath: The search found no path within :data:`pycram.planning.path.MAX_CHECKS` checks.
     """
     target, turn = checks.vector("position", position), checks.quaternion("orientation", orientation)
     check_drives(robot, target, turn)
@@ -331,7 +331,7 @@ def base_motion(
 
 
 def _space(begin: Array, end: Array, room: float) -> Space:
-    """Return the space of x, y and yaw that is some room (m) around both ends."""
+    """Return the space of x, y and yaw with some room (m) around both ends."""
     around = np.array([room, room, np.pi])
     low, high = np.minimum(begin, end) - around, np.maximum(begin, end) + around
     return Space(low, high, np.array([1.0, 1.0, _METRES_A_TURN]), _BASE_STEP)

@@ -1,4 +1,4 @@
-"""The way from one configuration to another: a straight line, else one that is searched; timed, and looked at again."""
+"""A path between configurations: the straight line if it is free, else a searched path; timed and checked again."""
 
 from __future__ import annotations
 
@@ -29,60 +29,60 @@ if TYPE_CHECKING:
 
 STRAIGHT: Final = "straight line"
 RRT_CONNECT: Final = "RRT-Connect"
-MAX_CHECKS: Final = 20_000  # configurations, in all searches for a path
+MAX_CHECKS: Final = 20_000  # configurations in all searches for a path
 
-_STEPS: Final = (1.0, 0.5, 0.25)  # of the space's step: what a search overlooks, the next one sees
-_FINE: Final = 0.25  # of the space's step between configurations that are checked in the end
-_RATE: Final = 240.0  # times a second at which a timed path is looked at
-_MAX_PAIRS: Final = 3  # in the way most often, that a failure names
+_STEPS: Final = (1.0, 0.5, 0.25)  # shares of the space's step for the searches; each overlooks less than the last
+_FINE: Final = 0.25  # share of the space's step for the final check
+_RATE: Final = 240.0  # samples of a timed path per second for its check
+_MAX_PAIRS: Final = 3  # pairs in a failure that were in the way most often
 
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """What is asked for."""
+    """A question for a path."""
 
-    mover: str  # what moves, in words
+    mover: str  # name of the moving part, for messages
     names: tuple[str, ...]  # of the coordinates
-    space: Space  # where the path is searched
-    start: Array  # (d,) where it begins
-    goal: Array  # (d,) where it is to end
-    rates: Rates  # how fast it may be
-    seed: int | None  # of the search; the run's by default
-    wider: Space | None = None  # where it is searched if no path is found in that space; None if there is no more
+    space: Space  # of the first search
+    start: Array  # (d,) the first configuration
+    goal: Array  # (d,) the last configuration
+    rates: Rates  # limits of the motion
+    seed: int | None  # of the search; None for the run's
+    wider: Space | None = None  # of the second search; None for the same space
 
     def drawn_seed(self, attempt: int) -> int:
-        """Return the seed of an attempt, 1 to 2**31: it depends on the run's seed and the query, not on others."""
+        """Return the seed of an attempt, from 1 to 2**31; it depends only on the run's seed and on the query."""
         run = run_seed() if self.seed is None else self.seed
         text = f"path {run} {attempt} {self.names} {self.start.tolist()} {self.goal.tolist()}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") % 2**31 + 1
 
     def named(self, row: Array) -> dict[str, float]:
-        """Return a configuration by the names of its coordinates."""
+        """Return a configuration by name."""
         return dict(zip(self.names, row.tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A path that touches nothing new, and its times."""
+    """A path without new collisions, and its times."""
 
-    planner: str  # how it was found
-    seed: int  # of the search that found it; 0 where none was needed
-    attempts: int  # searches that were begun
-    way_points: Array  # (n, d) of the path before it was timed
+    planner: str  # STRAIGHT or RRT_CONNECT
+    seed: int  # of the successful search; 0 without a search
+    attempts: int  # number of searches
+    way_points: Array  # (n, d) of the path before its timing
     knots: Knots  # of the timed path
 
 
 def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
-    """Return a path on which nothing is touched that isn't touched at its ends.
+    """Return a path without new collisions: it touches only what is touched at its ends.
 
-    It keeps away from things and stays near where it can; half of the budget is for that.
+    The first search, with half of the budget, keeps a distance to obstacles and stays in the narrow space.
 
     Raises:
-        NoPath: None was found within the budget.
+        NoPath: The search found no path within the budget.
     """
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])
-    reached = [query.start]  # and what each search reached
+    reached = [query.start]  # with the nearest configuration of each search
     rooms = (True, query.space, MAX_CHECKS // 2), (False, query.wider or query.space, MAX_CHECKS)
     for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
@@ -105,7 +105,7 @@ def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
 
 
 def _searched(query: Query, clearance: Clearance, space: Space, budget: int, reached: list[Array]) -> Array | None:
-    """Return a path (n, d) that touches nothing, None if none was found; add what each search reached."""
+    """Return a free path (n, d), or None. The nearest configuration of each search is added to ``reached``."""
     from pycram.planning import rrt_connect  # noqa: PLC0415  OMPL takes as long to load as a plan without motion runs
 
     for share in _STEPS:
@@ -126,7 +126,7 @@ def _searched(query: Query, clearance: Clearance, space: Space, budget: int, rea
 
 
 def _timed(query: Query, clearance: Clearance, path: Array, fine: float) -> Knots:
-    """Return the fastest knots of a path whose rounded corners touch nothing."""
+    """Return the fastest knots of a path whose rounded corners are free."""
     for spacing in timing.SPACINGS:
         knots = timing.timed(path, query.rates, spacing)
         if clearance.free(_looked_at(query, knots, fine)):
@@ -135,7 +135,7 @@ def _timed(query: Query, clearance: Clearance, path: Array, fine: float) -> Knot
 
 
 def _looked_at(query: Query, knots: Knots, fine: float) -> Array:
-    """Return the configurations (n, d) of a timed path that are about a step apart."""
+    """Return configurations (n, d) of a timed path that are about a step apart."""
     rows = timing.at(knots, np.arange(0.0, knots.times[-1], 1 / _RATE))
     moved = np.cumsum(np.abs(np.diff(rows, axis=0) * query.space.weights).max(axis=1, initial=0.0))
     wanted = np.diff(np.floor(moved / fine), prepend=0.0) > 0
@@ -145,25 +145,25 @@ def _looked_at(query: Query, knots: Knots, fine: float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A trajectory that a body may follow."""
+    """A trajectory for a body, and the search for its path."""
 
-    trajectory: Trajectory  # where the body is to be when
-    search: records.PathSearch  # how its path was found
+    trajectory: Trajectory
+    search: records.PathSearch
 
     @property
     def end(self) -> dict[str, float]:
-        """Joint values in rad or m by name at its end; of a base x, y and yaw."""
+        """Final joint values in rad or m by name; x, y and yaw of a base."""
         return dict(zip(self.trajectory.coordinates, self.trajectory.positions[-1], strict=True))
 
 
 def trajectory_of(joints: Sequence[str], knots: Knots) -> Trajectory:
-    """Return knots as a trajectory of joints, or of a base if there are none."""
+    """Return knots as a trajectory of joints, or of a base if there are no joints."""
     rows = (tuple(map(tuple, values.tolist())) for values in (knots.positions, knots.velocities))
     return Trajectory(tuple(joints), tuple(knots.times.tolist()), *rows)
 
 
 def search_record(found: Path, checks: int, way_points: Array) -> records.PathSearch:
-    """Return the record of how a path was found, with its way points before it was timed."""
+    """Return the record of a search for a path, with the way points before the timing."""
     return records.PathSearch(
         planner=found.planner,
         seed=found.seed,
@@ -175,6 +175,6 @@ def search_record(found: Path, checks: int, way_points: Array) -> records.PathSe
 
 
 def given(joints: Sequence[str], knots: Knots, way_points: Array) -> Planned:
-    """Return a trajectory along a path that was given, with no search."""
+    """Return a trajectory along a given path, without a search."""
     search = records.PathSearch(planner="given", way_points=way_points.ravel().tolist())
     return Planned(trajectory_of(joints, knots), search)

@@ -1,7 +1,7 @@
-"""RRT-Connect (Kuffner, LaValle, ICRA 2000) and shortening of paths, by OMPL (Sucan, Moll, Kavraki, 2012).
+"""RRT-Connect (Kuffner, LaValle, ICRA 2000) and shortcuts, by OMPL (Sucan, Moll, Kavraki, 2012).
 
-OMPL gives each of its objects that draws a seed from one sequence for the process: it is begun anew for each query, and
-all objects are made anew, so that a query's answer doesn't depend on those before.
+OMPL's objects draw their seeds from one sequence of the process. It is restarted for each query, and all objects are
+made again, so that a query's result doesn't depend on earlier queries.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_RANGE: Final = 1.0  # of distance that a tree grows by at most
-_SHORTCUTS: Final = 60  # that are tried
-_EMPTY_SHORTCUTS: Final = 25  # that are tried in a row without any of use
-_START_TREE: Final = 1  # tag of its vertices
+_RANGE: Final = 1.0  # distance by which a tree grows at most
+_SHORTCUTS: Final = 60  # number of tries
+_EMPTY_SHORTCUTS: Final = 25  # number of useless tries in a row after which shortening ends
+_START_TREE: Final = 1  # OMPL's tag of the start tree's vertices
 
-_one_query = threading.Lock()  # the sequence of seeds is the process's
+_one_query = threading.Lock()  # because the process has one sequence of seeds
 
 
 class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
-    """Checks edges as a whole.
+    """Checks whole edges of the trees.
 
-    An error, as Ctrl-C, isn't raised through OMPL: it is kept, and ends the search.
+    An error, as Ctrl-C, can't be raised through OMPL. It is kept, and ends the search.
     """
 
     def __init__(self, information: Any, check: Callable[[Array, Array], bool], dimensions: int) -> None:
@@ -52,13 +52,14 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
         try:
             return self._check(_row(a, self._range), _row(b, self._range))
         except BaseException as error:  # noqa: BLE001  raised again when OMPL has returned
-            # the trace of a Ctrl-C would keep OMPL's objects to the end of the process, which tells of them then
+            # a Ctrl-C's traceback would keep OMPL's objects until the process exits, and OMPL would print a warning
+            # then
             self.error = error if isinstance(error, Exception) else error.with_traceback(None)
             return False
 
 
 class _States(base.StateValidityChecker):  # type: ignore[misc]  # OMPL is untyped
-    """Lets single configurations pass: OMPL asks for an edge from each as well, which is checked with both ends."""
+    """Accepts all single configurations: OMPL also asks for each edge, whose check includes both ends."""
 
     def isValid(self, _state: Any) -> bool:  # noqa: N802  OMPL's name
         return True
@@ -79,24 +80,23 @@ def search(
     seed: int,
     max_checks: int,
 ) -> tuple[Array | None, Array]:
-    """Return a path that touches nothing, and the configuration nearest to the goal that was reached.
+    """Return a free path, and the nearest configuration to the goal that was reached.
 
     Args:
-        space: where it is searched.
-        start: (d,) where it begins.
-        goal: (d,) where it is to end.
-        clearance: says what is touched.
-        step: weighted distance of any coordinate between configurations that are checked in the search.
-        fine: likewise, when the path is shortened.
-        seed: of random numbers, 1 to 2**31.
-        max_checks: of the clearance, after which the search ends.
+        start: (d,) first configuration.
+        goal: (d,) last configuration.
+        clearance: checks configurations.
+        step: weighted distance of any coordinate between checked configurations in the search.
+        fine: weighted distance between checked configurations during shortening.
+        seed: from 1 to 2**31.
+        max_checks: number of the clearance's checks after which the search ends.
 
     Returns:
-        (n, d) from start to goal, None if none was found; and (d,).
+        The path (n, d) from start to goal, or None; and the nearest configuration (d,).
     """
     with _one_query:
         level = util.getLogLevel()
-        util.setLogLevel(util.LogLevel.LOG_NONE)  # it would print, also that seeds were set before
+        util.setLogLevel(util.LogLevel.LOG_NONE)  # OMPL would print messages, also about the new seed
         try:
             util.RNG.setSeed(seed)
             found, nearest, error = _search(space, start, goal, clearance, step, fine, max_checks)
@@ -145,11 +145,11 @@ def _search(
     if edges.error is None and problem.hasExactSolution():
         path = problem.getSolutionPath()
         budget = clearance.checks + max_checks // 8
-        step = fine  # what shortcuts pass closely, the search's step would overlook
+        step = fine  # shortcuts pass obstacles closely
         simplifier = geometric.PathSimplifier(information)
         simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
         simplifier.partialShortcutPath(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
-        simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)  # those that shortcuts begin and end at
+        simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)  # remove the ends of shortcuts
         found = np.array([_row(state, range(dimensions)) for state in path.getStates()]) / weights
         found[0], found[-1] = start, goal
     reached = goal if found is not None else _nearest(information, planner, space, goal)
@@ -157,7 +157,7 @@ def _search(
 
 
 def _nearest(information: Any, planner: Any, space: Space, goal: Array) -> Array:
-    """Return the configuration nearest to the goal to which the search found a path from the start."""
+    """Return the configuration nearest to the goal in the tree from the start."""
     data = base.PlannerData(information)
     planner.getPlannerData(data)
     rows = np.array(list(_from_start(data, len(goal)))) / space.weights

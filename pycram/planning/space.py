@@ -1,4 +1,4 @@
-"""The space that a path is searched in: a coordinate for each joint, or three for a base."""
+"""Configuration spaces: coordinates of a path, and the configurations that are free of collisions."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-MARGIN: Final = 5e-3  # m that the robot keeps away from things
-_DEEPER: Final = 1e-3  # m that a touch may get deeper than it is at the start or the goal
-_SLACK: Final = 0.01  # m that hulls of the robot's own links may overlap more, if there is no other way
-_BATCH: Final = 64  # configurations whose boxes are compared at once
-_FIRST_BATCH: Final = 16  # of those that are spread over an edge: most edges that aren't free show it there
+MARGIN: Final = 5e-3  # m between the robot and other objects
+_DEEPER: Final = 1e-3  # m by which an overlap may be deeper than at the start or the goal
+_SLACK: Final = 0.01  # m of further overlap between hulls of the robot's own links, if there is no other path
+_BATCH: Final = 64  # configurations that are checked together
+_FIRST_BATCH: Final = 16  # configurations, spread over an edge, that are checked first: they reveal most blocked edges
 
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """Coordinates, unwrapped: also those of joints without limits, and the heading of a base, are plain numbers."""
+    """Coordinates of joints or of a base. All are plain numbers, also angles without limits."""
 
     lower: Array  # (d,) lower limits
     upper: Array  # (d,) upper limits
-    weights: Array  # (d,) of a coordinate in distances, such that a unit of each moves the robot about as far
-    step: float  # distance of any coordinate between configurations that are checked while it is searched
+    weights: Array  # (d,) in distances: a weighted unit of any coordinate moves the robot about as far
+    step: float  # weighted distance of any coordinate between checked configurations in a search
 
     def along(self, path: Array, step: float) -> Array:
-        """Return configurations (n, d) along a path (m, d), without its first; see :func:`between`."""
+        """Return configurations (n, d) along a path (m, d), without its first one; see :func:`between`."""
         parts: Sequence[Array] = [between(a, b, step / self.weights) for a, b in pairwise(path)]
         return np.concatenate(parts)
 
     def distance(self, a: Array, b: Array) -> Array:
-        """Return the Euclidean distances (n,) of weighted coordinates between rows (n, d) and rows or one (d,)."""
+        """Return weighted Euclidean distances (n,) between rows (n, d) and rows (n, d) or one row (d,)."""
         distances: Array = np.linalg.norm((a - b) * self.weights, axis=-1)
         return distances
 
 
 def between(a: Array, b: Array, step: float | Array) -> Array:
-    """Return configurations (n, d) from a to b, without a, with at most a step in any coordinate."""
+    """Return configurations (n, d) from a to b, without a, with at most one step in any coordinate."""
     count = max(1, math.ceil(float((np.abs(b - a) / step).max(initial=0.0))))
     rows: Array = a + (b - a) * (np.arange(1, count + 1)[:, None] / count)
     rows[-1] = b
@@ -56,19 +56,23 @@ def between(a: Array, b: Array, step: float | Array) -> Array:
 
 
 def nearest_turns(start: Array, goal: Array, lower: Array, upper: Array) -> Array:
-    """Return the goal (d,) by the equivalent turns of its angles that are nearest to the start, within limits."""
+    """Return the goal (d,) with equivalent angles nearest to the start, within the limits."""
     turned: Array = start + (goal - start + np.pi) % (2 * np.pi) - np.pi
     other = (np.abs(goal - start) > np.pi) & (lower <= turned) & (turned <= upper)
     return np.where(other, turned, goal)
 
 
 class Clearance:
-    """What would be touched in configurations: rows of numbers, as joint values or poses of a base.
+    """Checks of configurations for collisions, which are counted.
+
+    A configuration is a row of joint values, or a pose of a base. The robot keeps a few millimetres away from objects,
+    because it would push them. If it is nearer at the start or at the goal, as to an object that it touches or takes,
+    it may be as near all the way.
 
     Args:
-        predict: gives the checker's candidates for configurations (n, d).
-        start: (d,) configuration in which the robot is.
-        goal: (d,) configuration in which it is to be.
+        predict: returns the checker's candidates for configurations (n, d).
+        start: (d,) first configuration.
+        goal: (d,) last configuration.
     """
 
     def __init__(
@@ -76,21 +80,21 @@ class Clearance:
     ) -> None:
         self._checker = checker
         self._predict = predict
-        self._allowed: dict[Pair, float] = {}  # m of overlap
+        self._allowed: dict[Pair, float] = {}  # overlap in m
         self._last: Pair | None = None
         self._deepest: dict[Pair, float] = {}
-        # whether it keeps away from things; else it may be as near as it likes, and hulls of its own links may
-        # overlap a little more: they do where the robot doesn't
+        # whether the robot keeps its distance; if not, it may be as near as possible, and hulls of its own links may
+        # overlap a little more, because they overlap where the robot doesn't
         self.strict = True
-        self.checks = 0  # how many configurations were checked
-        # how often which two links were in the way, and how deep they overlapped at most, m
+        self.checks = 0  # number of checked configurations
+        # how often each pair of links was in the way, and its deepest overlap in m
         self.blocking: Counter[Pair] = Counter()
         self._allow(start)
-        # what would be touched at the goal that isn't touched as deep at the start, deepest first
+        # pairs that overlap at the goal, but not as deep at the start, deepest first
         self.touched = self._allow(goal)
 
     def _allow(self, row: Array) -> list[CollisionPair]:
-        """Allow what is near in a configuration (d,) to be as near in all; return what is touched but mustn't be."""
+        """Allow links to be as near as in a configuration (d,); return the pairs that touch but mustn't."""
         touched = []
         ((candidate, pairs),) = self._candidates(row[None])
         for pair in pairs:
@@ -102,7 +106,7 @@ class Clearance:
         return sorted(touched, key=lambda pair: -pair.depth)
 
     def free(self, rows: Array) -> bool:
-        """Return whether nothing is touched in configurations (n, d); those in the middle are looked at first."""
+        """Return whether configurations (n, d) are free; the check begins with configurations in the middle."""
         if not len(rows):
             return True
         spread = rows[_spread(len(rows))]
@@ -110,25 +114,25 @@ class Clearance:
         return not any(True for part in pairwise(starts) for _ in self._touched(spread[slice(*part)]))
 
     def first_touch(self, rows: Array) -> CollisionPair | None:
-        """Return what is touched in the first of configurations (n, d) in which something is; None if nothing is."""
+        """Return the pair that touches in the first configuration of (n, d) with a collision; None if all are free."""
         for begin in range(0, len(rows), _BATCH):
             for pair, depth in self._touched(rows[begin : begin + _BATCH]):
                 return self._checker.named(pair, max(depth, 0.0))
         return None
 
     def worst(self, count: int) -> list[CollisionPair]:
-        """Return what was in the way most often, and how deep at most."""
+        """Return the pairs that were in the way most often, with their deepest overlaps."""
         return [
             self._checker.named(pair, max(self._deepest[pair], 0.0)) for pair, _ in self.blocking.most_common(count)
         ]
 
     def _touched(self, rows: Array) -> Iterable[tuple[Pair, float]]:
-        """Yield for each configuration (n, d) in which something is touched the first pair found, and its depth.
+        """Yield for each configuration (n, d) with a collision the first pair found, and its depth.
 
-        The depth is in m, and negative where the pair is too near, but apart.
+        The depth is in m. It is negative for a pair that is too near, but apart.
         """
         for candidate, pairs in self._candidates(rows):
-            if self._last in pairs:  # what was in the way mostly is so again
+            if self._last in pairs:  # the last pair is usually in the way again
                 pairs.insert(0, self._last)
             for pair in pairs:
                 depth = self._checker.depth(candidate, pair)
@@ -140,14 +144,14 @@ class Clearance:
                     break
 
     def _candidates(self, rows: Array) -> list[tuple[Candidate, list[Pair]]]:
-        """Return candidates for configurations (n, d), and what could touch in each."""
+        """Return candidates for configurations (n, d), with the pairs that could touch in each."""
         self.checks += len(rows)
         candidates = self._predict(rows)
         owns = self._checker.self_pairs(candidates)
         return [(each, [*self._checker.pairs(each), *own]) for each, own in zip(candidates, owns, strict=True)]
 
     def _allowed_depth(self, pair: Pair) -> float:
-        """Return the overlap in m up to which two links aren't in the way."""
+        """Return the overlap in m up to which a pair isn't in the way."""
         usual = self._checker.least(pair)
         if pair[0] is pair[2]:
             usual += 0.0 if self.strict else _SLACK
@@ -157,6 +161,6 @@ class Clearance:
 
 
 def _spread(count: int) -> Sequence[int]:
-    """Return 0 to count - 1 in an order that is spread over all of them from the first on: by reversed bits."""
+    """Return the numbers from 0 to count - 1, spread over the range from the beginning on, by reversed bits."""
     bits = max(1, (count - 1).bit_length())
     return sorted(range(count), key=lambda number: int(f"{number:0{bits}b}"[::-1], 2))

@@ -1,8 +1,8 @@
-"""When a body is where on a path: as fast as its velocity and acceleration limits allow, by TOPP-RA.
+"""Timing of paths: as fast as the limits of velocity and acceleration allow, by TOPP-RA.
 
-The method is that of Pham, Pham: A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis,
-IEEE T-RO 2018, as the package toppra has it. A path is rounded at its way points by a spline; the more way points are
-put between its own, the nearer the spline stays to it, and the slower it goes round corners.
+The method is by Pham, Pham: A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis, IEEE
+T-RO 2018, in the package toppra. A spline rounds the path at its way points. More way points between them keep the
+spline nearer to the path, and make it slower at corners.
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ if TYPE_CHECKING:
 with needed("executor"):
     toppra = LazyModule("toppra")
 
-SPACINGS: Final = (0.3, 0.1, 0.03)  # of way points, rad or m; nearer ones round corners less
-_RATE: Final = 30.0  # times a second at which a trajectory has positions and velocities; cubic in between
-_STILL: Final = 1e-4  # rad or m: shorter paths are a single step
-_GRID: Final = 25  # points of toppra's grid between way points, when its own choice of them doesn't do
-_FINE: Final = np.linspace(0.0, 1.0, 9)  # of the time between two knots, at which velocities are looked at
+SPACINGS: Final = (0.3, 0.1, 0.03)  # rad or m between way points of the spline; smaller spacings round corners less
+_RATE: Final = 30.0  # positions and velocities of a trajectory per second; cubic in between
+_STILL: Final = 1e-4  # rad or m; shorter paths are one step
+_GRID: Final = 25  # points of toppra's grid between way points, if its own choice fails
+_FINE: Final = np.linspace(0.0, 1.0, 9)  # shares of the time between two knots, at which velocities are checked
 _DEFAULTS: Final = MotionLimits()
-_OCTAGON: Final = math.cos(math.pi / 8)  # of a circle's radius that the sides of the octagon in it are away
+_OCTAGON: Final = math.cos(math.pi / 8)  # distance of an octagon's sides in shares of the circle's radius
 
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Largest velocities and accelerations, of the coordinates or of sums of them."""
+    """Limits of velocity and acceleration, of the coordinates or of their sums."""
 
     lower: Array  # (d,) lower limits of the coordinates
     upper: Array  # (d,) upper limits of the coordinates
-    directions: Array  # (k, d) what is limited: each row times the coordinates
+    directions: Array  # (k, d) factors of the limited sums
     velocities: Array  # (k,) rad/s or m/s
     accelerations: Array  # (k,) rad/s^2 or m/s^2
 
 
 @dataclass(frozen=True, slots=True)
 class Knots:
-    """Times in s from 0 on, positions and velocities (n, d) there; cubic in between."""
+    """Times in s from 0 on, with positions and velocities (n, d); cubic in between."""
 
     times: Array
     positions: Array
@@ -68,9 +68,8 @@ def timed(path: Array, rates: Rates, spacing: float) -> Knots:
     """Return a path with times, from rest to rest.
 
     Args:
-        path: (n, d) from its start to its end.
-        rates: how fast it may be.
-        spacing: of way points of the spline that rounds the path's corners, rad or m.
+        path: (n, d) configurations.
+        spacing: rad or m between way points of the spline that rounds the path's corners.
     """
     kept = [path[0]]
     for row in path[1:]:
@@ -85,7 +84,7 @@ def timed(path: Array, rates: Rates, spacing: float) -> Knots:
 
 
 def stopping(path: Array, rates: Rates) -> Knots:
-    """Return a path with times that rests at each of its way points, and so leaves it nowhere."""
+    """Return a path with times that rests at each way point, and so doesn't round its corners."""
     parts = [timed(np.array(ends), rates, math.inf) for ends in pairwise(path)]
     ends = np.cumsum([0.0, *(part.times[-1] for part in parts)])
     return Knots(
@@ -121,8 +120,8 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
 
 
 def slowed(knots: Knots, rates: Rates) -> Knots:
-    """Return knots that keep to the limits, also in between: where toppra or the cubic exceeds them, all is slower."""
-    inside = np.clip(knots.positions, rates.lower, rates.upper)  # the spline may go beyond, where it turns at a limit
+    """Return knots within the limits, also in between: all is slower if toppra or the cubic exceeds a limit."""
+    inside = np.clip(knots.positions, rates.lower, rates.upper)  # the spline may exceed a limit where it turns
     knots = Knots(knots.times, inside, np.where(inside == knots.positions, knots.velocities, 0.0))
     spans = np.diff(knots.times)[:, None]
     rows, speeds = (values @ rates.directions.T for values in (knots.positions, knots.velocities))
@@ -138,7 +137,7 @@ def slowed(knots: Knots, rates: Rates) -> Knots:
 
 
 def at(knots: Knots, times: Array) -> Array:
-    """Return positions (n, d) at times (n,) between the first and the last knot's."""
+    """Return positions (n, d) at times (n,) between the first and the last knot."""
     after = np.clip(np.searchsorted(knots.times, times, side="right"), 1, max(1, len(knots.times) - 1))
     if len(knots.times) == 1:
         return np.repeat(knots.positions, len(times), axis=0)
@@ -151,18 +150,18 @@ def at(knots: Knots, times: Array) -> Array:
 
 
 def split(knots: Knots, widths: Sequence[int]) -> list[Knots]:
-    """Return the knots of each of several bodies, whose columns follow each other."""
+    """Return the knots of several bodies, whose columns follow each other."""
     ends = np.cumsum(widths)[:-1]
     parts = zip(np.split(knots.positions, ends, axis=1), np.split(knots.velocities, ends, axis=1), strict=True)
     return [Knots(knots.times, positions, velocities) for positions, velocities in parts]
 
 
 class NoVelocityLimit(UserWarning):
-    """Joints of a robot have no velocity limit in its URDF: they move as fast as its description says, or a default."""
+    """A warning: joints have no velocity limit in the URDF, so the robot's description or a default limits them."""
 
 
 def joint_rates(body: Object, joints: Sequence[str]) -> Rates:
-    """Return the limits of some joints; warn once of a robot whose URDF has no velocities for them."""
+    """Return the limits of joints; warn once about a robot's joints without velocity limits."""
     limits = body.description.limits if body.description else _DEFAULTS
     velocities, accelerations, unlimited = [], [], []
     for name in joints:
@@ -182,7 +181,7 @@ def joint_rates(body: Object, joints: Sequence[str]) -> Rates:
 
 @cache
 def _warn(name: str, robot: str, joints: tuple[str, ...], limits: MotionLimits) -> None:
-    """Warn once in a process of joints of a robot."""
+    """Warn once in a process about joints of a robot."""
     text = (
         f"{name}: the URDF {robot!r} has no velocity limit for {', '.join(joints)}; they move with up to "
         f"{limits.turning_velocity:g} rad/s or {limits.sliding_velocity:g} m/s: a <limit velocity=...> there says "
@@ -192,7 +191,7 @@ def _warn(name: str, robot: str, joints: tuple[str, ...], limits: MotionLimits) 
 
 
 def base_rates(robot: Object) -> Rates:
-    """Return the limits of a base's x, y and heading: its speed is limited in eight directions, and so in all."""
+    """Return the limits of a base's x, y and heading. Its speed is limited in eight directions, and so in all."""
     limits = robot.description.limits if robot.description else _DEFAULTS
     half = math.sqrt(0.5)
     directions = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [half, half, 0.0], [half, -half, 0.0], [0.0, 0.0, 1.0]])
@@ -203,7 +202,7 @@ def base_rates(robot: Object) -> Rates:
 
 
 def stacked(parts: Sequence[Rates]) -> Rates:
-    """Return the limits of the columns of several bodies, one after the other."""
+    """Return the limits of several bodies, with their columns one after the other."""
     rows, columns = (sum(part.directions.shape[axis] for part in parts) for axis in (0, 1))
     directions = np.zeros((rows, columns))
     row = column = 0

@@ -1,7 +1,7 @@
-"""Questions to a world, on record: what was asked, the answer, and of choices what was considered and rejected.
+"""Questions to a world on record, with their answers and, for choices, the candidates that were rejected.
 
-The queries of :mod:`pycram.reasoning.queries` are such questions, and so is each choice of a process module: a grasp, a
-posture, where something is put down. While one is answered, its world's lock is held and the world refuses changes.
+Queries are questions (:mod:`pycram.reasoning.queries`), and so are the choices of process modules: of a grasp, of a
+posture, of a place for an object. While a question is answered, its world is locked and refuses changes.
 """
 
 from __future__ import annotations
@@ -22,36 +22,35 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.tracing.journal import Journal
 
-_MAX_GROUPS: Final = 8  # of candidates that are listed; the rest is counted
-_MAX_NAMES: Final = 4  # of the candidates of a group
+_MAX_GROUPS: Final = 8  # groups of candidates in a record; the other candidates are only counted
+_MAX_NAMES: Final = 4  # names of candidates in a group
 
 
 @dataclass(slots=True)
 class Question:
     """A question while it is answered."""
 
-    name: str  # what is asked for
-    arguments: Mapping[str, object]  # what about, by name
-    answer: object = None  # the answer
-    evidence: Mapping[str, object] = field(default_factory=dict)  # what it rests on
-    picture: records.Picture | None = None  # what the camera saw, if one was asked
-    considered: Choice | None = None  # what was considered for the answer, if it was one of several
-    steps: Mapping[Journal, int] = field(default_factory=dict)  # of its record in each recording, once it is answered
+    name: str  # of the query or of the choice
+    arguments: Mapping[str, object]  # by name
+    answer: object = None
+    evidence: Mapping[str, object] = field(default_factory=dict)  # facts behind the answer
+    picture: records.Picture | None = None  # the picture of the camera, if the query renders one
+    considered: Choice | None = None  # the candidates, if the question is a choice
+    steps: Mapping[Journal, int] = field(default_factory=dict)  # of the record in each recording
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
-        """Answer it in the block, with the world locked against changes; then it is on record, also if it failed.
+        """Answer the question in the block, with the world locked. Then the question is recorded, even after a failure.
 
         Args:
-            world: what it is about.
-            trace: whether a failure's traceback goes on record.
+            trace: whether the record has a failure's traceback.
 
         Raises:
-            WorldClosed: the world has ended.
+            WorldClosed: The world has ended.
         """
         with world.lock, self.recorded(lambda: (world.name, world.sim_step), trace=trace):
             transactions = world.transactions
-            outer, transactions.query = transactions.query, ""  # asked inside another question: that one is fine
+            outer, transactions.query = transactions.query, ""  # a question inside another question is allowed
             try:
                 transactions.check(f"ask {self.name}")
                 transactions.query = self.name
@@ -61,11 +60,11 @@ class Question:
 
     @contextmanager
     def recorded(self, where: Callable[[], tuple[str, int]], *, trace: bool = True) -> Iterator[None]:
-        """Answer it in the block; then it is on record, also if it failed, but not if it can't be asked (UsageError).
+        """Answer the question in the block. Then it is recorded, even after a failure, except after a UsageError.
 
         Args:
-            where: gives name and simulated steps of the world that the record names.
-            trace: whether a failure's traceback goes on record.
+            where: returns the world's name and its simulated steps for the record.
+            trace: whether the record has a failure's traceback.
         """
         start = time.perf_counter_ns()
         error: BaseException | None = None
@@ -96,37 +95,37 @@ class Question:
 
 
 class Choice(Question):
-    """A question whose answer is one of several candidates. A candidate has what was said last of it."""
+    """A choice among candidates. For each candidate the latest result counts."""
 
     __slots__ = ("_rejected", "chosen", "wanted")
 
     def __init__(self, name: str, arguments: Mapping[str, object], *, wanted: bool = True) -> None:
         super().__init__(name, arguments, considered=self)
-        self.wanted = wanted  # whether anybody will know of the candidates: reasons that cost time needn't be found
+        self.wanted = wanted  # whether the candidates are recorded; if not, no time is needed for reasons
         self._rejected: dict[str, tuple[Rejection, int]] = {}
-        self.chosen = ""  # name of the candidate that was taken
+        self.chosen = ""  # name of the chosen candidate
 
     def reject(self, candidate: str, reason: Rejection, count: int = 1) -> None:
-        """Say why a candidate won't do.
+        """Reject a candidate.
 
         Args:
             candidate: its name, as "front".
-            count: how many alike it stands for, as postures for one grasp.
+            count: of similar candidates that it stands for, as postures for one grasp.
         """
         if self.wanted:
             self._rejected[candidate] = reason, count
             self.chosen = "" if candidate == self.chosen else self.chosen
 
     def reasons(self) -> list[Rejection]:
-        """Return why candidates were rejected, in the order in which they were considered."""
+        """Return the reasons against candidates in the order of the rejections."""
         return [reason for reason, _ in self._rejected.values()]
 
     def take(self, candidate: str, answer: object = None, **evidence: object) -> None:
-        """Say which candidate it is.
+        """Choose a candidate.
 
         Args:
-            answer: the answer; its name by default.
-            evidence: what else is to be known of it.
+            answer: the candidate's name by default.
+            evidence: further facts about the candidate.
         """
         self._rejected.pop(candidate, None)
         self.chosen = candidate
@@ -134,10 +133,10 @@ class Choice(Question):
         self.evidence = evidence
 
     def add_candidates(self, record: records.Query) -> Mapping[str, int]:
-        """Put the candidates into a record: those rejected for the same reason as one, the chosen one last.
+        """Add the candidates to a record: rejected candidates grouped by reason, then the chosen candidate.
 
         Returns:
-            For each candidate that is in the record, which one it belongs to there.
+            For each candidate in the record, the number of its group.
         """
         numbers: dict[str, int] = {}
         groups: dict[object, list[tuple[Rejection, str, int]]] = {}
@@ -164,17 +163,17 @@ class Choice(Question):
 
 
 def considering() -> Choice:
-    """Return what collects the candidates for the answer of a query, which hands it on with that answer."""
+    """Return a choice that collects the candidates for a query's answer; the query returns it with the answer."""
     return Choice("", {}, wanted=journal.recording())
 
 
 UNRECORDED: Final = Choice("", {}, wanted=False)
-"""For reasoning that nobody asks for its candidates."""
+"""A choice for reasoning without a record of candidates."""
 
 
 @contextmanager
 def choosing(name: str, world: BulletWorld, /, **arguments: object) -> Iterator[Choice]:
-    """Choose something in the block, before the world is changed: one record, also if it fails.
+    """Choose a candidate in the block, before the world is changed. The choice is one record, even after a failure.
 
     For example::
 
@@ -184,13 +183,13 @@ def choosing(name: str, world: BulletWorld, /, **arguments: object) -> Iterator[
                     choice.reject(side, Misfit(width, opening))
             choice.take("front", position=position)
 
-    A failure has its traceback in the record of the task around it, and not in this one. Arguments that are None are
-    left out.
+    The traceback of a failure is in the record of the surrounding task, not in this record. Arguments that are None
+    are left out.
 
     Args:
-        name: what is chosen.
-        world: where; it refuses changes meanwhile.
-        arguments: what the choice is about.
+        name: of the choice.
+        world: is locked, and refuses changes.
+        arguments: of the choice.
     """
     given = {key: value for key, value in arguments.items() if value is not None}
     choice = Choice(name, given, wanted=journal.recording())

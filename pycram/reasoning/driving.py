@@ -1,4 +1,4 @@
-"""Where a base can drive: on its ground, and upright."""
+"""The ground of a base: a base drives on it, upright."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Quaternion
 
-_UNEVEN: Final = 0.05  # m between the ground here and there
+_UNEVEN: Final = 0.05  # m of height on the ground
 _TILT: Final = math.radians(2)
 
 
 def drives(robot: Object) -> bool:
-    """Return whether a robot's base drives; one without a description is taken to."""
+    """Return whether a robot's base drives; a robot without a description is assumed to drive."""
     return robot.description is None or robot.description.drives
 
 
 def check_drives(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
-    """Check that a robot's base drives at all.
+    """Check that a robot's base drives.
 
     Raises:
         NotDrivable: It is fixed.
@@ -34,10 +34,10 @@ def check_drives(robot: Object, target: Sequence[float], orientation: Quaternion
 
 
 def check_ground(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
-    """Check that a pose is on the ground that a robot stands on.
+    """Check that a pose is on the ground on which a robot stands.
 
     Raises:
-        NotDrivable: Its wheels would leave the ground, or it would lean over.
+        NotDrivable: The wheels would leave the ground, or the robot would lean over.
     """
     position, heading = robot.get_position_and_orientation()
     height = target[2] - position[2]

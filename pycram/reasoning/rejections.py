@@ -1,4 +1,4 @@
-"""Why a candidate is rejected: typed, with what is known of it; records have the type's name and the fields."""
+"""Reasons for rejecting candidates, as types with fields. A record has the type's name and the fields."""
 
 from __future__ import annotations
 
@@ -11,52 +11,52 @@ from pycram.foundation.failures import CollisionPair
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence
 
-_DIGITS: Final = 6  # decimals: these numbers explain, nothing is computed from them
+_DIGITS: Final = 6  # decimals; these numbers are only read, not used in computations
 _MAX_PAIRS: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """Why something won't do. Subclasses, also users', have what is known as fields."""
+    """The reason for a rejection. Subclasses, also in users' code, have the known facts as fields."""
 
     def data(self) -> Mapping[str, object]:
-        """Return its fields as records carry them."""
+        """Return the fields for a record."""
         return {each.name: short(getattr(self, each.name)) for each in fields(self)}
 
     def alike(self) -> Hashable:
-        """Return what candidates that are recorded together have in common, beside the type."""
+        """Return the property that candidates of one group share, besides the type of their reason."""
         return ()
 
     def miss(self) -> float:
-        """Return how much is missing: of those alike, the one that misses least is recorded."""
+        """Return the size of the miss; a group's record has the reason with the smallest one."""
         return 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class OutOfReach(Rejection):
-    """No posture gets there."""
+    """No posture reaches the target."""
 
-    distance: float | None  # m that the nearest stays away; None if that isn't known
-    turn: float = 0.0  # rad by which it is turned from there
+    distance: float | None  # m between the nearest posture and the target; None if unknown
+    turn: float = 0.0  # rad between the nearest posture and the target
 
     def miss(self) -> float:
-        """Return the distance, and the angle as if the tool were a metre long."""
+        """Return the distance plus the angle, for a tool of 1 m."""
         return math.inf if self.distance is None else self.distance + self.turn
 
 
 @dataclass(frozen=True, slots=True)
 class Touching(Rejection):
-    """Something would be touched."""
+    """A collision."""
 
-    pairs: Sequence[CollisionPair]  # the links that would meet, the first few
-    more: int = field(init=False)  # how many other pairs there are
+    pairs: Sequence[CollisionPair]  # the first few pairs of links that would touch
+    more: int = field(init=False)  # number of other pairs
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "more", max(0, len(self.pairs) - _MAX_PAIRS))
         object.__setattr__(self, "pairs", tuple(self.pairs[:_MAX_PAIRS]))
 
     def alike(self) -> Hashable:
-        """Return which links of which objects."""
+        """Return the touched links of objects."""
         return tuple((pair.body, pair.body_link) for pair in self.pairs)
 
     def miss(self) -> float:
@@ -66,22 +66,22 @@ class Touching(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Misfit(Rejection):
-    """It doesn't fit between the fingers."""
+    """The object doesn't fit between the fingers."""
 
-    width: float | None  # m between its sides there; None if there is nothing to take
-    least: float  # m of the narrowest that the fingers hold
-    most: float  # m of the widest
+    width: float | None  # m of the object between the fingers; None if there is nothing to grasp
+    least: float  # m of the narrowest object that the fingers hold
+    most: float  # m of the widest object that the fingers hold
 
     def miss(self) -> float:
-        """Return by how much, m."""
+        """Return the difference between the width and the limits, m."""
         return 0.0 if self.width is None else max(self.width - self.most, self.least - self.width)
 
 
 @dataclass(frozen=True, slots=True)
 class Uneven(Rejection):
-    """A suction cup doesn't close on it."""
+    """The suction cup doesn't close on the object."""
 
-    height: float | None  # m between the highest and the lowest point below the cup; None if there is nothing to take
+    height: float | None  # m between the highest and the lowest point below the cup; None if there is nothing to grasp
 
     def miss(self) -> float:
         """Return the height."""
@@ -90,9 +90,9 @@ class Uneven(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class NoRoom(Rejection):
-    """It can't stand there: something is there already, or nothing is below."""
+    """The place is taken, or has no support."""
 
-    reason: str  # which of them, in words
+    reason: str  # in words
 
     def alike(self) -> Hashable:
         """Return the reason."""
@@ -101,29 +101,29 @@ class NoRoom(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Slips(Rejection):
-    """The closed fingers don't hold it."""
+    """The closed fingers don't hold the object."""
 
-    sides: int  # on how many sides they would touch it
+    sides: int  # sides of the object that the fingers would touch
 
     def alike(self) -> Hashable:
-        """Return the sides."""
+        """Return the number of sides."""
         return self.sides
 
 
 @dataclass(frozen=True, slots=True)
 class Contorted(Rejection):
-    """The arm would have to change its posture on the way."""
+    """The arm would have to change its posture during the motion."""
 
-    value: float  # of the joint that is moved, rad or m, from which on
+    value: float  # of the moving joint where the posture would change, rad or m
 
 
 @dataclass(frozen=True, slots=True)
 class Unreached(Rejection):
-    """A search for a path didn't get there."""
+    """The search for a path didn't reach the goal."""
 
-    checks: int  # configurations that were checked
-    distance: float  # from the goal to the nearest configuration that was reached: rad, or m of a base
-    pairs: Sequence[CollisionPair] = ()  # the links that were in the way most often
+    checks: int  # number of checked configurations
+    distance: float  # between the goal and the nearest reached configuration: rad, or m for a base
+    pairs: Sequence[CollisionPair] = ()  # links that would touch most often
 
     def miss(self) -> float:
         """Return the distance."""
@@ -132,13 +132,13 @@ class Unreached(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Unseen(Rejection):
-    """Too little of it is seen."""
+    """Too little of the object is seen."""
 
-    share: float  # of it that is seen
-    hidden_by: Sequence[str] = ()  # names of what is before it
+    share: float  # of the object that is seen
+    hidden_by: Sequence[str] = ()  # names of the objects before it
 
     def alike(self) -> Hashable:
-        """Return what hides it."""
+        """Return the objects before it."""
         return tuple(self.hidden_by)
 
     def miss(self) -> float:
@@ -148,19 +148,19 @@ class Unseen(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Inferior(Rejection):
-    """It would do, but another one is better."""
+    """The candidate is good, but another one is better."""
 
-    by: str  # in which quantity
-    value: float  # of it
+    by: str  # name of the quantity
+    value: float  # of the quantity
 
     def alike(self) -> Hashable:
-        """Return the quantity."""
+        """Return the name of the quantity."""
         return self.by
 
 
 @dataclass(frozen=True, slots=True)
 class Untried(Rejection):
-    """It was not looked at: another one does, or nothing else would."""
+    """The candidate wasn't checked: another one is good, or all similar ones fail."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +175,7 @@ class Unfit(Rejection):
 
 
 def short(value: Any) -> object:
-    """Return a value for a record with numbers that are no longer than needed, and nothing that is empty."""
+    """Return a value for a record with rounded numbers, and without empty fields."""
     if isinstance(value, float):
         return round(value, _DIGITS)
     if isinstance(value, CollisionPair):

@@ -1,17 +1,21 @@
-"""Whether an object stays where it is when time runs (thesis 4.4.1).
+"""Stability: whether an object stays in place when time runs (thesis 4.4.1).
 
-The thesis simulates 2 s and compares positions to the millimetre. Solvers let things that lie still creep by that much,
-so that its own demo failed. Here an object is unstable if within 2 s it would move more than 1 cm or turn more than 5
-degrees: creep stays an order of magnitude below, a fall goes far beyond. The answer is certain earlier when the limit
-is passed, or when all that could matter has come to rest (slower than 2 mm/s and 0.02 rad/s, which could not add up to
-the limit in the time left, and not gaining speed) and stands firmly (:mod:`pycram.reasoning.queries.stability`).
+The thesis simulates 2 s and compares positions to the millimetre. But solvers let resting objects creep that far, so
+the thesis' own demo failed. Here an object is unstable if it moves more than 1 cm or turns more than 5 degrees within
+2 s. Creep is ten times slower; a fall goes far beyond. The answer is certain earlier in two cases: the limit is
+exceeded, or all relevant bodies are at rest and stand firmly. A body is at rest if it is slower than 2 mm/s and 0.02
+rad/s, which can't add up to the limit in the remaining time, and if its speed doesn't increase.
 
-A clone is simulated, never the world: PyBullet's saved states, even if restored at once, change the last bits of what
-contacts do next. A clone begins with contacts as they are found; the engine keeps some from step to step that it
-would not find again, and in disorderly piles one answer in 25 hangs on these, which no state holds. Simulated is
-whatever could get to the object within that time: nothing gets faster than by falling from the top of the highest thing
-that isn't fixed. Robots cost most of a step and hold their posture. They are simulated only if something free leans on
-one or is held together with the object; else they stay out, with what they hold.
+A body stands firmly if its center of mass, together with all bodies on it, is well within its support polygon. The
+polygon contains the points where its underside and the tops of its supports overlap, and the points between its
+contacts, as for a spoon in a bowl, if friction holds it. A ball never stands firmly: only time shows whether it rolls.
+
+A clone is simulated instead of the world, because even a restored saved state of PyBullet changes the last bits of
+later contacts. The clone starts with newly found contacts, although the engine keeps some old contacts that it
+wouldn't find again. In disorderly piles, one answer in 25 depends on these. All bodies are simulated that could reach
+the object in time: no body gets faster than by a fall from the top of the highest body that isn't fixed. Robots hold
+their posture, and take most of the time of a step. So a robot is simulated only if a free body leans on it or if it is
+attached to the object; otherwise it is left out with the objects that it holds.
 """
 
 from __future__ import annotations
@@ -51,24 +55,24 @@ HORIZON: Final = 2 * STEPS_PER_SECOND  # steps
 MOVED: Final = 0.01  # m
 TURNED: Final = math.radians(5)
 _PERIOD: Final = 6  # steps between samples of the speeds
-_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which to check whether all stands firmly: it takes time
-_LEANING: Final = 0.005  # m to a robot that count as leaning on it: half a millimetre of air, and some settling
-_CARRYING: Final = 0.3  # of a normal's length pointing up
-_FLAT: Final = 0.002  # m within which corners are of one level
-_FRICTION: Final = 0.8  # of friction's angle that a contact may slope
-_TILT: Final = math.radians(3)  # by which a firm body can be tilted before it tips
+_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which a slow check for firm standing is made
+_LEANING: Final = 0.005  # m to a robot that count as leaning: half a millimetre of air, and some settling
+_CARRYING: Final = 0.3  # vertical component of a normal from which on a contact carries
+_FLAT: Final = 0.002  # m of height between corners of one level
+_FRICTION: Final = 0.8  # share of the friction angle up to which a contact may slope
+_TILT: Final = math.radians(3)  # rad by which a firm body can be tilted before it falls
 
 
 @query
 def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
-    """Return whether an object stays where it is when time runs (thesis 4.4.1).
+    """Return whether an object stays in place when time runs (thesis 4.4.1).
 
     Args:
-        world: its world; only for calls as in the thesis.
+        world: only for calls as in the thesis.
 
     Returns:
-        False if it would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence says how far (m) and
-        by how much (rad) it moved, after how many steps, in how many that were simulated.
+        False if the object would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence has the
+        motion in m and rad, the number of steps after which it was known, and the number of simulated steps.
     """
     if object.fixed:
         return Verdict(True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0})
@@ -80,7 +84,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     free = [body for body in bodies if not body.fixed]
     on_their_own = [body for body in free if not attachment.root_of(body).fixed]
     standing = [copies[body.name] for body in on_their_own]
-    attached = any(body.attachments for body in on_their_own)  # who carries whom there, contacts don't say
+    attached = any(body.attachments for body in on_their_own)  # contacts don't tell attachments
 
     of = {body.id: world.get_object(name) for name, body in copies.items()}
     parts = {placed.body.id: (world.get_object(name), placed) for name, each in furniture.items() for placed in each}
@@ -101,7 +105,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
 
 
 def _participants(body: Object) -> list[Object]:
-    """Return all that can make an object move before the time is up, and itself."""
+    """Return the object, and all bodies that can make it move in time."""
     world = body.world
     robots = {other for other in world.objects if other.is_robot and other is not body}
     holders = {other: holder for other in world.objects if (holder := _holder(other)) is not None}
@@ -124,18 +128,18 @@ def _participants(body: Object) -> list[Object]:
 
 
 def _bounds(body: Object) -> Box:
-    """Return the box around an object; furniture has many links, but moves seldom."""
+    """Return the bounds of an object; cached for furniture, which has many links and seldom moves."""
     return clone_of(body.world, "physics").cached(body, "bounds", body.get_AABB) if body.fixed else body.get_AABB()
 
 
 def _holder(body: Object) -> Object | None:
-    """Return the robot that holds an object, directly or through other things."""
-    root = attachment.root_of(body)  # nothing carries a robot
+    """Return the robot that holds an object, also indirectly."""
+    root = attachment.root_of(body)  # a robot is always its own root
     return root if root.is_robot and root is not body else None
 
 
 def _reach(body: Object, free: Mapping[Object, Box]) -> float:
-    """Return how far anything could get in time, m, at the speed of the fastest and of a fall to the object's foot."""
+    """Return the distance in m that any body can cover in time, at the greatest speed plus a fall's to the foot."""
     world = body.world
     strength = math.hypot(*world.gravity)
     down = [part / strength for part in world.gravity] if strength else [0.0, 0.0, 0.0]
@@ -153,16 +157,16 @@ def _reach(body: Object, free: Mapping[Object, Box]) -> float:
 
 
 def _gap(a: Box, b: Box) -> float:
-    """Return the distance of two boxes, m."""
+    """Return the distance between two boxes, m."""
     return math.hypot(
         *(max(0.0, low_a - high_b, low_b - high_a) for low_a, high_a, low_b, high_b in zip(*a, *b, strict=True))
     )
 
 
 def _simulate(engine: Engine, body: Body, movable: Sequence[Body], firm: Callable[[], bool]) -> Verdict:
-    """Simulate until the answer is certain; ``firm`` says whether all that is at rest stands firmly."""
+    """Simulate until the answer is certain; ``firm`` tells whether all bodies at rest stand firmly."""
     start = engine.pose(body)
-    speeds: list[list[float]] = []  # at each sample those of all, as shares of what is slow
+    speeds: list[list[float]] = []  # for each sample the speeds of all bodies, as multiples of the speed of rest
     steps = 0
     moved = turned = 0.0
     while steps < HORIZON:
@@ -190,7 +194,6 @@ class Solid:
     """A body with its collision shapes.
 
     Args:
-        engine: where it is.
         model: its canonical URDF.
     """
 
@@ -200,11 +203,11 @@ class Solid:
         self._names = {index: link for link, index in body.links.items()}
 
     def link(self, contact: Contact) -> str:
-        """Return the link of it that carries another body at a contact of that one."""
+        """Return the link of this body that carries another body at a contact of the other body."""
         return self._names[contact.other_link]
 
     def corners(self, link: str | None = None) -> Points:
-        """Return corners (n, 3) in the world of its collision shapes, or of those of a link."""
+        """Return corners (n, 3) in the world of the body's collision shapes, or of the shapes of a link."""
         chosen = [i for i, name in enumerate(self._shapes.links) if link in {None, name}]
         if not chosen:
             return np.zeros((0, 3))
@@ -215,10 +218,10 @@ class Solid:
 
 
 class SolidPart(Solid):
-    """A rigid part of furniture, whose links the engine doesn't tell from each other.
+    """A rigid part of furniture. The engine doesn't distinguish the links in it.
 
     Args:
-        furniture: the object that it is of, in its world, where it is as in the clone.
+        furniture: the object with the part, in the same state in its world and in the clone.
     """
 
     def __init__(self, furniture: Object, placed: PlacedPart) -> None:
@@ -232,7 +235,7 @@ class SolidPart(Solid):
         self._turns = geometry.to_matrices(orientations)
 
     def link(self, contact: Contact) -> str:
-        """Return the link whose box is nearest to a contact, of several around it the smallest."""
+        """Return the link with the box nearest to a contact; of several boxes around it the smallest."""
         within = np.einsum("kji,kj->ki", self._turns, contact.position - self._positions)
         beyond = np.maximum(np.maximum(self._low - within, within - self._high), 0.0)
         distances = np.maximum((beyond**2).sum(axis=1), _FLAT**2)
@@ -243,13 +246,13 @@ def stands_firmly(engine: Engine, solid_of: Callable[[int], Solid], standing: Se
     """Return whether bodies stand firmly.
 
     Args:
-        engine: where they have just been simulated.
-        solid_of: returns any body that is there by its id.
-        standing: the bodies in question; all others carry without giving way.
+        engine: has just simulated the bodies.
+        solid_of: returns a body in the engine by its id.
+        standing: the bodies in question; all other bodies are immovable supports.
         gravity: m/s^2.
 
     Returns:
-        False also where this can't be decided.
+        False also if it can't be decided.
     """
     strength = math.hypot(*gravity)
     if not strength:
@@ -279,7 +282,7 @@ def stands_firmly(engine: Engine, solid_of: Callable[[int], Solid], standing: Se
 def _carriers(
     engine: Engine, body: Body, solid_of: Callable[[int], Solid], up: Points
 ) -> dict[tuple[int, str], list[Contact]]:
-    """Return what carries a body: ids and links, and where."""
+    """Return the supports of a body: ids, links and contacts."""
     found: dict[tuple[int, str], list[Contact]] = {}
     for contact in engine.contacts(body):
         if np.dot(contact.normal, up) > _CARRYING:
@@ -288,7 +291,7 @@ def _carriers(
 
 
 def _above(number: int, loads: Mapping[int, Iterable[int]]) -> set[int]:
-    """Return a body and all that rest on it, directly or through others."""
+    """Return a body, and all bodies on it, also indirectly."""
     found, queue = {number}, [number]
     while queue:
         for other in loads[queue.pop()]:
@@ -301,12 +304,12 @@ def _above(number: int, loads: Mapping[int, Iterable[int]]) -> set[int]:
 def _support(
     engine: Engine, body: Body, underside: Points, tops: Iterable[tuple[Points, Sequence[Contact]]], level: Points
 ) -> Points:
-    """Return points (n, 3) on which a body stands, in the levelled frame; their hull is the support polygon.
+    """Return points (n, 3) of a body's supports in the levelled frame; their hull is the support polygon.
 
     Args:
-        engine: where it stands.
-        underside: (n, 3) its corners in the levelled frame, m.
-        tops: (n, 3) corners of what carries it, and the contacts there.
+        engine: has the body.
+        underside: (n, 3) the body's corners in the levelled frame, m.
+        tops: for each support its corners (n, 3), and the contacts with it.
         level: (3, 3) axes of the levelled frame in the world.
     """
     parts = []
@@ -324,7 +327,7 @@ def _support(
 
 
 def _holds(engine: Engine, body: Body, contact: Contact, up: Points) -> bool:
-    """Return whether a contact carries, and is flat enough for friction to hold it."""
+    """Return whether a contact carries the body, and is level enough for friction to hold it."""
     friction = engine.friction(body.id, contact.link) * engine.friction(contact.other, contact.other_link)
     slope = math.acos(min(1.0, float(np.dot(contact.normal, up))))
     return contact.force > 0.0 and slope < _FRICTION * math.atan(friction)
