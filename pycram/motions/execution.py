@@ -366,7 +366,7 @@ def _now(robot: Object, joints: Iterable[str]) -> dict[str, float]:
     return {name: min(max(lower, now[name]), upper) for name, (lower, upper) in limits.items()}
 
 
-def _following(robot: Object, plan: Callable[[], planning.Planned]) -> Step:
+def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Step:
     """Return what follows a plan, made now, and anew if what moves stands elsewhere when its turn has come.
 
     If the robot's other parts would cross its way, it waits until they have passed.
@@ -416,7 +416,7 @@ def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:
     _follow(world, [(body, each) for (body, _), each in zip(paths, planned, strict=True)])
 
 
-def _follow(world: BulletWorld, motions: Sequence[tuple[Object, planning.Planned]]) -> None:
+def _follow(world: BulletWorld, motions: Sequence[tuple[Object, planning.PlannedMotion]]) -> None:
     """Follow what was planned, together, if all still stand where it begins."""
     for body, planned in motions:
         displaced = _displacement(body, planned)
@@ -425,7 +425,7 @@ def _follow(world: BulletWorld, motions: Sequence[tuple[Object, planning.Planned
     driving.follow(world, motions)
 
 
-def _displacement(body: Object, planned: planning.Planned) -> tuple[str, float, float] | None:
+def _displacement(body: Object, planned: planning.PlannedMotion) -> tuple[str, float, float] | None:
     with body.world.lock:
         return driving.displacement(body, planned.trajectory)
 

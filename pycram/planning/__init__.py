@@ -11,4 +11,4 @@ from pycram.planning.motions import (
     through as through,
     together as together,
 )
-from pycram.planning.path import Planned as Planned
+from pycram.planning.path import PlannedMotion as PlannedMotion

@@ -10,7 +10,7 @@ import numpy as np
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, InCollision, PostureInCollision, Unreachable
 from pycram.planning import path, timing
-from pycram.planning.path import Planned, given, search_record, trajectory_of
+from pycram.planning.path import PlannedMotion, given, search_record, trajectory_of
 from pycram.planning.space import MARGIN, Clearance, Space, nearest_turns
 from pycram.planning.timing import base_rates, joint_rates, stacked
 from pycram.reasoning.choosing import choosing
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.planning.path import Path
     from pycram.planning.timing import Rates
-    from pycram.reasoning.collision.checker import Candidate
+    from pycram.reasoning.collision.checker import PostureCandidate
     from pycram.world.object import Object
     from recorder.geometry import Pose, PoseLike
 
@@ -58,7 +58,7 @@ def joint_motion(
     ignored: Iterable[Object] = (),
     ignored_links: Collection[tuple[Object, str]] = (),
     seed: int | None = None,
-) -> Planned:
+) -> PlannedMotion:
     """Return a motion of joints to a goal without new collisions: the robot touches only what it touches at the start.
 
     Held objects move along. Joints without limits go to the nearest equivalent angle. The choice between the straight
@@ -87,7 +87,7 @@ def joint_motion(
         names = dict.fromkeys((*wanted, *others))
         with CollisionChecker(robot, names, ignored, ignored_links=ignored_links, margin=MARGIN) as checker:
 
-            def predict(rows: Array) -> list[Candidate]:
+            def predict(rows: Array) -> list[PostureCandidate]:
                 return checker.predict([moved.posture(row) for row in rows])
 
             moved.kept |= others
@@ -101,7 +101,7 @@ def joint_motion(
             return _planned(robot, moved, found, clearance.checks)
 
 
-def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> Planned:
+def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> PlannedMotion:
     """Return the motion of all moving joints on a path, including joints that mimic others."""
     way_points = moved.with_followers(found.way_points)
     knots = found.knots
@@ -110,7 +110,7 @@ def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> Planned:
         positions = moved.with_followers(knots.positions)
         velocities = np.hstack([knots.velocities, knots.velocities @ moved.slopes])
         knots = timing.slowed(timing.Knots(knots.times, positions, velocities), rates)
-    return Planned(trajectory_of(moved.joints, knots), search_record(found, checks, way_points))
+    return PlannedMotion(trajectory_of(moved.joints, knots), search_record(found, checks, way_points))
 
 
 class _Moved:
@@ -183,12 +183,12 @@ def _turned(robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]
     return dict(zip(wanted, nearest_turns(start, goal, lower, upper).tolist(), strict=True))
 
 
-def through(body: Object, way_points: Sequence[Mapping[str, float]]) -> Planned:
+def through(body: Object, way_points: Sequence[Mapping[str, float]]) -> PlannedMotion:
     """Return the fastest motion of a body's joints along a given path; see :func:`together`."""
     return together([(body, way_points)])[0]
 
 
-def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> list[Planned]:
+def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> list[PlannedMotion]:
     """Return the fastest motions of several bodies, as an arm and a drawer, that reach their way points together.
 
     Collisions aren't checked. Corners between distant way points are rounded by up to 0.04 rad.
@@ -257,7 +257,8 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
         share = number / count
         goals, turns = (tool[:3, 3] + share * way)[None], (_rotation(share * turn) @ tool[:3, :3])[None]
         found, reached = descend(chain, posture[None], goals, turns, np.zeros(1, dtype=np.intp), stop_early=True)
-        moved = _turned_by(found[0] - posture, chain)
+        change = found[0] - posture
+        moved = np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)  # less than half a turn
         left = float(np.linalg.norm(way)) * (1 - (number - 1) / count)
         if not reached[0]:
             raise Unreachable(arm.name, position, left, "that is as far as it gets on a straight line")
@@ -266,11 +267,6 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
         posture = posture + moved
         postures.append(begin | dict(zip(arm.joints, posture.tolist(), strict=True)))
     return postures
-
-
-def _turned_by(change: np.ndarray, chain: Chain) -> np.ndarray:
-    """Return the change (joints,) of a posture, with less than half a turn for joints without limits."""
-    return np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
@@ -288,7 +284,7 @@ def base_motion(
     *,
     start: tuple[Sequence[float], Sequence[float]] | None = None,
     seed: int | None = None,
-) -> Planned:
+) -> PlannedMotion:
     """Return a motion of a robot's base to a pose without new collisions: it touches only what it touches at the start.
 
     All links of the robot in its present posture are checked, with the held objects. Height and lean are constant; x,
@@ -317,7 +313,7 @@ def base_motion(
         end = nearest_turns(begin, end, np.array([np.inf, np.inf, -np.inf]), np.full(3, np.inf))
         with CollisionChecker(robot, (), all_links=True, margin=MARGIN) as checker:
 
-            def predict(rows: Array) -> list[Candidate]:
+            def predict(rows: Array) -> list[PostureCandidate]:
                 return checker.predict_at([frame.pose(row) for row in rows.tolist()])
 
             clearance = Clearance(checker, predict, begin, end)
@@ -327,7 +323,7 @@ def base_motion(
             space, wider = (_space(begin, end, room) for room in (_ROOM, _WIDER))
             query = path.Query("base", BASE_COORDINATES, space, begin, end, base_rates(robot), seed, wider)
             found = path.find(query, clearance, choice)
-    return Planned(trajectory_of((), found.knots), search_record(found, clearance.checks, found.way_points))
+    return PlannedMotion(trajectory_of((), found.knots), search_record(found, clearance.checks, found.way_points))
 
 
 def _space(begin: Array, end: Array, room: float) -> Space:

@@ -144,7 +144,7 @@ def _looked_at(query: Query, knots: Knots, fine: float) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Planned:
+class PlannedMotion:
     """A trajectory for a body, and the search for its path."""
 
     trajectory: Trajectory
@@ -174,7 +174,7 @@ def search_record(found: Path, checks: int, way_points: Array) -> records.PathSe
     )
 
 
-def given(joints: Sequence[str], knots: Knots, way_points: Array) -> Planned:
+def given(joints: Sequence[str], knots: Knots, way_points: Array) -> PlannedMotion:
     """Return a trajectory along a given path, without a search."""
     search = records.PathSearch(planner="given", way_points=way_points.ravel().tolist())
-    return Planned(trajectory_of(joints, knots), search)
+    return PlannedMotion(trajectory_of(joints, knots), search)

@@ -18,7 +18,7 @@ with needed("executor"):
     from ompl import base, geometric, util
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
@@ -52,8 +52,7 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
         try:
             return self._check(_row(a, self._range), _row(b, self._range))
         except BaseException as error:  # noqa: BLE001  raised again when OMPL has returned
-            # a Ctrl-C's traceback would keep OMPL's objects until the process exits, and OMPL would print a warning
-            # then
+            # a Ctrl-C's traceback would keep OMPL's objects until the process exits, when OMPL would print a warning
             self.error = error if isinstance(error, Exception) else error.with_traceback(None)
             return False
 
@@ -160,13 +159,8 @@ def _nearest(information: Any, planner: Any, space: Space, goal: Array) -> Array
     """Return the configuration nearest to the goal in the tree from the start."""
     data = base.PlannerData(information)
     planner.getPlannerData(data)
-    rows = np.array(list(_from_start(data, len(goal)))) / space.weights
+    vertices = map(data.getVertex, range(data.numVertices()))
+    reached = [_row(each.getState(), range(len(goal))) for each in vertices if each.getTag() == _START_TREE]
+    rows = np.array(reached) / space.weights
     nearest: Array = rows[int(np.argmin(space.distance(rows, goal)))]
     return nearest
-
-
-def _from_start(data: Any, dimensions: int) -> Iterator[Array]:
-    for number in range(data.numVertices()):
-        vertex = data.getVertex(number)
-        if vertex.getTag() == _START_TREE:
-            yield _row(vertex.getState(), range(dimensions))

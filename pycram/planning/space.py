@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.foundation.failures import CollisionPair
-    from pycram.reasoning.collision.checker import Candidate, CollisionChecker, Pair
+    from pycram.reasoning.collision.checker import CollisionChecker, Pair, PostureCandidate
 
     Array = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ class Clearance:
     """
 
     def __init__(
-        self, checker: CollisionChecker, predict: Callable[[Array], list[Candidate]], start: Array, goal: Array
+        self, checker: CollisionChecker, predict: Callable[[Array], list[PostureCandidate]], start: Array, goal: Array
     ) -> None:
         self._checker = checker
         self._predict = predict
@@ -143,7 +143,7 @@ class Clearance:
                     yield pair, depth
                     break
 
-    def _candidates(self, rows: Array) -> list[tuple[Candidate, list[Pair]]]:
+    def _candidates(self, rows: Array) -> list[tuple[PostureCandidate, list[Pair]]]:
         """Return candidates for configurations (n, d), with the pairs that could touch in each."""
         self.checks += len(rows)
         candidates = self._predict(rows)

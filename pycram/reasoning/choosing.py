@@ -70,7 +70,7 @@ class Question:
         error: BaseException | None = None
         try:
             yield
-        except BaseException as raised:
+        except BaseException as raised:  # the record has any reason, also Ctrl-C
             error = raised
             raise
         finally:

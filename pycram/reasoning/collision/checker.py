@@ -47,7 +47,7 @@ class Collision(TypedDict):
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class PostureCandidate:
     """A posture, and the links that could touch in it."""
 
     positions: Mapping[str, float]  # joint values in rad or m by name; other joints keep their values
@@ -114,7 +114,7 @@ class CollisionChecker:
         self._other_owners = list(itertools.compress(owners, counted))
         self._copies: dict[tuple[Object, str], Body] = {}  # checked bodies by object and link
         self._base = links.base_pose  # of the clone's robot, as it was placed last
-        self._placed: Candidate | None = None
+        self._placed: PostureCandidate | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -125,7 +125,7 @@ class CollisionChecker:
         if self._placed is not None:
             self._clone.invalidate(self.robot.name, *(body.name for body in self._link_of))
 
-    def predict(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[Candidate]:
+    def predict(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[PostureCandidate]:
         """Return candidates for postures, all together.
 
         Args:
@@ -136,7 +136,7 @@ class CollisionChecker:
         moved = transforms if base is None else self._carried([base]) @ transforms
         return self._overlapping(postures, [base] * len(postures), transforms, moved)
 
-    def predict_at(self, bases: Sequence[Pose]) -> list[Candidate]:
+    def predict_at(self, bases: Sequence[Pose]) -> list[PostureCandidate]:
         """Return candidates for the present posture with the robot's base at poses, all together."""
         if not bases:
             return []
@@ -151,7 +151,7 @@ class CollisionChecker:
         placed[:, 3, 3] = 1.0
         return placed @ geometry.pose_matrix(geometry.invert(self._links.base_pose))
 
-    def boxes(self, candidate: Candidate) -> Boxes:
+    def boxes(self, candidate: PostureCandidate) -> Boxes:
         """Return the boxes around the robot's checked links in a candidate, with the base at its present pose.
 
         Held objects are left out.
@@ -167,17 +167,17 @@ class CollisionChecker:
         bases: Sequence[Pose | None],
         transforms: NDArray[np.float64],
         moved: NDArray[np.float64],
-    ) -> list[Candidate]:
+    ) -> list[PostureCandidate]:
         """Return candidates for transforms by the joints, and for transforms (n, joints + 1, 4, 4) with the base."""
         centers, axes = self._links.boxes.moved(moved[:, self._links.drivers])
         posture, box, other = overlaps(centers, axes, self._links.boxes.half_extents, self._other_boxes)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
         return [
-            Candidate(positions, base, (box[start:end], other[start:end]), each)
+            PostureCandidate(positions, base, (box[start:end], other[start:end]), each)
             for positions, base, (start, end), each in zip(postures, bases, ends, transforms, strict=True)
         ]
 
-    def pairs(self, candidate: Candidate) -> Sequence[Pair]:
+    def pairs(self, candidate: PostureCandidate) -> Sequence[Pair]:
         """Return the pairs of links in overlapping boxes, each pair once, without pairs of the robot's own links.
 
         The first pair of each object comes first, then the second pairs, and so on: it is more important which objects
@@ -202,7 +202,7 @@ class CollisionChecker:
         return candidate.pairs
 
     def collisions(
-        self, candidate: Candidate, links: Collection[str] | None = None
+        self, candidate: PostureCandidate, links: Collection[str] | None = None
     ) -> Iterator[tuple[Pair, list[ClosestPoint]]]:
         """Check the pairs of a candidate one after the other; results are cached.
 
@@ -223,7 +223,7 @@ class CollisionChecker:
             if touches:
                 yield pair, touches
 
-    def touched(self, candidate: Candidate) -> dict[Object, Collision]:
+    def touched(self, candidate: PostureCandidate) -> dict[Object, Collision]:
         """Return the collisions of a robot in a candidate, deepest first."""
         found: dict[Object, list[tuple[Pair, float]]] = {}
         for pair, touches in self.collisions(candidate):
@@ -239,7 +239,7 @@ class CollisionChecker:
             )
         return dict(sorted(collisions.items(), key=lambda item: (-item[1]["depth"], item[0].name)))
 
-    def in_the_way(self, candidate: Candidate, own_pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
+    def in_the_way(self, candidate: PostureCandidate, own_pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
         """Return the collisions in a candidate: the deepest for each object, and pairs of the robot's own links.
 
         Args:
@@ -248,7 +248,7 @@ class CollisionChecker:
         touched = [collision["pair"] for collision in self.touched(candidate).values()]
         return touched + self.self_collisions(candidate, own_pairs)
 
-    def known(self, candidate: Candidate) -> list[CollisionPair]:
+    def known(self, candidate: PostureCandidate) -> list[CollisionPair]:
         """Return the pairs that have been checked and collide, deepest first."""
         depths = {
             pair: max((-touch.distance for touch in touches), default=0.0)
@@ -257,7 +257,7 @@ class CollisionChecker:
         found = [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
         return sorted(found, key=lambda pair: -pair.depth)
 
-    def self_collisions(self, candidate: Candidate, pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
+    def self_collisions(self, candidate: PostureCandidate, pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
         """Return the colliding pairs of the robot's own links, or of held objects; neighbours are left out.
 
         Args:
@@ -268,14 +268,14 @@ class CollisionChecker:
         depths = {pair: self.depth(candidate, pair) for pair in pairs}
         return [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
 
-    def self_pairs(self, candidates: Sequence[Candidate]) -> list[list[Pair]]:
+    def self_pairs(self, candidates: Sequence[PostureCandidate]) -> list[list[Pair]]:
         """Return for each candidate the pairs of own links and held objects, not neighbours, with overlapping boxes."""
         if not candidates:
             return []
         found = self._links.self_overlaps(np.array([candidate.transforms for candidate in candidates]))
         return [[(self._own[a], link, self._own[b], other) for (a, link), (b, other) in each] for each in found]
 
-    def depth(self, candidate: Candidate, pair: Pair) -> float:
+    def depth(self, candidate: PostureCandidate, pair: Pair) -> float:
         """Return the overlap in m of two links in a candidate; wheels don't overlap their floor.
 
         It is negative for links with a distance, down to the margin.
@@ -305,7 +305,7 @@ class CollisionChecker:
             gripper = arm.name if arm else self._link_of[mover]
         return CollisionPair(mover.name, link_name(mover, link), body.name, link_name(body, other), depth, gripper)
 
-    def _touches(self, candidate: Candidate, pair: Pair) -> list[ClosestPoint]:
+    def _touches(self, candidate: PostureCandidate, pair: Pair) -> list[ClosestPoint]:
         """Return the contact points of two links; only this moves the clone's robot."""
         touches = candidate.touches.get(pair)
         if touches is None:
@@ -324,12 +324,12 @@ class CollisionChecker:
             self._copies[body, link] = copy
         return copy
 
-    def closest_points(self, candidate: Candidate, other: Body) -> list[ClosestPoint]:
+    def closest_points(self, candidate: PostureCandidate, other: Body) -> list[ClosestPoint]:
         """Return the contact points of the whole robot in a candidate with a body in the clone."""
         self._place(candidate)
         return self._clone.engine.closest_points(self._clone.body(self.robot.name), other)
 
-    def _place(self, candidate: Candidate) -> None:
+    def _place(self, candidate: PostureCandidate) -> None:
         """Move the clone's robot and its held objects into the posture of a candidate."""
         if candidate is self._placed:
             return

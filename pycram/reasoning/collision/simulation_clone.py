@@ -210,7 +210,10 @@ class PhysicsClone(SimulationClone):
             The bodies of undivided objects, and the parts of the others, both by the objects' names.
         """
         wanted = list(bodies)
-        self._release()
+        for constraint, carrier, link, held, robot in self._held:
+            self.engine.unfix(constraint)
+            self.engine.pass_through(carrier, link, held, robot=robot, enable=False)
+        self._held.clear()
         if self._gravity != self.world.gravity:
             self.engine.set_gravity(self.world.gravity)
             self._gravity = self.world.gravity
@@ -274,12 +277,6 @@ class PhysicsClone(SimulationClone):
         robot = held.carrier.is_robot
         self.engine.pass_through(carrier, held.carrier_link, body, robot=robot, enable=True)
         self._held.append((constraint, carrier, held.carrier_link, body, robot))
-
-    def _release(self) -> None:
-        for constraint, carrier, link, body, robot in self._held:
-            self.engine.unfix(constraint)
-            self.engine.pass_through(carrier, link, body, robot=robot, enable=False)
-        self._held.clear()
 
 
 def _divides(body: Object) -> bool:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from pycram.models.robots.gripper import Gripper
     from pycram.physics.body import Body
     from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.collision.checker import Candidate, Pair
+    from pycram.reasoning.collision.checker import Pair, PostureCandidate
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
@@ -314,7 +314,8 @@ class _Search:
         checked: set[tuple[int, int]] = set()  # nodes; paths have most nodes in common
         for _ in range(_MAX_QUICK_PATHS if self._quick else _MAX_PATHS):
             nodes = self._cheapest(layers, edges, free)
-            postures = [self._posture(layers[step].joints[node]) for step, node in enumerate(nodes)]
+            rows = (layers[step].joints[node].tolist() for step, node in enumerate(nodes))
+            postures = [dict(zip(self._arm.joints, row, strict=True)) | self._kept for row in rows]
             unchecked = [step for step, node in enumerate(nodes) if (step, node) not in checked]
             checked.update((step, nodes[step]) for step in unchecked)
             touching = False
@@ -337,19 +338,15 @@ class _Search:
 
     def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
         """Return the nodes with the same links at the same pose: all nodes for links of the body, many for the hand."""
-        if any(self._links.isdisjoint(self._own_links(pair)) for pair in pairs):
+        robot = self._robot.name
+        own = ([pair.link, pair.body_link] if pair.body == robot else [pair.link] for pair in pairs)
+        if any(self._links.isdisjoint(links) for links in own):
             alike: Sequence[int] = range(len(layer.angles))
         elif any(pair.link in self._hand for pair in pairs):
             alike = np.flatnonzero(layer.angles == layer.angles[node]).tolist()
         else:
             alike = [node]
         return alike
-
-    def _own_links(self, pair: CollisionPair) -> list[str]:
-        return [pair.link, pair.body_link] if pair.body == self._robot.name else [pair.link]
-
-    def _posture(self, joints: Array) -> dict[str, float]:
-        return dict(zip(self._arm.joints, joints.tolist(), strict=True)) | self._kept
 
     def _rigid(self, grip: Grip) -> list[_Layer]:
         """Return layers with the gripper from the front; each search starts from the posture before."""
@@ -427,7 +424,7 @@ class _Search:
         wrapped = (change + math.pi) % (2 * math.pi) - math.pi
         return np.where(self._endless, wrapped, change)
 
-    def _touching(self, candidate: Candidate, own_pairs: Sequence[Pair], value: float) -> list[CollisionPair]:
+    def _touching(self, candidate: PostureCandidate, own_pairs: Sequence[Pair], value: float) -> list[CollisionPair]:
         """Return the links that would touch at a value of the joint, also of the door or drawer and its contents.
 
         Args:

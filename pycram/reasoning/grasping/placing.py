@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pycram.foundation.failures import NoPath
     from pycram.models.robots.description import Arm
     from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.collision.checker import Candidate
+    from pycram.reasoning.collision.checker import PostureCandidate
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
 
@@ -242,7 +242,7 @@ def placements(
                 refusals.pairs.setdefault(pair.body, pair)
 
 
-def _pressed(checker: CollisionChecker, candidate: Candidate, arm: Arm, body: Object) -> list[CollisionPair]:
+def _pressed(checker: CollisionChecker, candidate: PostureCandidate, arm: Arm, body: Object) -> list[CollisionPair]:
     """Return the links of the arm, except the hand's, that would push the released object: a wrist may overlap it.
 
     While the arm holds the object, such overlaps are allowed, as between neighbouring links.

@@ -104,7 +104,11 @@ def free_places(
         NoPlace: There is no place; raised at the first request.
     """
     body, robot = unwrap(body), unwrap(reachable_for)
-    surfaces = [_surface(unwrap(furniture), surface) for furniture, surface in on]
+    surfaces = []
+    for each, surface in on:
+        furniture = unwrap(each)
+        world_of(furniture)
+        surfaces.append((furniture, surface if isinstance(surface, Surface) else furniture.surface(surface)))
     if not surfaces:
         raise BadArgument("on", on, "at least one surface with its furniture")
     name, reference = (side, None) if side is None or isinstance(side, str) else (side[0], unwrap(side[1]))
@@ -120,12 +124,6 @@ def free_places(
     off = None if away is None else checks.vector("away", (*away, 0.0) if len(away) == 2 else away)
     turn = None if orientation is None else checks.quaternion("orientation", orientation)
     return SurfaceSearch(body, surfaces, point, (name, reference), turn, robot, chosen, off, seed).places()
-
-
-def _surface(furniture: Object, surface: Surface | str) -> tuple[Object, Surface]:
-    """Return a surface, which may be given by name, with its furniture."""
-    world_of(furniture)
-    return furniture, surface if isinstance(surface, Surface) else furniture.surface(surface)
 
 
 @dataclass(slots=True)
@@ -311,9 +309,9 @@ class SurfaceSearch(Search):
         assert robot is not None  # noqa: S101  the caller has checked
         (x, y, height), here = grid.origin, robot.get_position()
         low, high = (x, y), (x + grid.shape[1] * grid.resolution, y + grid.shape[0] * grid.resolution)
+        lift = float(np.ptp(self._corners[:, 2])) / 2  # m; an object is grasped roughly at half of its height
         shoulders = [
-            (arm_reach(robot, arm), height + self._lift() - robot.get_link_position(arm.base_link)[2])
-            for arm in self._arms
+            (arm_reach(robot, arm), height + lift - robot.get_link_position(arm.base_link)[2]) for arm in self._arms
         ]
         if drives(robot):
             radius = max(reach.radius for reach, _ in shoulders)
@@ -333,10 +331,6 @@ class SurfaceSearch(Search):
         column, row = ((grid.centers() - low) / coarse.resolution).astype(np.intp).T
         spread_out: Array = best.reshape(coarse.shape)[row, column]
         return spread_out
-
-    def _lift(self) -> float:
-        """Return roughly the height above its support at which an object is grasped: half of its own height, m."""
-        return float(np.ptp(self._corners[:, 2])) / 2
 
     # --- checks: one place after the other ---------------------------------------------------------------------------
 

@@ -108,8 +108,13 @@ def _participants(body: Object) -> list[Object]:
     """Return the object, and all bodies that can make it move in time."""
     world = body.world
     robots = {other for other in world.objects if other.is_robot and other is not body}
-    holders = {other: holder for other in world.objects if (holder := _holder(other)) is not None}
-    boxes = {other: _bounds(other) for other in world.objects if other not in robots}
+    roots = {other: attachment.root_of(other) for other in world.objects}
+    holders = {other: root for other, root in roots.items() if root.is_robot and root is not other}
+    boxes = {  # furniture has many links, but seldom moves
+        other: clone_of(world, "physics").cached(other, "bounds", other.get_AABB) if other.fixed else other.get_AABB()
+        for other in world.objects
+        if other not in robots
+    }
     reach = _reach(body, {other: box for other, box in boxes.items() if not other.fixed and other not in holders})
     near = [other for other, box in boxes.items() if _gap(box, boxes[body]) <= reach]
     needed = {holders[body]} if body in holders else set()
@@ -125,17 +130,6 @@ def _participants(body: Object) -> list[Object]:
     held = [other for other, holder in holders.items() if holder in needed and other not in kept]
     joined = [other for kin in kept for other in kin.attachments if other not in kept and other not in holders]
     return list(dict.fromkeys([*kept, *held, *needed, *(other for other in joined if other not in robots)]))
-
-
-def _bounds(body: Object) -> Box:
-    """Return the bounds of an object; cached for furniture, which has many links and seldom moves."""
-    return clone_of(body.world, "physics").cached(body, "bounds", body.get_AABB) if body.fixed else body.get_AABB()
-
-
-def _holder(body: Object) -> Object | None:
-    """Return the robot that holds an object, also indirectly."""
-    root = attachment.root_of(body)  # a robot is always its own root
-    return root if root.is_robot and root is not body else None
 
 
 def _reach(body: Object, free: Mapping[Object, Box]) -> float:

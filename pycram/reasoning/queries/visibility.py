@@ -174,7 +174,9 @@ def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View
     inside = covered & _inside(window, frame, size)
     hidden = inside & (before.depth < alone.depth)
     seen = int(inside.sum() - hidden.sum())
-    hiding = _hiding(others, before.bodies[hidden], pixels)
+    counts = np.bincount(before.bodies[hidden], minlength=len(others))
+    shares = {other.name: int(count) / pixels for other, count in zip(others, counts, strict=True) if count}
+    hiding = dict(sorted(shares.items(), key=lambda item: -item[1]))
     reason = "" if seen else "is hidden" if hiding else "is out of view"
     return View(seen / pixels, pixels, seen, hiding, reason, *_pixels(body, others, alone, before))
 
@@ -189,12 +191,6 @@ def _pixels(
     numbers[0] = 1
     numbers[near] = range(2, len(near) + 2)
     return [body.name, *(others[owner - 1].name for owner in near)], numbers[owners]
-
-
-def _hiding(others: Sequence[Object], covering: NDArray[np.int64], alone: int) -> dict[str, float]:
-    counts = np.bincount(covering, minlength=len(others))
-    shares = {other.name: int(count) / alone for other, count in zip(others, counts, strict=True) if count}
-    return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
 def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None, str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pycram.bullet_world import Object
-from pycram.planning import Planned, base_motion, joint_motion, timing
+from pycram.planning import PlannedMotion, base_motion, joint_motion, timing
 from pycram.planning.path import given
 from pycram.planning.timing import base_rates, joint_rates
 from pycram.reasoning.collision import checker
@@ -47,7 +47,7 @@ class Query:
         start, goal = ([*at[:2], geometry.to_rpy(turn)[2]] for at, turn in (self.start_pose, self.goal_pose))
         return start, goal
 
-    def plan(self, robot: Object, seed: int | None = None) -> Planned:
+    def plan(self, robot: Object, seed: int | None = None) -> PlannedMotion:
         if self.goal_pose is not None:
             return base_motion(robot, *self.goal_pose, seed=seed)
         return joint_motion(robot, self.goal, seed=seed)
@@ -92,7 +92,7 @@ def query(world: BulletWorld, place: household.Place, seed: int) -> Query:
     return Query(kind, start, goal)
 
 
-def along(robot: Object, query: Query, way_points: Sequence[Sequence[float]]) -> Planned:
+def along(robot: Object, query: Query, way_points: Sequence[Sequence[float]]) -> PlannedMotion:
     """Returns a motion along way points, at each of which it rests."""
     path, joints = np.array(way_points), tuple(query.goal)
     rates = joint_rates(robot, joints) if joints else base_rates(robot)
@@ -137,7 +137,7 @@ def _free_posture(robot: Object, arm, place: household.Place, dice: random.Rando
                 return posture
 
 
-def deepest(robot: Object, planned: Planned, rate: float) -> float:
+def deepest(robot: Object, planned: PlannedMotion, rate: float) -> float:
     """Moves a robot along a trajectory, and returns how much deeper than at the start it gets into anything, m."""
     trajectory, world = planned.trajectory, robot.world
     engine = world.engine

@@ -20,7 +20,7 @@ from tests.pycram.planning.random_queries import deepest
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pycram.planning import Planned
+    from pycram.planning import PlannedMotion
     from tests.conftest import MemorySink
 
 AHEAD = [3.0, 0.0, 0.0]
@@ -37,7 +37,7 @@ def robot(world: BulletWorld) -> Object:
     return made
 
 
-def sideways(planned: Planned) -> float:
+def sideways(planned: PlannedMotion) -> float:
     return max(abs(y) for _, y, _ in planned.trajectory.positions)
 
 

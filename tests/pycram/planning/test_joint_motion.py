@@ -27,17 +27,17 @@ from tests.pycram.planning.random_queries import deepest
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pycram.planning import Planned
+    from pycram.planning import PlannedMotion
     from tests.conftest import MemorySink
 
 
-def ends(planned: Planned) -> tuple[dict[str, float], dict[str, float]]:
+def ends(planned: PlannedMotion) -> tuple[dict[str, float], dict[str, float]]:
     trajectory = planned.trajectory
     assert set(trajectory.velocities[0]) == set(trajectory.velocities[-1]) == {0.0}
     return dict(zip(trajectory.joints, trajectory.positions[0], strict=True)), planned.end
 
 
-def length(planned: Planned) -> float:
+def length(planned: PlannedMotion) -> float:
     width = len(planned.trajectory.joints)
     numbers = planned.search.way_points
     rows = [numbers[start : start + width] for start in range(0, len(numbers), width)]
