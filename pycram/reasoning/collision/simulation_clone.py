@@ -210,9 +210,9 @@ class PhysicsClone(SimulationClone):
             The bodies of undivided objects, and the parts of the others, both by the objects' names.
         """
         wanted = list(bodies)
-        for constraint, carrier, link, held, robot in self._held:
+        for constraint, carrier, link, carried, robot in self._held:
             self.engine.unfix(constraint)
-            self.engine.pass_through(carrier, link, held, robot=robot, enable=False)
+            self.engine.pass_through(carrier, link, carried, robot=robot, enable=False)
         self._held.clear()
         if self._gravity != self.world.gravity:
             self.engine.set_gravity(self.world.gravity)
