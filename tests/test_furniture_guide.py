@@ -1,4 +1,4 @@
-"""What docs/furniture.md shows is what a reader gets."""
+"""The examples in docs/furniture.md give the printed output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What docs/robots.md shows is what a reader gets."""
+"""The examples in docs/robots.md give the printed output."""
 
 from __future__ import annotations
 

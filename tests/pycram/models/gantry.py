@@ -1,4 +1,4 @@
-"""A robot that is nothing like a PR2: a gantry that slides along x, y and z and turns, with a suction cup below."""
+"""A robot very different from a PR2: a gantry that slides along x, y and z and turns, with a suction cup."""
 
 from __future__ import annotations
 

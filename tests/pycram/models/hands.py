@@ -1,4 +1,4 @@
-"""Hands with other numbers of fingers than two, below a gantry: jaws that slide towards the tool frame's x axis."""
+"""Hands with one, three or four fingers below a gantry; their jaws slide towards the tool frame's x axis."""
 
 from __future__ import annotations
 

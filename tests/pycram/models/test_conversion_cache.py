@@ -1,4 +1,4 @@
-"""Meshes are converted once for all processes, and never out of date."""
+"""Meshes are converted once for all processes; cached meshes are never out of date."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ visual = [{ mesh = "bowl.stl", rgba = [1, 0, 0, 1] }, { mesh = "rim.stl", rgba =
 """
 
 
-def test_an_object_is_made_anew_when_its_color_or_something_beside_it_changes(cache: Path, bowl: Path) -> None:
+def test_an_object_is_converted_again_when_its_color_or_a_file_next_to_it_changes(cache: Path, bowl: Path) -> None:
     def files(color: list[float] | None = None) -> tuple[str, ...]:
         return tuple(file.key for file in load.load(bowl, color).files)
 
@@ -110,14 +110,14 @@ def test_an_object_is_made_anew_when_its_color_or_something_beside_it_changes(ca
     assert found[-1] == files()
 
 
-def test_what_was_converted_is_not_read_again(cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_converted_mesh_is_not_parsed_again(cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = pieces(ball)
     monkeypatch.setattr(load.mesh, "convert_visual", lambda _: pytest.fail("converted again"))
     assert pieces(ball) == before
 
 
 @pytest.mark.slow
-def test_textures_materials_and_meshes_that_change_are_converted_anew(cache: Path, ball: Path) -> None:
+def test_changed_textures_materials_and_meshes_are_converted_again(cache: Path, ball: Path) -> None:
     (_, _, red), *_ = pieces(ball)
     paint(ball.parent, (0, 0, 255))
     read_parts.cache_clear()
@@ -146,7 +146,9 @@ def test_a_damaged_entry_is_replaced(cache: Path, ball: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_oldest_go_when_there_are_too_many(cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_entries_are_deleted_when_the_cache_is_too_large(
+    cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pieces(ball)
     (oldest,) = cache.iterdir()
     monkeypatch.setattr(conversion_cache, "_LARGEST", int(1.5 * oldest.stat().st_size))
@@ -156,7 +158,7 @@ def test_the_oldest_go_when_there_are_too_many(cache: Path, ball: Path, monkeypa
     assert left != oldest
 
 
-def test_a_folder_that_can_t_be_written_is_done_without(
+def test_models_load_without_a_writable_cache_folder(
     tmp_path: Path, ball: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYCRAM_CACHE", "")
@@ -168,7 +170,7 @@ def test_a_folder_that_can_t_be_written_is_done_without(
 
 
 @pytest.mark.parametrize("whose", ["everybody's", "somebody else's"])
-def test_a_folder_that_others_can_write_into_is_not_believed(
+def test_a_cache_folder_that_others_can_write_to_is_not_used(
     cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch, whose: str
 ) -> None:
     made = pieces(ball)

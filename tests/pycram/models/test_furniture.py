@@ -1,4 +1,4 @@
-"""Furniture: surfaces, drawers, doors and handles are found where they are, and nothing else; a TOML corrects them."""
+"""Surfaces, drawers, doors and handles are found, and nothing else; a TOML file corrects them."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_worktops_and_tables_are_found_at_their_height() -> None:
         assert kitchen().surfaces[name].clearance == math.inf
 
 
-def test_what_stands_on_a_surface_is_left_out() -> None:
+def test_parts_that_stand_on_a_surface_are_left_out() -> None:
     # 0.8 m of the island's 2.45 are the hob's and what is beside it; the basin is a hole in the counter
     assert kitchen().surfaces["island"].size == pytest.approx((0.8, 1.705), abs=1e-3)
     assert kitchen().surfaces["counter"].size == pytest.approx((0.553, 1.063), abs=1e-3)
@@ -129,13 +129,13 @@ def test_each_drawer_is_found_with_its_joint_its_handle_and_its_bottom() -> None
         ("sink trash drawer", 0.124, 0.542),
     ],
 )
-def test_drawers_have_a_bottom_inside_and_room_for_what_is_in_them(drawer: str, bottom: float, free: float) -> None:
+def test_drawers_have_a_bottom_and_room_for_their_contents(drawer: str, bottom: float, free: float) -> None:
     assert kitchen().containers[drawer].surfaces == (drawer,)
     assert height(drawer) == pytest.approx(bottom, abs=1e-3)
     assert kitchen().surfaces[drawer].clearance == pytest.approx(free, abs=1e-3)
 
 
-def test_doors_are_found_by_what_they_hide() -> None:
+def test_doors_are_found_by_the_surfaces_that_they_hide() -> None:
     doors = {name: each for name, each in kitchen().containers.items() if each.kind == DOOR}
     assert {name: (door.link, door.handle) for name, door in doors.items()} == {
         "fridge": ("iai_fridge_door", "iai_fridge_door_handle"),
@@ -159,7 +159,7 @@ def test_nothing_else_is_found_in_the_kitchen() -> None:
 
 
 @pytest.mark.slow
-def test_things_stand_on_every_open_surface_of_the_kitchen() -> None:
+def test_objects_stand_on_every_open_surface_of_the_kitchen() -> None:
     with BulletWorld() as world:
         world.set_gravity([0, 0, -9.81])
         body = Object("kitchen", "environment", "kitchen.urdf", world=world)
@@ -188,7 +188,7 @@ def test_a_surface_moves_with_its_drawer() -> None:
         assert opened == pytest.approx((closed[0] - 0.48, closed[1], closed[2]), abs=1e-3)
 
 
-def test_unknown_names_are_refused_with_the_nearest() -> None:
+def test_unknown_names_are_rejected_with_the_nearest_name() -> None:
     with BulletWorld() as world:
         body = Object("kitchen", "environment", "kitchen.urdf", world=world)
         with pytest.raises(UnknownName, match="did you mean island") as refused:
@@ -198,7 +198,7 @@ def test_unknown_names_are_refused_with_the_nearest() -> None:
             body.container("frige")
 
 
-def test_the_floor_and_household_things_are_no_furniture() -> None:
+def test_the_floor_and_household_objects_are_not_furniture() -> None:
     with BulletWorld() as world:
         for thing in ("plane.urdf", "milk.stl", "spoon.stl"):
             body = Object(thing, "thing", thing, [0, 0, 1], world=world)
@@ -226,13 +226,13 @@ def test_a_published_kitchen_has_its_worktops_and_drawers(tmp_path: Path) -> Non
 # --- rules -----------------------------------------------------------------------------------------------------------
 
 
-def test_what_nothing_opens_is_a_hollow(tmp_path: Path) -> None:
+def test_a_face_that_nothing_makes_accessible_is_no_surface(tmp_path: Path) -> None:
     plate = link("plate", box("plate", "0.02 0.6 0.58"))
     fixed = joint("fixed", "plate", '<origin xyz="0.312 0 0.3"/>')
     assert names(found(tmp_path, CASE, plate, fixed)) == ["case"]
 
 
-def test_an_open_case_has_shelves_that_are_in_nothing(tmp_path: Path) -> None:
+def test_shelves_of_an_open_case_are_in_no_container(tmp_path: Path) -> None:
     furniture = found(tmp_path, CASE)
     assert names(furniture) == ["case", "case 2", "case 3"]
     assert not furniture.containers
@@ -240,7 +240,7 @@ def test_an_open_case_has_shelves_that_are_in_nothing(tmp_path: Path) -> None:
     assert furniture.surfaces["case 2"].clearance == pytest.approx(0.27)
 
 
-def test_a_door_before_it_makes_it_a_container(tmp_path: Path) -> None:
+def test_a_door_in_front_of_a_case_makes_it_a_container(tmp_path: Path) -> None:
     furniture = found(tmp_path, CASE, *DOOR_LINKS)
     (container,) = furniture.containers.values()
     assert (container.kind, container.link, container.handle) == (DOOR, "door", "door_handle")
@@ -262,7 +262,7 @@ def test_a_solid_drawer_opens_but_has_no_inside(tmp_path: Path) -> None:
     assert "drawer" not in {surface.link for surface in furniture.surfaces.values()}
 
 
-def test_a_sliding_door_is_no_drawer(tmp_path: Path) -> None:
+def test_a_sliding_door_is_not_a_drawer(tmp_path: Path) -> None:
     limit = '<limit lower="0" upper="0.5" effort="1" velocity="1"/>'
     furniture = found(
         tmp_path,
@@ -276,7 +276,7 @@ def test_a_sliding_door_is_no_drawer(tmp_path: Path) -> None:
     assert (slider.kind, slider.handle, len(slider.surfaces)) == (DOOR, "slider_handle", 2)
 
 
-def test_a_button_and_a_lift_are_no_drawers(tmp_path: Path) -> None:
+def test_a_button_and_a_lift_are_not_drawers(tmp_path: Path) -> None:
     limit = '<limit lower="0" upper="0.3" effort="1" velocity="1"/>'
     top = link("top", box("top", "0.6 0.6 0.02"))
     lift = joint("prismatic", "top", f'<origin xyz="0 0 0.7"/><axis xyz="0 0 1"/>{limit}')
@@ -299,7 +299,7 @@ def test_a_turned_table_has_a_turned_frame(tmp_path: Path) -> None:
     assert geometry.to_rpy(surface.orientation)[2] == pytest.approx(0.3, abs=1e-3)
 
 
-def test_slopes_edges_and_gaps_are_no_surfaces(tmp_path: Path) -> None:
+def test_slopes_edges_and_gaps_are_not_surfaces(tmp_path: Path) -> None:
     slope = '<collision><origin xyz="0 0 0.7" rpy="0 0.2 0"/><geometry><box size="1 0.5 0.04"/></geometry></collision>'
     wall = box("wall", "2 0.1 1", "0 2 0.5")
     rail = box("rail", "1 0.04 0.04", "0 1 0.5")
@@ -310,7 +310,7 @@ def test_slopes_edges_and_gaps_are_no_surfaces(tmp_path: Path) -> None:
 # --- corrections -----------------------------------------------------------------------------------------------------
 
 
-def test_a_toml_beside_the_urdf_names_corrects_adds_and_removes(tmp_path: Path) -> None:
+def test_a_toml_next_to_the_urdf_renames_corrects_adds_and_removes(tmp_path: Path) -> None:
     furniture = found(
         tmp_path,
         CASE,
@@ -359,7 +359,7 @@ def test_a_toml_beside_the_urdf_names_corrects_adds_and_removes(tmp_path: Path) 
         ("[surfaces", "is not TOML"),
     ],
 )
-def test_wrong_entries_are_refused_when_it_is_loaded(tmp_path: Path, text: str, message: str) -> None:
+def test_wrong_corrections_are_rejected_when_the_model_is_loaded(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "cupboard.urdf"
     file.write_text(f'<robot name="cupboard">{CASE}{"".join(DOOR_LINKS)}</robot>')
     file.with_name(f"cupboard{SUFFIX}").write_text(text)
@@ -380,14 +380,14 @@ def test_wrong_entries_are_refused_when_it_is_loaded(tmp_path: Path, text: str, 
         ),
     ],
 )
-def test_corrections_of_what_is_not_there_are_refused_when_it_is_looked_for(
+def test_corrections_of_unknown_names_are_rejected_when_furniture_is_found(
     tmp_path: Path, text: str, message: str
 ) -> None:
     with pytest.raises(AssetError, match=message):
         found(tmp_path, CASE, *DOOR_LINKS, corrections=text)
 
 
-def test_what_is_restored_from_a_recording_has_the_same_furniture() -> None:
+def test_a_model_restored_from_a_recording_has_the_same_furniture() -> None:
     model = load.load("kitchen.urdf")
     files: Sequence[tuple[str, bytes]] = [(file.key, file.content) for file in model.files]
     restored = load.restore(files, model.loading)

@@ -1,4 +1,4 @@
-"""What the guide to models shows is what a reader gets."""
+"""The examples in docs/models.md give the printed output."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BLOCK = re.compile(r"```(xml|python|text)\n(.*?)```", re.DOTALL)
 NAMED = re.compile(r"`([\w.]+)`[^`]*:\n\n```xml\n(.*?)```", re.DOTALL)
 
 
-def test_the_guide_to_models_is_real(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_of_the_guide_to_models_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name, content in NAMED.findall(GUIDE):
         Path(name).write_text(content)

@@ -1,4 +1,4 @@
-"""Hands with one jaw that moves, with three fingers and with four: described, checked, and at work."""
+"""Hands with one moving jaw, three or four fingers are described, pass the checks and hold objects."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ALL = {"one jaw": hands.ONE_JAW, "three fingers": hands.THREE_FINGERS, "four fin
 
 @pytest.mark.slow
 @pytest.mark.parametrize("jaws", ALL.values(), ids=ALL)
-def test_such_a_hand_takes_things_and_puts_them_down(
+def test_each_kind_of_hand_picks_up_and_puts_down_objects(
     world: BulletWorld, tmp_path: Path, jaws: Mapping[str, tuple[float, bool]]
 ) -> None:
     world.set_gravity([0, 0, -9.8])
@@ -52,7 +52,7 @@ def test_such_a_hand_takes_things_and_puts_them_down(
         assert btr.stable(thing)
 
 
-def test_a_description_of_such_a_hand_is_checked(world: BulletWorld, tmp_path: Path) -> None:
+def test_a_description_of_each_kind_of_hand_passes_the_checks(world: BulletWorld, tmp_path: Path) -> None:
     def failed(jaws: Mapping[str, tuple[float, bool]], text: str) -> list[str]:
         urdf, _ = hands.write(tmp_path, jaws)
         description = RobotDescription.parse(text)
@@ -73,7 +73,7 @@ def test_a_description_of_such_a_hand_is_checked(world: BulletWorld, tmp_path: P
 
 
 @pytest.mark.usefixtures("world")
-def test_hands_that_do_not_close_around_the_tool_frame_are_refused(tmp_path: Path) -> None:
+def test_hands_that_do_not_close_around_the_tool_frame_are_rejected(tmp_path: Path) -> None:
     def refused(jaws: Mapping[str, tuple[float, bool]]) -> str:
         urdf, text = hands.write(tmp_path, jaws)
         with pytest.raises(AssetError) as raised:

@@ -1,4 +1,4 @@
-"""Models that the engine would refuse without a reason, or load silently, are refused with their cause."""
+"""Models that the engine refuses without a reason, or loads silently, are rejected with a cause."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ MESHES: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("name", LINKS)
-def test_invalid_links_are_refused_by_name(tmp_path: Path, world: BulletWorld, sink: MemorySink, name: str) -> None:
+def test_invalid_links_are_rejected_by_name(tmp_path: Path, world: BulletWorld, sink: MemorySink, name: str) -> None:
     inside, cause = LINKS[name]
     file = tmp_path / "r.urdf"
     file.write_text(f'<robot name="r"><link name="a">{inside}</link></robot>')
@@ -87,7 +87,7 @@ def test_invalid_links_are_refused_by_name(tmp_path: Path, world: BulletWorld, s
         ("1_0 0 0", "of joint far is '1_0', not a number"),
     ],
 )
-def test_joints_that_the_engine_would_put_elsewhere_are_refused(
+def test_joints_that_the_engine_would_misplace_are_rejected(
     tmp_path: Path, world: BulletWorld, origin: str, cause: str
 ) -> None:
     ends = f'<parent link="a"/><child link="b"/><origin xyz="{origin}"/>'
@@ -99,7 +99,7 @@ def test_joints_that_the_engine_would_put_elsewhere_are_refused(
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_meshes_without_volume_are_refused(tmp_path: Path, world: BulletWorld, name: str) -> None:
+def test_meshes_without_volume_are_rejected(tmp_path: Path, world: BulletWorld, name: str) -> None:
     content, cause = MESHES[name]
     file = tmp_path / name
     file.write_text(content)

@@ -1,4 +1,4 @@
-"""Robots hold still whatever their URDF says of damping, limits and inertia, and mimic joints follow; all on record."""
+"""Robots hold still with any damping, limits and inertia; mimic joints follow; recordings say how models were loaded."""
 
 from __future__ import annotations
 
@@ -45,9 +45,7 @@ def arm(folder: Path, limit: str, extra: str = "") -> Path:
 
 @pytest.mark.parametrize("dynamics", ["", '<dynamics damping="2e10" friction="100"/>', '<dynamics damping="0.5"/>'])
 @pytest.mark.parametrize("limit", ['lower="-2" upper="2"', 'lower="0.4" upper="2"', 'lower="-2" upper="-0.4"'])
-def test_a_robot_that_nothing_touches_holds_still(
-    tmp_path: Path, world: BulletWorld, dynamics: str, limit: str
-) -> None:
+def test_a_robot_without_contacts_holds_still(tmp_path: Path, world: BulletWorld, dynamics: str, limit: str) -> None:
     file = arm(tmp_path, f'<limit {limit} effort="0.001" velocity="0.1"/>{dynamics}')
     robot = Object("arm", "robot", file, [0, 0, 1], [0, 0.6, 0, 0.8])
     start = robot.get_joint_positions()
@@ -58,7 +56,7 @@ def test_a_robot_that_nothing_touches_holds_still(
         assert robot.get_joint_positions() == pytest.approx(start, abs=1e-3)
 
 
-def test_an_arm_as_heavy_as_industrial_ones_holds_still(tmp_path: Path, world: BulletWorld) -> None:
+def test_a_heavy_industrial_arm_holds_still(tmp_path: Path, world: BulletWorld) -> None:
     """Masses and lengths are those of an arm for 210 kg, stretched out; nothing is known of its motors."""
     masses, lengths = (138, 95, 71, 17, 7), (0.35, 1.15, 0.4, 0.8, 0.2)
     parts, parent, reach = ['<link name="base"/>'], "base", 0.0
@@ -78,7 +76,7 @@ def test_an_arm_as_heavy_as_industrial_ones_holds_still(tmp_path: Path, world: B
     assert robot.get_joint_positions() == pytest.approx(start, abs=1e-3)
 
 
-def test_how_a_body_was_loaded_is_on_record(tmp_path: Path, world: BulletWorld, sink: MemorySink) -> None:
+def test_recordings_contain_how_a_body_was_loaded(tmp_path: Path, world: BulletWorld, sink: MemorySink) -> None:
     Object("arm", "robot", arm(tmp_path, '<limit lower="0.4" upper="2"/>'))
     loaded = next(record.load_body for record in sink.of(Mutation) if record.HasField("load_body"))
     assert Loading.of(loaded) == NOW
@@ -86,7 +84,7 @@ def test_how_a_body_was_loaded_is_on_record(tmp_path: Path, world: BulletWorld, 
     assert world.get_object("arm").get_joint_position("shoulder") == 0.4
 
 
-def test_recordings_of_0_1_0_load_models_as_it_did() -> None:
+def test_recordings_of_0_1_0_load_models_as_0_1_0_did() -> None:
     then = Loading.of(LoadBody())
     assert then == Loading(
         undamped=False, clamped=False, mimic=False, inertia=False, armature=0.0, gain=0.1, strength=0.0
@@ -128,7 +126,7 @@ def test_mimic_joints_move_with_the_joint_that_they_mimic(tmp_path: Path, world:
     assert robot.get_joint_position("follow") == pytest.approx(0.1)
 
 
-def test_joints_that_mimic_each_other_can_t_be_torn_apart(tmp_path: Path, world: BulletWorld) -> None:
+def test_positions_of_mimic_joints_must_agree(tmp_path: Path, world: BulletWorld) -> None:
     robot = Object("hand", "robot", hand(tmp_path))
     before = robot.get_joint_positions()
     with pytest.raises(
@@ -148,14 +146,14 @@ def test_poses_computed_from_the_file_have_mimic_joints_too(tmp_path: Path, worl
         assert robot.get_link_orientation(link) == pytest.approx(orientation, abs=1e-6)
 
 
-def test_a_joint_that_mimics_none_that_exists_moves_on_its_own(tmp_path: Path, world: BulletWorld) -> None:
+def test_a_joint_that_mimics_an_unknown_joint_moves_on_its_own(tmp_path: Path, world: BulletWorld) -> None:
     alone = joint("alone", "palm", "odd", '<limit lower="-1" upper="1"/><mimic joint="lede" multiplier="3"/>')
     robot = Object("hand", "robot", hand(tmp_path, f'<link name="odd"/>{alone}'))
     robot.set_joint_positions({"lead": 0.1, "alone": 0.7})
     assert robot.get_joint_position("alone") == 0.7
 
 
-def test_joints_that_mimic_each_other_in_a_circle_are_refused(tmp_path: Path, world: BulletWorld) -> None:
+def test_circular_mimic_joints_are_rejected(tmp_path: Path, world: BulletWorld) -> None:
     circle = "".join(
         joint(name, "palm", name, f'<limit lower="-1" upper="1"/><mimic joint="{other}"/>')
         for name, other in (("a", "b"), ("b", "a"))

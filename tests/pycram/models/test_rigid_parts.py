@@ -1,4 +1,4 @@
-"""Parts of a model are, together, what collides of it: asked of the engine, at random places."""
+"""The rigid parts of a model collide as the model does: the engine compares them at random poses."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def nearest(engine: Engine, probe: object, bodies: list[object]) -> float:
 
 
 @pytest.mark.slow
-def test_rigid_parts_and_single_links_are_where_the_whole_is(world: BulletWorld, row: Object, engine: Engine) -> None:
+def test_rigid_parts_and_single_links_are_where_the_model_is(world: BulletWorld, row: Object, engine: Engine) -> None:
     def loaded(path: Path, link: str) -> object:
         return engine.load(path, row.get_link_position_and_orientation(link), fixed=True)
 
@@ -68,7 +68,7 @@ def test_rigid_parts_and_single_links_are_where_the_whole_is(world: BulletWorld,
     assert near > 50
 
 
-def test_links_of_other_friction_are_parts_of_their_own(tmp_path: Path) -> None:
+def test_links_with_different_friction_are_different_parts(tmp_path: Path) -> None:
     link = '<link name="{}"><collision><geometry><box size="1 1 1"/></geometry></collision>{}</link>'
     ice = '<contact><lateral_friction value="0.01"/></contact>'
     links = "".join(link.format(name, ice if name == "b" else "") for name in "abc")
@@ -81,7 +81,7 @@ def test_links_of_other_friction_are_parts_of_their_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["kitchen.urdf", "pr2.urdf", "bowl.stl", "knife.stl"])
-def test_bounds_of_pieces_are_those_of_their_corners(name: str) -> None:
+def test_bounds_of_pieces_contain_their_corners(name: str) -> None:
     path = load.load(name).path
     expected = [(link, *corners.min(axis=0), *corners.max(axis=0)) for link, corners in shapes.pieces_of(path)]
     found = [(link, *low, *high) for link, (low, high) in shapes.piece_bounds(path)]

@@ -1,4 +1,4 @@
-"""Descriptions of robots are checked against their URDF; invalid ones are refused with their cause."""
+"""Descriptions of robots are checked against the URDF; invalid descriptions are rejected with a cause."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_description_of_the_pr2_fits_its_urdf() -> None:
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_invalid_entries_are_refused(name: str) -> None:
+def test_invalid_entries_are_rejected(name: str) -> None:
     good, bad, message = BROKEN[name]
     assert good in PR2
     with pytest.raises(AssetError, match=message) as raised:
@@ -53,7 +53,7 @@ def test_invalid_entries_are_refused(name: str) -> None:
         ('    "l_shoulder_pan_joint", "l_shoulder_lift_joint",', '    "l_shoulder_lift_joint",', "numbers|joints"),
     ],
 )
-def test_entries_that_do_not_fit_the_urdf_are_refused(good: str, bad: str, message: str) -> None:
+def test_entries_that_do_not_fit_the_urdf_are_rejected(good: str, bad: str, message: str) -> None:
     assert good in PR2
     with BulletWorld() as world, pytest.raises(AssetError, match=message):
         Object("pr2", "robot", "pr2.urdf", description=RobotDescription.parse(PR2.replace(good, bad)))

@@ -1,4 +1,4 @@
-"""Robots with other parts than the PR2's: any names of arms, no gripper, half a head, no camera, a base that is fixed.
+"""Robots with other parts than the PR2: any names of arms, no gripper, half a head, no camera, a fixed base.
 
 They are PR2s whose descriptions leave something out or name it differently: the plan and the URDF are the same.
 """
@@ -63,7 +63,7 @@ def test_the_only_arm_is_the_default_whatever_its_name() -> None:
     assert "claw-arm (optional)" in raised.value.takes
 
 
-def test_of_several_arms_without_a_left_one_the_plan_names_one() -> None:
+def test_a_plan_names_one_of_several_arms_without_a_left_arm() -> None:
     robot(PR2.replace("[arms.left", "[arms.upper").replace("[arms.right", "[arms.lower"))
     with pytest.raises(DesignatorError, match="missing slot arm: one of upper, lower"):
         perform(type="move-tcp", target=[0.6, 0.2, 0.9])
@@ -71,7 +71,7 @@ def test_of_several_arms_without_a_left_one_the_plan_names_one() -> None:
     perform(type="move-arm-joints", upper_arm="park", lower_arm="park")
 
 
-def test_the_tool_frame_may_be_away_from_its_link() -> None:
+def test_the_tool_frame_may_have_an_offset_from_its_link() -> None:
     offset = (
         'tool_frame = "l_gripper_tool_frame"\ntool_offset = { xyz = [0.1, 0, 0], rpy = [0, 1.5707963267948966, 0] }'
     )
@@ -85,7 +85,7 @@ def test_the_tool_frame_may_be_away_from_its_link() -> None:
     assert forward == pytest.approx((1.0, 0.0, 0.0), abs=0.05)
 
 
-def test_an_arm_without_gripper_moves_and_takes_nothing() -> None:
+def test_an_arm_without_gripper_moves_but_picks_up_nothing() -> None:
     robot(without("arms.left.gripper"))
     thing = Object("milk", "milk", "milk.stl", [0.7, 0.2, 0.1])
     perform(type="move-arm-joints", left_arm="park")
@@ -96,7 +96,7 @@ def test_an_arm_without_gripper_moves_and_takes_nothing() -> None:
 
 
 @pytest.mark.slow
-def test_each_finger_of_a_gripper_has_values_of_its_own(world: BulletWorld) -> None:
+def test_fingers_of_a_gripper_may_have_different_positions(world: BulletWorld) -> None:
     """The UR5's fingers don't mimic each other."""
     ur5 = (Path(pycram.models.robots.__file__).parent / "ur5.toml").read_text()
     uneven = ur5.replace("closed = 0.0", "closed = [0.0, 0.01]").replace("open = 0.045", "open = [0.02, 0.04]")
@@ -111,7 +111,7 @@ def test_each_finger_of_a_gripper_has_values_of_its_own(world: BulletWorld) -> N
 
 
 @pytest.mark.parametrize(("kept", "moved"), [("pan", "head_pan_joint"), ("tilt", "head_tilt_joint")])
-def test_half_a_head_brings_things_into_the_picture(kept: str, moved: str) -> None:
+def test_a_head_with_one_joint_brings_objects_into_view(kept: str, moved: str) -> None:
     left_out = {"pan": 'tilt = "head_tilt_joint"\n', "tilt": 'pan = "head_pan_joint"\n'}[kept]
     made = robot(PR2.replace(left_out, ""))
     before = made.get_joint_positions()
@@ -127,7 +127,7 @@ def test_half_a_head_brings_things_into_the_picture(kept: str, moved: str) -> No
         perform(type="looking", target=unseen)
 
 
-def test_a_fixed_camera_looks_where_it_looks() -> None:
+def test_a_fixed_camera_does_not_turn() -> None:
     made = robot(without("head"))
     before = made.get_joint_positions()
     perform(type="looking", target=[2, 0.2, 1.2])
@@ -136,14 +136,14 @@ def test_a_fixed_camera_looks_where_it_looks() -> None:
     assert made.get_joint_positions() == before
 
 
-def test_without_a_camera_nothing_is_looked_at_or_detected() -> None:
+def test_a_robot_without_camera_does_not_look_or_detect() -> None:
     robot(without("camera"))
     for slots in ({"type": "looking", "target": [1, 0, 1]}, {"type": "detecting", "object_type": "milk"}):
         with pytest.raises(MissingPart, match="robot has no camera"):
             perform(**slots)
 
 
-def test_a_base_that_is_fixed_does_not_drive() -> None:
+def test_a_fixed_base_does_not_drive() -> None:
     made = robot(PR2.replace('base_link = "base_footprint"', 'base_link = "base_footprint"\ndrives = false'))
     with pytest.raises(NotDrivable, match="its base is fixed") as raised:
         perform(type="moving", target=[0.5, 0, 0])
@@ -166,13 +166,13 @@ def test_fingers_close_around_the_tool_frames_x_axis() -> None:
         RobotDescription.parse(swapped).check(urdf)
 
 
-def test_of_several_grippers_the_plan_names_one() -> None:
+def test_a_plan_names_one_of_several_grippers() -> None:
     robot(PR2)
     with pytest.raises(DesignatorError, match="missing slot gripper: one of left, right"):
         perform(type="opening-gripper")
 
 
-def test_the_shoulder_of_an_arm_may_be_in_the_way_of_the_other_hand() -> None:
+def test_a_shoulder_may_obstruct_the_other_hand() -> None:
     """Whichever of the two arms is the one that moves, and if both do."""
     made = robot(PR2)
     left, right = (made.description.arm(side) for side in ("left", "right"))
@@ -188,7 +188,7 @@ def test_the_shoulder_of_an_arm_may_be_in_the_way_of_the_other_hand() -> None:
         assert "r_upper_arm_link" in links, joints
 
 
-def test_pairs_of_links_that_may_touch_are_no_collision() -> None:
+def test_pairs_of_links_that_may_touch_do_not_collide() -> None:
     folded = [-0.31, 1.1, 2.18, -1.73, -0.03, -1.15, 0.94]
 
     def overlaps(text: str) -> set[frozenset[str]]:
@@ -211,7 +211,7 @@ def test_pairs_of_links_that_may_touch_are_no_collision() -> None:
         robot(tolerant.replace(str(sorted(allowed)), '["torso_lyft_link", "base_link"]'))
 
 
-def test_a_suction_cup_takes_flat_things_from_above(world: BulletWorld, tmp_path: Path) -> None:
+def test_a_suction_cup_picks_up_flat_objects_from_above(world: BulletWorld, tmp_path: Path) -> None:
     world.set_gravity([0, 0, -9.8])
     made = Object("gantry", "robot", gantry.write(tmp_path), description=RobotDescription.parse(gantry.DESCRIPTION))
     world.robot = made
@@ -234,7 +234,7 @@ def test_a_suction_cup_takes_flat_things_from_above(world: BulletWorld, tmp_path
     assert btr.stable(box)
 
 
-def test_another_robot_of_a_known_name_loads_and_says_why_nothing_is_known_of_it(
+def test_another_robot_with_a_known_name_says_why_its_description_does_not_fit(
     world: BulletWorld, tmp_path: Path
 ) -> None:
     (tmp_path / "other.urdf").write_text('<robot name="panda"><link name="base"/></robot>')

@@ -1,4 +1,4 @@
-"""Robots that people use load, hold still and are where their files say: every one with arms of example-robot-data.
+"""All robots with arms in example-robot-data load, hold still and have the poses of their files.
 
 The table is that of ``docs/models.md``; ``make test-long`` tells how long each takes to load.
 """
@@ -64,7 +64,7 @@ def kinematic_error(robot: Object, numbers: random.Random) -> tuple[float, float
 
 
 @seeded("robots of example-robot-data", range(len(ROBOTS)), 1, always=4)
-def test_robots_load_hold_still_and_are_where_their_files_say(
+def test_robots_load_hold_still_and_have_the_poses_of_their_files(
     world: BulletWorld, seeds: range, record_property: Callable[[str, object], None]
 ) -> None:
     for number in seeds:
@@ -107,7 +107,7 @@ def test_robots_that_can_t_be_loaded_say_why(world: BulletWorld, path: str, caus
     assert not world.objects
 
 
-def test_the_table_has_the_robots_that_people_use() -> None:
+def test_the_table_has_every_robot_with_arms() -> None:
     names = " ".join(row[0] for row in ROBOTS)
     assert all(
         name in names for name in ("pr2", "panda", "ur5", "ur10", "tiago", "baxter", "kinova", "talos", "xarm", "z1")

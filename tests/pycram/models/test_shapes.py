@@ -1,20 +1,22 @@
-"""What is drawn of shapes that files only name, and of OBJ files: closed, as large as they say, seen from outside."""
+"""Triangles of primitive shapes and OBJ files are closed, have the right volume and face outwards; hulls are SciPy's."""
 
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from pycram.models import load
 from pycram.models.mesh import stl
-from pycram.models.shapes import piece_bounds, pieces_of, shapes_of
+from pycram.models.shapes import convex_hull, piece_bounds, pieces_of, shapes_of
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 URDF = '<robot name="t"><link name="a"><{0}><geometry>{1}</geometry></{0}></link></robot>'
@@ -68,7 +70,7 @@ def edges(corners: NDArray[np.float64]) -> list[tuple[bytes, bytes]]:
     ],
 )
 @pytest.mark.parametrize("role", ["visual", "collision"])
-def test_shapes_are_closed_and_as_large_as_they_say(
+def test_shapes_are_closed_and_have_the_right_volume(
     tmp_path: Path, shape: str, size: tuple[float, ...], content: float, role: str
 ) -> None:
     (tmp_path / "cube.obj").write_text(CUBE)
@@ -81,7 +83,7 @@ def test_shapes_are_closed_and_as_large_as_they_say(
 
 
 @pytest.mark.parametrize("name", ["cube.STL", "cube.Obj"])
-def test_a_mesh_may_have_its_suffix_in_capitals(name: str, tmp_path: Path) -> None:
+def test_a_mesh_may_have_an_upper_case_suffix(name: str, tmp_path: Path) -> None:
     (tmp_path / "cube.obj").write_text(CUBE)
     if name.endswith("STL"):
         (tmp_path / name).write_bytes(stl(triangles(tmp_path, '<mesh filename="cube.obj"/>').astype("<f4")))
@@ -93,3 +95,49 @@ def test_a_mesh_may_have_its_suffix_in_capitals(name: str, tmp_path: Path) -> No
     ((link, corners),) = pieces_of(model)
     assert (link, len(np.unique(corners, axis=0))) == ("a", 8)
     assert [ends for _, (low, high) in piece_bounds(model) for ends in (*low, *high)] == [-1] * 3 + [1] * 3
+
+
+@pytest.mark.parametrize("model", ["kitchen.urdf", "bowl.stl", "pot.stl", "spoon.stl", "breakfast_cereal.stl"])
+def test_hulls_have_the_planes_that_scipy_finds(model: str) -> None:
+    every = [corners for _, corners in pieces_of(load.load(model).path)]
+    assert every
+    for corners in every:
+        hull = convex_hull(corners)
+        assert hull is not None
+        assert _distinct(hull.planes) == _distinct(ConvexHull(corners).equations)
+
+
+def test_corners_may_be_repeated_or_inside_the_hull() -> None:
+    cube = np.array([(x, y, z) for x in (0.0, 0.1) for y in (0.0, 0.2) for z in (0.0, 0.3)])
+    hull = convex_hull(np.concatenate([cube, cube, [[0.05, 0.1, 0.15], [0.05, 0.1, 0.3]]]))
+    assert hull is not None
+    assert _distinct(hull.planes) == _distinct(ConvexHull(cube).equations)
+
+
+@pytest.mark.parametrize("count", [2, 3, 30, 300])
+def test_coplanar_points_have_no_hull(count: int) -> None:
+    corners = np.column_stack([np.random.default_rng(0).random((count, 2)), np.full(count, 0.7)])
+    assert convex_hull(corners) is None
+
+
+@pytest.mark.slow
+def test_surfaces_and_grasps_of_household_objects_need_no_scipy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYCRAM_CACHE", str(tmp_path / "cache"))
+    program = """
+import sys
+from pycram.models import load
+from pycram.models.shapes import solids_of
+from pycram.models.furniture import furniture_of
+print(len(furniture_of(load.load("kitchen.urdf")).surfaces), len(solids_of(load.load("milk.stl").path).links))
+print("scipy" in sys.modules)
+"""
+    repo = Path(__file__).parents[3]
+    for loaded in (True, False):  # at first the mesh is converted
+        ended = subprocess.run([sys.executable, "-c", program], cwd=repo, capture_output=True, text=True, check=True)
+        assert ended.stdout == f"43 3\n{loaded}\n"
+
+
+def _distinct(planes: np.ndarray) -> list[list[float]]:
+    return (np.unique(planes.round(9), axis=0) + 0.0).tolist()  # 0.0: no -0.0

@@ -1,4 +1,4 @@
-"""The folder of a process' models: removed at its end, or by the next process if it was killed."""
+"""A process' store is removed at its end, or by the next process if the process was killed."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path
     return store.folder.__wrapped__
 
 
-def test_the_store_of_a_killed_process_is_removed_by_the_next_one(
+def test_the_store_of_a_killed_process_is_removed_by_the_next_process(
     start: Callable[..., tuple[subprocess.Popen[str], Path]], folder: Callable[[], Path]
 ) -> None:
     killed, abandoned = start()
@@ -76,7 +76,7 @@ def test_the_store_of_a_killed_process_is_removed_by_the_next_one(
     assert own.is_dir(), "this process has it, though it makes another"
 
 
-def test_a_process_removes_its_store_and_its_fork_does_not(
+def test_a_process_removes_its_store_but_its_fork_does_not(
     start: Callable[..., tuple[subprocess.Popen[str], Path]],
 ) -> None:
     process, used = start("forks")
@@ -87,7 +87,7 @@ def test_a_process_removes_its_store_and_its_fork_does_not(
     assert not used.exists()
 
 
-def test_what_is_not_a_store_of_ours_is_left_alone(
+def test_folders_that_are_not_our_stores_are_kept(
     tmp_path: Path, folder: Callable[[], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "pycram-models-empty").mkdir()

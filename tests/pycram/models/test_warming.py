@@ -1,4 +1,4 @@
-"""What a run has computed of models can be computed once for all: its notes name the functions and their arguments."""
+"""A run notes the functions and arguments that it computed, so that another process can compute them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from recorder import urdf
 
 
 @pytest.mark.slow
-def test_what_was_noted_is_found_done() -> None:
+def test_warming_computes_what_was_noted() -> None:
     cached = (load._cached_model, shapes._read, shapes.solids_of, rigid_parts.divided, urdf._parse)
 
     def forget() -> None:
@@ -34,6 +34,6 @@ def test_what_was_noted_is_found_done() -> None:
     assert [each.cache_info().misses for each in cached] == before
 
 
-def test_what_is_no_module_any_more_is_left_out() -> None:
+def test_unknown_modules_and_functions_are_skipped() -> None:
     notes = warming.Notes([("pycram.models.load", "no_such_function", ()), ("no_such_module", "f", ())])
     warming.warm(notes.text())

@@ -1,4 +1,4 @@
-"""Model files: broken ones are refused with their cause, meshes of all formats collide."""
+"""Broken files are rejected with a cause; meshes of all formats collide."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def broken(folder: Path, name: str, content: bytes) -> Path:
     return file
 
 
-def test_broken_files_are_refused_with_their_cause(tmp_path: Path, world: BulletWorld, sink: MemorySink) -> None:
+def test_broken_files_are_rejected_with_their_cause(tmp_path: Path, world: BulletWorld, sink: MemorySink) -> None:
     milk = (resources() / "milk.stl").read_bytes()
     link = "<link name='a'><visual><geometry><mesh filename='gone.stl'/></geometry></visual></link>"
     two_roots = "<robot name='r'><link name='a'/><link name='b'/></robot>"
@@ -53,7 +53,7 @@ def test_broken_files_are_refused_with_their_cause(tmp_path: Path, world: Bullet
     assert not [record for record in sink.records if type(record).__name__ in ("Mutation", "Query")]
 
 
-def test_an_obj_file_has_the_same_triangles_whoever_reads_it(tmp_path: Path) -> None:
+def test_an_obj_file_has_the_same_triangles_with_and_without_trimesh(tmp_path: Path) -> None:
     """Without materials it is read here, with one by trimesh."""
     bowl = (resources() / "bowl.collision.obj").read_bytes()
     odd = b"v 0 0 0\nv 1 0 0\nvt 0 0\nv  0 1e0 0\no a\nf 1 2 3\n# f 9 9 9\nv 0 0 -1.5\nf -1/1 -4//  2/1/\n"
@@ -64,7 +64,7 @@ def test_an_obj_file_has_the_same_triangles_whoever_reads_it(tmp_path: Path) -> 
         assert np.array_equal(plain.triangles, painted.triangles)
 
 
-def test_an_obj_file_with_broken_numbers_is_refused(tmp_path: Path) -> None:
+def test_an_obj_file_with_broken_numbers_is_rejected(tmp_path: Path) -> None:
     for line, cause in (("v 1 2", "fewer than three"), ("v 1 2 x", "could not convert"), ("v 1 2 nan", "not finite")):
         with pytest.raises(AssetError, match=cause):
             read_parts(tmp_path / "x.obj", f"v 0 0 0\nv 1 0 0\n{line}\nf 1 2 3\n".encode())

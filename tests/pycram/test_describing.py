@@ -1,4 +1,4 @@
-"""``pycram describe``: from a URDF to a description with which the robot works, and checks that find what is wrong."""
+"""``pycram describe`` writes descriptions with which robots work; its checks find wrong values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pycram.process_module import ProcessModule
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-REPO = Path(__file__).parent.parent
+REPO = Path(__file__).parents[2]
 ROBOTS = REPO / "pycram" / "models" / "robots"
 
 
@@ -66,7 +66,7 @@ def urdf_of(name: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["pr2", "tiago_pro", "panda", "ur5"])
-def test_what_is_guessed_of_the_robots_in_the_box_is_what_we_know(
+def test_guesses_of_bundled_robots_agree_with_their_descriptions(
     describe: Callable[..., Ended], tmp_path: Path, robot: str
 ) -> None:
     ended = describe(f"{robot}.urdf")
@@ -92,7 +92,7 @@ def test_what_is_guessed_of_the_robots_in_the_box_is_what_we_know(
 
 
 @pytest.mark.slow
-def test_the_command_prints_what_it_guesses_and_nothing_else(describe: Callable[..., Ended], tmp_path: Path) -> None:
+def test_the_command_prints_only_the_description(describe: Callable[..., Ended], tmp_path: Path) -> None:
     """In a process of its own: nothing that is imported warns, nothing else comes to stdout."""
     ended = subprocess.run(
         [sys.executable, "-m", "pycram", "describe", "panda.urdf"],
@@ -108,7 +108,7 @@ def test_the_command_prints_what_it_guesses_and_nothing_else(describe: Callable[
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["pr2", pytest.param("tiago_pro", marks=pytest.mark.costly), "panda", "ur5"])
-def test_the_robots_in_the_box_pass_all_checks(describe: Callable[..., Ended], tmp_path: Path, robot: str) -> None:
+def test_bundled_robots_pass_all_checks(describe: Callable[..., Ended], tmp_path: Path, robot: str) -> None:
     ended = describe("--check", str(ROBOTS / f"{robot}.toml"), "--picture", "robot.png")
     assert ended.returncode == 0, ended.stdout + ended.stderr
     lines = ended.stdout.splitlines()
@@ -121,7 +121,7 @@ def test_the_robots_in_the_box_pass_all_checks(describe: Callable[..., Ended], t
 
 
 @pytest.mark.slow
-def test_a_robot_that_nobody_described_takes_things(
+def test_a_robot_with_a_guessed_description_picks_up_objects(
     describe: Callable[..., Ended], tmp_path: Path, world: BulletWorld
 ) -> None:
     """Baxter's right arm takes a block with the description that was guessed; its fingers open from 20 to 58 mm."""
@@ -179,7 +179,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_checks_find_what_is_wrong(describe: Callable[..., Ended], tmp_path: Path, what: str) -> None:
+def test_checks_find_wrong_values(describe: Callable[..., Ended], tmp_path: Path, what: str) -> None:
     good, bad, message = WRONG[what]
     text = (ROBOTS / "panda.toml").read_text()
     assert good in text
@@ -199,7 +199,7 @@ def test_checks_find_what_is_wrong(describe: Callable[..., Ended], tmp_path: Pat
         (("panda.urdf", "--check", "other.toml"), "other.toml: "),
     ],
 )
-def test_wrong_usage_is_refused_in_a_line(
+def test_wrong_usage_is_reported_in_one_line(
     describe: Callable[..., Ended], tmp_path: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     text = (ROBOTS / "ur5.toml").read_text()
@@ -216,7 +216,7 @@ ONE_ARM = """<robot name="my robot 2.0"><link name="base"/>{links}<link name="ha
 
 
 @pytest.mark.slow
-def test_names_that_toml_has_no_plain_keys_for(describe: Callable[..., Ended], tmp_path: Path) -> None:
+def test_robot_names_that_are_not_plain_toml_keys(describe: Callable[..., Ended], tmp_path: Path) -> None:
     shape = '<origin xyz="0 0 0.1"/><geometry><box size="0.04 0.04 0.16"/></geometry>'
     red = '<material name="red"><color rgba="1 0 0 1"/></material>'
     box = f"<visual>{shape}{red}</visual><collision>{shape}</collision>"
@@ -246,7 +246,7 @@ def test_names_that_toml_has_no_plain_keys_for(describe: Callable[..., Ended], t
 
 @pytest.mark.costly
 @pytest.mark.slow
-def test_hands_that_are_not_understood_are_left_out(describe: Callable[..., Ended], tmp_path: Path) -> None:
+def test_unrecognised_hands_are_left_out(describe: Callable[..., Ended], tmp_path: Path) -> None:
     urdf = urdf_of("alex_sake_hands.urdf")
     ended = describe(urdf)
     assert ended.returncode == 0, ended.stderr
@@ -273,13 +273,13 @@ def test_hands_that_are_not_understood_are_left_out(describe: Callable[..., Ende
         ),
     ],
 )
-def test_what_ends_without_a_gripper_says_why(robot: str, joints: int, why: str) -> None:
+def test_an_arm_without_a_recognised_gripper_says_why(robot: str, joints: int, why: str) -> None:
     arms = guess(load.load(urdf_of(robot))).arms
     assert {(len(arm.joints), hand) for arm, hand in arms} == {(joints, why)}
 
 
 @pytest.mark.costly
-def test_a_hand_with_one_jaw_that_turns_is_described(describe: Callable[..., Ended], tmp_path: Path) -> None:
+def test_a_hand_with_one_turning_jaw_is_described(describe: Callable[..., Ended], tmp_path: Path) -> None:
     """SO-101: its jaw turns towards one that is part of the hand, by up to 110 degrees."""
     urdf = urdf_of("so101.urdf")
     ended = describe(urdf)
@@ -294,7 +294,7 @@ def test_a_hand_with_one_jaw_that_turns_is_described(describe: Callable[..., End
 
 
 @pytest.mark.costly
-def test_heads_and_fingers_that_curl_are_no_arms_and_no_grippers(describe: Callable[..., Ended]) -> None:
+def test_heads_are_not_arms_and_curling_fingers_are_not_grippers(describe: Callable[..., Ended]) -> None:
     """Romeo: four joints turn its head; its fingers have three joints each."""
     ended = describe(urdf_of("romeo.urdf"))
     assert ended.returncode == 0, ended.stderr
@@ -303,7 +303,7 @@ def test_heads_and_fingers_that_curl_are_no_arms_and_no_grippers(describe: Calla
     assert all(arm.hand is None for arm in arms.values())
 
 
-def test_a_robot_without_arms_is_said_to_have_none(describe: Callable[..., Ended], tmp_path: Path) -> None:
+def test_the_description_of_a_robot_without_arms_says_so(describe: Callable[..., Ended], tmp_path: Path) -> None:
     links = ("base", "first", "second")
     joints = "".join(
         f'<joint name="{child}" type="continuous"><parent link="{parent}"/><child link="{child}"/></joint>'
@@ -317,7 +317,7 @@ def test_a_robot_without_arms_is_said_to_have_none(describe: Callable[..., Ended
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_a_base_that_floats_is_no_arm(describe: Callable[..., Ended], tmp_path: Path, kind: str) -> None:
+def test_a_floating_base_is_not_an_arm(describe: Callable[..., Ended], tmp_path: Path, kind: str) -> None:
     links = "".join(f'<link name="link {i}"/>' for i in range(4))
     joints = "".join(
         f'<joint name="turn {i}" type="revolute"><origin xyz="0 0 0.2"/><axis xyz="0 {i % 2} {1 - i % 2}"/>'

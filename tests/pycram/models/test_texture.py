@@ -1,4 +1,4 @@
-"""Models are seen in the colours and textures of their meshes, by the rasterizer and by viewers alike."""
+"""Models have the colours and textures of their meshes, in pictures and in viewers."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ OVERRIDDEN = f'<material name="m">{plain(YELLOW).replace("<color>", "<color rgba
 
 
 @pytest.mark.parametrize("material", ["", OVERRIDDEN])
-def test_collada_materials_are_seen_and_win_over_the_urdf_s(tmp_path: Path, material: str) -> None:
+def test_collada_materials_are_shown_and_override_the_urdf_s(tmp_path: Path, material: str) -> None:
     dae(tmp_path, plain(RED), plain(BLUE))
     found = seen(tmp_path, "square.dae", material)
     assert color_at(found, 0.5, 0.1) == pytest.approx(RED, abs=1e-5)
@@ -92,12 +92,12 @@ def test_collada_materials_are_seen_and_win_over_the_urdf_s(tmp_path: Path, mate
     assert found[0][:, 2] == pytest.approx(2)  # of its node; z is up, whatever the file says, as in RViz
 
 
-def test_a_mesh_without_colours_has_the_urdf_s(tmp_path: Path) -> None:
+def test_a_mesh_without_colours_has_the_urdf_s_colour(tmp_path: Path) -> None:
     trimesh.creation.box().export(tmp_path / "box.stl")
     assert seen(tmp_path, "box.stl", OVERRIDDEN)[1] == pytest.approx(np.tile(YELLOW, (12, 1)))
 
 
-def test_textures_are_seen(tmp_path: Path) -> None:
+def test_textures_are_shown(tmp_path: Path) -> None:
     picture = np.zeros((64, 64, 3), dtype=np.uint8)
     picture[:32], picture[32:] = np.array(RED) * 255, np.array(BLUE) * 255  # red above
     picture[:, 48:] = np.array(YELLOW) * 255
@@ -109,7 +109,7 @@ def test_textures_are_seen(tmp_path: Path) -> None:
     assert len({tuple(color) for color in found[1].tolist()}) <= 8  # each is a shape in viewers
 
 
-def test_a_texture_that_isn_t_there_is_grey_and_warned_of_once(tmp_path: Path) -> None:
+def test_a_missing_texture_is_grey_and_warned_of_once(tmp_path: Path) -> None:
     dae(tmp_path, TEXTURE, plain(BLUE))
     with pytest.warns(MissingTexture, match=r"square\.dae: its texture picture\.png doesn't exist") as warned:
         found = seen(tmp_path, "square.dae")
@@ -119,7 +119,7 @@ def test_a_texture_that_isn_t_there_is_grey_and_warned_of_once(tmp_path: Path) -
     assert color_at(found, 0.5, 0.9) == pytest.approx(BLUE, abs=1e-5)
 
 
-def test_a_urdf_s_texture_that_isn_t_there_is_warned_of(tmp_path: Path) -> None:
+def test_a_missing_texture_of_a_urdf_is_warned_of(tmp_path: Path) -> None:
     (tmp_path / "thing.urdf").write_text(
         '<robot name="thing"><link name="a"><visual><geometry><box size="1 1 1"/></geometry><material name="m">'
         '<color rgba="0 0 1 1"/><texture filename="package://things/label.png"/></material></visual>'
@@ -169,7 +169,7 @@ def test_a_urdf_s_texture_covers_shapes(tmp_path: Path, shape: str) -> None:
         assert (np.einsum("ij,ij->i", normals, middles) > 0).all(), "they are seen from outside"
 
 
-def test_a_urdf_s_texture_covers_meshes_that_have_no_material(tmp_path: Path) -> None:
+def test_a_urdf_s_texture_covers_meshes_without_material(tmp_path: Path) -> None:
     material = halves(tmp_path)
     (tmp_path / "square.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
@@ -199,7 +199,7 @@ MTL = "newmtl m1\nKd 0.8 0.1 0.1\nnewmtl m2\nKd 0.1 0.2 0.9\n"
 OBJ = "{}v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl m1\nf 1 2 3\nusemtl m2\nf 1 3 4\n"
 
 
-def test_obj_materials_are_seen(
+def test_obj_materials_are_shown(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "square.mtl").write_text(MTL)
@@ -214,7 +214,7 @@ def test_obj_materials_are_seen(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_link_of_which_lines_are_drawn_shows_nothing(tmp_path: Path) -> None:
+def test_a_mesh_of_lines_shows_nothing(tmp_path: Path) -> None:
     file = dae(tmp_path, plain(RED), plain(BLUE))
     text = file.read_text().replace("<triangles", "<lines").replace("</triangles", "</lines")
     file.write_text(text.replace("<p>0 0 1 1 4 4 1 1 2 2 4 4</p>", "<p>0 0 1 1</p>"))

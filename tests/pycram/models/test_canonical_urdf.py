@@ -1,4 +1,4 @@
-"""URDFs as they are published: with Gazebo's elements, in packages, on one line; what can't be loaded says why."""
+"""Published URDFs load: with Gazebo's elements, in packages, in one line; errors give the cause."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def assert_as_written(body: Object) -> None:
             assert geometry.angle(orientation, found[1]) < 1e-5, link
 
 
-def test_elements_of_others_are_skipped_with_all_that_is_in_them(tmp_path: Path, world: BulletWorld) -> None:
+def test_elements_that_are_not_urdf_are_removed_with_their_children(tmp_path: Path, world: BulletWorld) -> None:
     gazebo = (
         '<link name="ghost"><inertial><mass>0.17</mass></inertial></link>'
         '<joint name="j" type="ball"/><sensor><visual><geometry><mesh filename="gone.dae"/></geometry></visual></sensor>'
@@ -62,7 +62,7 @@ def test_elements_of_others_are_skipped_with_all_that_is_in_them(tmp_path: Path,
     assert b"gazebo" not in body.model.files[0].content
 
 
-def test_a_urdf_on_one_line_is_loaded_as_it_is_written(tmp_path: Path, world: BulletWorld) -> None:
+def test_a_urdf_in_a_single_line_is_loaded_exactly(tmp_path: Path, world: BulletWorld) -> None:
     links, joints = '<link name="l0"/>', ""
     for number in range(1, 60):
         links += f'<link name="l{number}">{BOX}</link>'
@@ -148,7 +148,7 @@ def test_meshes_are_found_in_packages(
 
 
 @pytest.mark.parametrize("way", ["argument", "PYCRAM_PACKAGES", "ROS_PACKAGE_PATH"])
-def test_a_mesh_of_another_package_is_not_taken_for_one_of_the_same_path(
+def test_a_mesh_of_another_package_with_the_same_path_is_not_used(
     tmp_path: Path, robot_in_package: Path, world: BulletWorld, monkeypatch: pytest.MonkeyPatch, way: str
 ) -> None:
     (tmp_path / "home" / "meshes").mkdir()
@@ -158,7 +158,7 @@ def test_a_mesh_of_another_package_is_not_taken_for_one_of_the_same_path(
     assert body.get_AABB()[1] == pytest.approx([0.1, 0.1, 0.1], abs=5e-3)
 
 
-def test_a_folder_that_is_another_package_is_not_searched_for_it(
+def test_the_folder_of_another_package_is_not_searched(
     tmp_path: Path, robot_in_package: Path, world: BulletWorld
 ) -> None:
     (tmp_path / "home" / "meshes").mkdir()
@@ -177,7 +177,7 @@ def test_folders_named_like_a_package_are_packages(tmp_path: Path, robot_in_pack
         Object(f"thing {number}", "thing", robot_in_package, packages=[str(folder)])
 
 
-def test_missing_packages_and_meshes_say_what_would_help(
+def test_errors_of_missing_packages_and_meshes_say_what_to_do(
     tmp_path: Path, robot_in_package: Path, world: BulletWorld
 ) -> None:
     with pytest.raises(AssetError, match=r"no package 'my_robot' is known.*packages=\[.*ROS_PACKAGE_PATH"):
@@ -206,7 +206,7 @@ XACRO = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="r">{}</robot>'
         ("arm.urdf", '<robot name="r"><xacro:arm side="left"/></robot>', r"xacro arm\.urdf > expanded_arm\.urdf"),
     ],
 )
-def test_xacro_is_refused_with_the_command_that_expands_it(
+def test_xacro_is_rejected_with_the_command_that_expands_it(
     tmp_path: Path, world: BulletWorld, name: str, content: str, command: str
 ) -> None:
     file = tmp_path / name
@@ -222,7 +222,7 @@ def test_an_expanded_xacro_is_a_urdf(tmp_path: Path, world: BulletWorld) -> None
 
 
 @pytest.mark.parametrize(("kind", "count"), [("fixed", 127), ("revolute", 121)])
-def test_more_joints_than_the_engine_takes_are_refused_with_both_numbers(
+def test_too_many_joints_are_rejected_with_their_number_and_the_maximum(
     tmp_path: Path, world: BulletWorld, kind: str, count: int
 ) -> None:
     def chain(joints: int) -> Path:
@@ -296,7 +296,7 @@ def test_files_are_read_in_the_encoding_that_they_declare(tmp_path: Path, world:
 
 
 @pytest.mark.parametrize("element", ["robot", "link", "joint"])
-def test_names_that_would_crash_the_engine_are_refused(tmp_path: Path, world: BulletWorld, element: str) -> None:
+def test_names_that_would_crash_the_engine_are_rejected(tmp_path: Path, world: BulletWorld, element: str) -> None:
     long = "x" * 1100
     text = urdf(tmp_path, joint("continuous")).read_text()
     named = {"robot": ("thing", long), "link": ('"a"', f'"{long}"'), "joint": ('"j"', f'"{long}"')}[element]
