@@ -1,8 +1,8 @@
 """Expressions about recorded states, as ``milk.z``, ``holding(left)``, ``distance(pr2, cup) < 1``, and their changes.
 
-Names are bodies (``robot`` is the plan's robot) and arms; a body has ``x``, ``y``, ``z``, ``position``,
-``orientation``, ``velocity``, ``carrier``, and its joints. Of several worlds, the one counts that was opened last of
-those that have it; ``lab.milk.z`` is that of the world ``lab``.
+Names are bodies (``robot`` is the plan's robot) and arms. A body has ``x``, ``y``, ``z``, ``position``,
+``orientation``, ``velocity``, ``carrier``, and its joints. If several worlds have a body, its name means the one in the
+last opened world; ``lab.milk.z`` means the body in the world ``lab``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
     from replay.state.fold import WorldBuilder
 
-_ROUNDING: Final = 1e-6  # m or rad: smaller changes of a number are none, as for blame
+_ROUNDING: Final = 1e-6  # m or rad: smaller changes of a number are ignored, as for blame
 _FUNCTIONS: Final[Mapping[str, object]] = {
     each.__name__: each for each in (abs, all, any, len, max, min, round, sorted, sum, math.sqrt, math.degrees)
 }
@@ -34,7 +34,7 @@ class NoQuantity(ReplayError):
 
     def __init__(self, expression: str, cause: str) -> None:
         super().__init__(f"{expression}: {cause}")
-        self.expression = expression  # the expression
+        self.expression = expression
 
 
 class ValueChange(NamedTuple):
@@ -46,17 +46,17 @@ class ValueChange(NamedTuple):
 
 
 def value_changes(log: RecordReader, expression: str) -> list[ValueChange]:
-    """Return the steps of a recording at which an expression's value changed.
+    """Return the changes of an expression's value in a recording.
 
-    Values from before an object is loaded, and after it is removed, are None.
+    Before an object is loaded, and after it is removed, values are None.
 
     Raises:
-        NoQuantity: it has no value at any step.
+        NoQuantity: the expression has no value at any step.
     """
     try:
         code = compile(expression, "<watch>", "eval")
     except (SyntaxError, ValueError) as error:
-        raise NoQuantity(expression, f"it can't be read: {error}") from None
+        raise NoQuantity(expression, f"it is no expression: {error}") from None
     worlds: dict[str, WorldBuilder] = {}
     found: list[ValueChange] = []
     latest: object = None
@@ -87,7 +87,7 @@ def _value(code: CodeType, worlds: Mapping[str, WorldBuilder]) -> object:
 
 def _plain(value: object) -> object:
     if isinstance(value, _World):
-        raise TypeError("a world is no value; name a body of it")
+        raise TypeError("a world has no value; name a body of the world")
     return (value.position, value.orientation) if isinstance(value, _Body) else value
 
 
@@ -151,7 +151,7 @@ class _World:
     def __getattr__(self, name: str) -> object:
         found = self.find(name)
         if found is None:
-            raise AttributeError(f"no object of that world is called {name}")
+            raise AttributeError(f"no object of this world is called {name}")
         return found
 
     def _arms(self) -> Mapping[str, Any]:
@@ -186,8 +186,7 @@ class _Body:
     @property
     def carrier(self) -> str | None:
         """Name of the body that carries it."""
-        held = (each.carrier for each in self._world.attachments.values() if each.body == self._name)
-        return next(held, None)
+        return next((each.carrier for each in self._world.attachments.values() if each.body == self._name), None)
 
     def __getattr__(self, joint: str) -> float:
         joints = self._world.bodies[self._name].joints
@@ -202,7 +201,7 @@ def _distance(one: _Body, other: _Body) -> float:
 
 
 def quantity_names(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield the names that an expression may have at a step, for completion."""
+    """Yield the names that an expression may contain at a step, for completion."""
     state = state_at(log, step)
     yield from (f"{each}(" for each in ("holding", "distance"))
     for world in state.worlds.values():

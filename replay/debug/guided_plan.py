@@ -1,8 +1,8 @@
-"""A recorded plan that runs again, stopped at a step: from step to step, forwards and back.
+"""A recorded plan that runs again and is stopped at a step; it moves from step to step, forwards and back.
 
-Its processes are the one that has stopped or runs, and copies of it that wait at steps before. A copy that waits is the
-parent of the process that continued from it. So all are descendants of the first one and end with it, and that ends
-with this process.
+One of its processes is stopped or runs; the others are copies that wait at earlier steps. A waiting copy is the parent
+of the process that continued from it. So all are descendants of the first process and end with it, and the first one
+ends with this process.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from replay.debug.stopped_plan import PAUSE, Channel
 from replay.errors import Damaged, ReplayError
-from replay.retrace.guide import FirstDifference
-from replay.retrace.plan_process import PlanProcess
+from replay.retrace.plan_process import FirstDifference, PlanProcess
 from replay.retrace.retrace import likely_reasons
 
 if TYPE_CHECKING:
@@ -32,12 +31,12 @@ if TYPE_CHECKING:
     from replay.debug.stopped_plan import Message, WatchedExpression
     from replay.file.record_reader import RecordReader
 
-_MAX_WAITING: Final = 64  # copies that wait
-_SHOWN: Final = 2000  # characters of stderr of a process that has ended
-_POLL: Final = 0.2  # s until Ctrl-C, or a process that ended without a word, is noticed
+_MAX_WAITING: Final = 64  # waiting copies
+_SHOWN: Final = 2000  # last characters of the stderr of an ended process
+_POLL: Final = 0.2  # s between checks for Ctrl-C and for a process that ended without a message
 _PARTS: Final = 40  # of a run, with a copy at the beginning of each
 _SHORTEST: Final = 50_000_000  # ns of a part
-_FINEST: Final = 4  # steps from a copy to where one goes back to
+_FINEST: Final = 4  # minimum number of steps between a copy and the target of going back
 
 
 class PlanEnded(ReplayError):
@@ -45,7 +44,7 @@ class PlanEnded(ReplayError):
 
     def __init__(self, printed: str) -> None:
         super().__init__(f"the plan's process has ended{printed and f':{chr(10)}{printed}'}; goto runs it again")
-        self.printed = printed  # what it has last written to stderr
+        self.printed = printed  # its last output to stderr
 
 
 class EndedByInterrupt(Exception):
@@ -53,11 +52,12 @@ class EndedByInterrupt(Exception):
 
 
 class PlanInterrupted(ReplayError):
-    """Ctrl-C ended the plan's process; the plan is where it was before, or at its start."""
+    """Ctrl-C ended the plan's process; the plan is at its previous step, or at its start."""
 
     def __init__(self, step: int) -> None:
-        super().__init__(f"the plan reached no other step; it is at {f'step {step} again' if step >= 0 else 'none'}")
-        self.step = step  # where that is; -1: it came to no step at all
+        where = f"it is at step {step} again" if step >= 0 else "it is at no step"
+        super().__init__(f"the plan reached no other step; {where}")
+        self.step = step  # the plan's step; -1 if it reached no step
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,21 +65,20 @@ class Arrival:
     """The step at which a plan has stopped, and why."""
 
     step: int  # the last recorded step that it has made
-    #: "step": it was to come there; "watch": what was watched has changed; "interrupted": by Ctrl-C; "parted": what
-    #: comes next is another record than the recorded one.
+    #: "step": it is the target; "watch": a watched value has changed; "interrupted": by Ctrl-C; "parted": the next
+    #: record differs from the recorded one.
     reason: str = "step"
-    text: str = ""  # how it differs
-    #: steps, numbers of what was watched, values before and after.
-    changes: list[tuple[int, int, str, str]] = field(default_factory=list)
+    text: str = ""  # the difference, in words
+    changes: list[tuple[int, int, str, str]] = field(default_factory=list)  # step, watch's index, values before, after
 
 
 class GuidedPlan:
     """A recorded plan, at a step; the arguments are those of :class:`replay.retrace.plan_process.PlanProcess`.
 
-    With ``checkpoints``, copies of it wait at some steps; without, going back is to run it again from its start.
+    With ``checkpoints``, copies of it wait at some steps; else it goes back by running again from its start.
 
     Raises:
-        CantRetrace: the plan isn't there, or the recording doesn't tell how it was run.
+        CantRetrace: the plan is missing, or the recording lacks the run's conditions.
         Damaged: the beginning of the recording is lost.
     """
 
@@ -93,21 +92,20 @@ class GuidedPlan:
         recorded_source: bool = False,
     ) -> None:
         process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
-        self.recorded_files = process.recorded_files  # the recorded source by its files' paths, if that runs
-        self.notes = tuple(process.notes())  # what is different from when it was recorded
+        self.recorded_files = process.recorded_files  # the recorded source by its files' paths, if it runs
+        self.notes = tuple(process.notes())  # differences from the recorded conditions
         self.step = -1  # the last recorded step that it has made; -1 before the first
-        self.last = len(log) - 1  # the last step that it can come to
-        self._log = log
-        # how it differs from the recording after that step, and lines that may be why, as they read the world outside;
-        # "" if it isn't known to
+        self.last = len(log) - 1  # the last step that it can reach
+        #: how it differs from the recording after that step, and possible causes outside of the plan; "" if unknown
         self.parted = ""
-        log.check()  # what is lost is known only then
+        self._log = log
+        log.check()  # losses are known only then
         gap = next(iter(log.lost()), None)
         if gap is not None:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
         if self.last < 0:
-            raise Damaged(log.path, "its beginning", "nothing of it is left to guide the plan")
-        spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)  # by the recording's clock: this machine may be busy
+            raise Damaged(log.path, "its beginning", "no record is left to guide the plan")
+        spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)  # by the recorded clock: now the machine may be busy
         self._copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
 
     def __enter__(self) -> Self:
@@ -131,15 +129,15 @@ class GuidedPlan:
         return self._copies.runs
 
     def go(self, step: int, watched: Sequence[WatchedExpression] = (), *, through: bool = False) -> Arrival:
-        """Bring the plan to a step, forwards or back.
+        """Move the plan to a step, forwards or back.
 
-        With watched expressions, the plan continues from where it is, and stops where one of their values changes;
+        With watched expressions, the plan continues from its present step, and stops where one of their values changes;
         with ``through``, changes are only noted, up to the step.
 
         Raises:
-            PlanEnded: its process has ended before; it is at no step then.
-            PlanInterrupted: by Ctrl-C, twice, as it came to no step; it is where it was before.
-            ReplayError: it is another plan, whose first record differs.
+            PlanEnded: its process has ended before; then it is at no step.
+            PlanInterrupted: Ctrl-C was pressed twice before it reached a step; it is at its previous step.
+            ReplayError: its first record differs: it is another plan.
         """
         copies = self._copies
         if copies.now is None and watched:
@@ -194,12 +192,12 @@ class GuidedPlan:
         return Arrival(self.step, message["reason"], self.parted if found else "", message["changes"])
 
     def ask(self, what: str, **arguments: object) -> Any:
-        """Ask the stopped plan something; see :class:`replay.debug.stopped_plan.StoppingSink`.
+        """Send a question to the stopped plan; see :class:`replay.debug.stopped_plan.StoppingSink`.
 
         Raises:
             PlanEnded: its process has ended.
-            ReplayError: it can't be answered there.
-            KeyboardInterrupt: somebody has pressed Ctrl-C; nothing has changed.
+            ReplayError: the question has no answer.
+            KeyboardInterrupt: Ctrl-C was pressed; nothing has changed.
         """
         answer = self._copies.ask({"do": what, **arguments})
         if "error" in answer:
@@ -208,7 +206,7 @@ class GuidedPlan:
 
 
 def _halving(start: int, step: int) -> Iterator[int]:
-    """Yield steps on the way to a step, each halving the rest of the way."""
+    """Yield steps between two steps, each halving the rest."""
     while step - start >= _FINEST:
         start += (step - start) // 2
         yield start
@@ -221,13 +219,13 @@ def _halving(start: int, step: int) -> Iterator[int]:
 class PlanCopy:
     """A process of the plan that has stopped at a step, or continues from there."""
 
-    channel: Channel  # to it
-    pid: int  # its number
-    parent: PlanCopy | None  # the copy that it was forked from; None for the first process
+    channel: Channel  # the connection to it
+    pid: int
+    parent: PlanCopy | None  # the copy that forked it; None for the first process
     step: int = -1  # the last recorded step that it is known to have made
-    parted: bool = False  # whether it did something else after that than the recording has
-    can_wait: bool = False  # whether it could be copied there
-    between: bool = False  # whether it has stopped after that step's record, on its way to the next one
+    parted: bool = False  # whether its next record differed from the recorded one
+    can_wait: bool = False  # whether it can be copied there
+    between: bool = False  # whether it has stopped between that step's record and the next one
 
 
 class PlanCopies:
@@ -235,14 +233,13 @@ class PlanCopies:
 
     def __init__(self, process: PlanProcess, spacing: int | None) -> None:
         self.waiting: list[PlanCopy] = []  # copies that wait, each after its parent
-        # the process that has stopped, which may be one of these; None while another one comes
-        self.now: PlanCopy | None = None
-        self.runs = 0  # how often the first process was started
+        self.now: PlanCopy | None = None  # the stopped process, also if it waits; None while a process runs
+        self.runs = 0  # number of starts of the first process
         self._process = process
         self._spacing = spacing
         self._root: subprocess.Popen[bytes] | None = None
         self._ending = False
-        self._interrupts = 0  # by Ctrl-C, since the plan was asked for something
+        self._interrupts = 0  # number of Ctrl-C since the last message to the plan
         with ExitStack() as undoing:
             self._folder = undoing.enter_context(
                 tempfile.TemporaryDirectory(prefix="pycram-debug-", ignore_cleanup_errors=True)
@@ -259,10 +256,10 @@ class PlanCopies:
         self.end_all()
         self._open.close()
 
-    # --- what they do -----------------------------------------------------------------------------------------------
+    # --- commands ---------------------------------------------------------------------------------------------------
 
     def start(self) -> Message:
-        """Run the plan from its start to its first record; return the message of where it stopped."""
+        """Run the plan from its start to its first record; return the message of its stop."""
         self.end_all()
         self.runs += 1
         folder = Path(self._folder) / f"run-{self.runs}"
@@ -270,7 +267,7 @@ class PlanCopies:
         guidance = self._process.guidance()
         with self._noting_interrupts():
             self._root = self._process.start(
-                "replay.debug",
+                "replay.debug.stopped_plan",
                 guidance,
                 str(folder),
                 self._errors,
@@ -281,10 +278,10 @@ class PlanCopies:
             return self._stopped(None)
 
     def go_on(self, origin: PlanCopy, conditions: Message) -> Message:
-        """Let a copy continue, or its child if the copy stays; return the message of where that stopped.
+        """Let a copy continue, or its child if the copy stays; return the message of the stop.
 
         Raises:
-            PlanEnded: it ended before.
+            PlanEnded: the process ended before.
             EndedByInterrupt: Ctrl-C was pressed twice.
         """
         stay = origin in self.waiting or (origin.can_wait and origin.parent is None)
@@ -296,11 +293,11 @@ class PlanCopies:
             return self._stopped(None if stay else origin)
 
     def ask(self, question: Message) -> Message:
-        """Ask the process that has stopped something, and return its answer.
+        """Send a question to the stopped process, and return its answer.
 
         Raises:
-            PlanEnded: it has ended.
-            KeyboardInterrupt: somebody has pressed Ctrl-C; nothing has changed.
+            PlanEnded: the process has ended.
+            KeyboardInterrupt: Ctrl-C was pressed; nothing has changed.
         """
         now, passed_on = self.now, False
         if now is None:
@@ -320,7 +317,7 @@ class PlanCopies:
 
     @contextmanager
     def _noting_interrupts(self) -> Iterator[None]:
-        """Count Ctrl-C while the block runs: KeyboardInterrupt could separate a message from its answer."""
+        """Count Ctrl-C in the ``with`` block: KeyboardInterrupt could separate a message from its answer."""
         self._interrupts = 0
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -337,7 +334,7 @@ class PlanCopies:
 
     def _stopped(self, running: PlanCopy | None) -> Message:
         """Wait until the running process, or the next one, has stopped; return its message."""
-        passed_on = False  # Ctrl-C, to the process that runs
+        passed_on = False  # whether Ctrl-C was sent to the running process
         while True:
             sources: list[socket.socket | Channel] = [self._listener, *([running.channel] if running else [])]
             read = running is not None and running.channel.has_read
@@ -364,12 +361,12 @@ class PlanCopies:
             if self._interrupts and running is not None and not passed_on:
                 passed_on = True
                 running.channel.send({"do": "interrupt"})
-                with suppress(ProcessLookupError):  # where it makes no record, it hears only this
+                with suppress(ProcessLookupError):  # if it makes no record, it reads no message
                     os.kill(running.pid, PAUSE)
 
     def _next(self, running: PlanCopy | None) -> PlanCopy:
         """Accept the process that a copy has forked to continue."""
-        if running is not None:  # it tells that it waits, or has told it
+        if running is not None:  # its message that it waits has arrived, or will arrive
             message = _received(running.channel)
             if message is None:
                 self._lost(running)
@@ -383,7 +380,7 @@ class PlanCopies:
         parent = next((each for each in self.waiting if each.pid == hello["parent"]), None)
         return PlanCopy(channel, hello["pid"], parent, hello["step"])
 
-    # --- their ends -------------------------------------------------------------------------------------------------
+    # --- ends of processes ------------------------------------------------------------------------------------------
 
     def _lost(self, copy: PlanCopy | None) -> NoReturn:
         """Raise `PlanEnded`."""
@@ -396,31 +393,31 @@ class PlanCopies:
         return self._errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
 
     def end(self, copy: PlanCopy | None) -> None:
-        """End a process without children; if it is the first one, end all."""
+        """End a process without children; if it is the first process, end all."""
         if copy is None or copy.parent is None:
             self.end_all()
             return
         copy.channel.close()
         copy.parent.channel.send({"do": "end", "pid": copy.pid})
-        if _received(copy.parent.channel) is None and not self._ending:  # somebody else has ended the parent
+        if _received(copy.parent.channel) is None and not self._ending:  # the parent was ended from outside
             self.end_all()
 
     def end_all(self) -> None:
-        """End all processes, each before its parent, which reaps it."""
+        """End all processes, each before its parent, which waits for it."""
         self._ending = True
         for each in reversed([*self.waiting, *([self.now] if self.now and self.now not in self.waiting else [])]):
             if each.parent is not None:
                 self.end(each)
             else:
                 each.channel.close()
-        if self._root is not None:  # it ends what is left, too
+        if self._root is not None:  # all other processes end with it
             self._root.kill()
             self._root.wait()
         self._root, self.now, self._ending = None, None, False
         self.waiting.clear()
 
     def thin_out(self, step: int) -> None:
-        """End the copies that wait farthest from a step, if there are too many."""
+        """End the waiting copies that are farthest from a step, if there are too many."""
         while len(self.waiting) > _MAX_WAITING:
             parents = {each.parent for each in (*self.waiting, self.now) if each is not None}
             ends = [each for each in self.waiting if each not in parents and each is not self.now]

@@ -1,10 +1,10 @@
-"""A session of the debugger: a guided plan, its breakpoints, and the steps that commands lead to.
+"""A session of the debugger: a guided plan, its breakpoints, and the targets of commands.
 
 Breakpoints and watches are steps of the recording at which the plan stops, known when they are set. Only a watch on the
-plan's own variables has none: no recording holds these, so the plan runs to find out.
+plan's own variables has no known steps: no recording has these variables, so the plan must run.
 
 The level of a step is the innermost task that encloses it; the start and the end of a task are on the level around it.
-So ``next`` goes from the start of a task to its end, as a debugger of programs steps over a call.
+So ``next`` goes from the start of a task to its end, as other debuggers step over a call.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class NoFurther(ReplayError):
 class Halt:
     """The step at which the plan has stopped, and the breakpoints that stopped it."""
 
-    arrival: Arrival  # the step
-    met: list[Breakpoint] = field(default_factory=list)  # the breakpoints there
+    arrival: Arrival
+    met: list[Breakpoint] = field(default_factory=list)  # the breakpoints at that step
     #: Values before and after of watches on the plan's variables, by the watch's number.
     changes: dict[int, tuple[str, str]] = field(default_factory=dict)
 
@@ -60,7 +60,7 @@ class Session:
     def __init__(self, log: Recording, plan: GuidedPlan) -> None:
         self.log = log
         self.plan = plan
-        self.breakpoints: list[Breakpoint] = []  # those that are set, in the order of their numbers
+        self.breakpoints: list[Breakpoint] = []  # in the order of their numbers
         self._numbers = 0
 
     @cached_property
@@ -92,7 +92,7 @@ class Session:
         """Return a watch on an expression about recorded states, or else about the variables of a frame's function.
 
         Raises:
-            NoQuantity: it is neither.
+            NoQuantity: it has no value in either.
         """
         number, text = self._numbers + 1, f"watch {expression}"
         try:
@@ -111,7 +111,7 @@ class Session:
         """Return a breakpoint by its number.
 
         Raises:
-            NoSuchName: there is none.
+            NoSuchName: no breakpoint has this number.
         """
         for each in self.breakpoints:
             if str(each.number) == number:
@@ -121,7 +121,7 @@ class Session:
     # --- from step to step ------------------------------------------------------------------------------------------
 
     def forward(self, target: int | None = None) -> Halt:
-        """Continue to a step, by default the last, or to the first breakpoint on the way.
+        """Continue to a step, by default the last, or to the first breakpoint before it.
 
         Raises:
             NoFurther: this is the last step that the plan can reach.
@@ -153,7 +153,7 @@ class Session:
         return self._halted(self.plan.go(goal), enabled, changes)
 
     def back_to_change(self, expression: str, frame: int) -> Halt:
-        """Go back to where an expression last changed, as for :meth:`set_watch`.
+        """Go back to the last change of an expression; see :meth:`set_watch`.
 
         Raises:
             NoFurther: it didn't change before this step.
@@ -171,7 +171,7 @@ class Session:
         return self._halted(self.plan.go(step), [watch], dict(enumerate(changes.values())))
 
     def go(self, step: int) -> Halt:
-        """Go to a step, past all breakpoints.
+        """Go to a step, without stopping at breakpoints.
 
         Raises:
             NoFurther: the plan can't reach it.
@@ -189,9 +189,9 @@ class Session:
     def _last_change(
         self, watched: list[WatchedExpression], after: int, before: int
     ) -> tuple[int, dict[int, tuple[str, str]]]:
-        """Return the last step between two at which a watched value changed, and the changes by index; else ``after``.
+        """Return the last step between two steps at which a watched value changed, and its changes by index.
 
-        The plan runs to find out, from the nearest waiting copy, then from the one before.
+        The step is ``after`` if no value changed. The plan runs from the nearest waiting copy, then from earlier ones.
         """
         end = before - 1
         while end > max(after, 0):
@@ -223,10 +223,10 @@ class Timeline:
     """The steps of a recording, read once."""
 
     def __init__(self, log: RecordReader) -> None:
-        self.steps = len(log)  # how many there are
-        self.paths: dict[int, tuple[str, ...]] = {}  # names of tasks from the outside in, by the steps of their starts
-        self.kinds: dict[int, str] = {}  # kinds of tasks, by the same
-        self.failures: list[int] = []  # steps at which something failed
+        self.steps = len(log)  # number of steps
+        self.paths: dict[int, tuple[str, ...]] = {}  # names of tasks, outermost first, by the steps of their starts
+        self.kinds: dict[int, str] = {}  # kinds of tasks, by the steps of their starts
+        self.failures: list[int] = []  # steps with a failure
         self.events: dict[str, list[int]] = defaultdict(list)  # steps of events, by their names
         self._levels = [0] * self.steps
         self._parents: dict[int, int] = {}
@@ -244,7 +244,7 @@ class Timeline:
                 task_stacks[record.task] = stack
             self._stacks[record.seq] = stack
             before = latest.get(record.thread, ())
-            again = bool(own) and not isinstance(record, Output)  # what a line prints comes with its other records
+            again = bool(own) and not isinstance(record, Output)  # the output of a line accompanies its other records
             for depth, site in enumerate(stack):
                 if before[: depth + 1] != stack[: depth + 1] or (again and depth == len(stack) - 1):
                     hits = self._lines[site]
@@ -268,7 +268,7 @@ class Timeline:
         if "failure" in record.DESCRIPTOR.fields_by_name and record.HasField("failure"):
             self.failures.append(record.seq)
 
-    # --- where commands lead ----------------------------------------------------------------------------------------
+    # --- targets of commands ----------------------------------------------------------------------------------------
 
     def following(self, step: int) -> int:
         """Return the next step on the same level or an outer one; the last step if there is none."""
@@ -281,11 +281,11 @@ class Timeline:
         return next((at for at in range(step - 1, -1, -1) if self._levels[at] in around), 0)
 
     def end(self, step: int) -> int:
-        """Return the end of the task that a step is in; the last step if there is no task or no end."""
+        """Return the end of the task around a step; the last step without a task or an end."""
         return self._ends.get(self._levels[step], self.steps - 1)
 
     def onwards(self, step: int) -> int:
-        """Return the next step at a later line of the same file on the same level, or the next on an outer level."""
+        """Return the next step at a later line of the same file on the same level, or on an outer level."""
         site, level = self.site(step), self._levels[step]
         around = {level, *self._around(level)}
         for at in range(step + 1, self.steps):
@@ -316,9 +316,9 @@ class Timeline:
         return {file for file, _ in self._lines}
 
     def line(self, file: str, number: int) -> tuple[int, list[int]]:
-        """Return the first line at or after one that led to a record, and the steps at which the plan reached it.
+        """Return the first line from a given one on that led to a record, and the steps at which the plan reached it.
 
-        Each execution of the line counts once, with its first record. Repeated calls by one line count once if no other
+        Each execution of the line counts once, with its first record. Repeated calls in one line count once if no other
         line made a record between them.
         """
         numbers = sorted(line for named, line in self._lines if named == file)
@@ -347,11 +347,11 @@ def _own_stack(record: Record) -> tuple[Site, ...]:
 
 
 class NoSuchPlace(ReplayError, LookupError):
-    """A place for a breakpoint that the recording doesn't have."""
+    """The recording doesn't have the place of a breakpoint."""
 
     def __init__(self, place: str, cause: str) -> None:
         super().__init__(f"{place}: {cause}")
-        self.place = place  # as it was asked for
+        self.place = place  # as the user wrote it
 
 
 @dataclass(slots=True)
@@ -360,18 +360,18 @@ class Breakpoint:
 
     number: int  # its name, from 1
     text: str  # description
-    steps: list[int] = field(default_factory=list)  # at which it stops the plan, sorted
+    steps: list[int] = field(default_factory=list)  # that stop the plan, sorted
     temporary: bool = False  # whether it is removed after it has stopped the plan
     enabled: bool = True  # whether it stops the plan
-    line: tuple[str, int] | None = None  # of a breakpoint at a line of the plan: its file and number
-    changes: dict[int, ValueChange] = field(default_factory=dict)  # of a watch: the changes, by their steps
-    watched: WatchedExpression | None = None  # of a watch on the plan's variables
+    line: tuple[str, int] | None = None  # file and number, for a breakpoint at a line of the plan
+    changes: dict[int, ValueChange] = field(default_factory=dict)  # by their steps, for a watch on recorded states
+    watched: WatchedExpression | None = None  # for a watch on the plan's variables
 
     @property
     def counted(self) -> str:
         """The steps at which it stops the plan, in words."""
         if self.watched is not None:
-            return "the plan runs to find out where it changes"
+            return "the plan must run to find its changes"
         count = len(self.steps)
         some = ", ".join(map(str, self.steps[:6])) + (", ..." if count > 6 else "")
         return f"step{'s' if count > 1 else ''} {some}" if count else "it never changes"
@@ -381,7 +381,7 @@ def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -
     """Return a breakpoint: at a step, ``failure``, ``event [NAME]``, FILE:LINE, or tasks by path or kind.
 
     Raises:
-        NoSuchPlace: nothing in the recording is there.
+        NoSuchPlace: the recording doesn't have this place.
         NoSuchStep: there is no such step.
     """
     word, _, rest = place.partition(" ")
@@ -422,12 +422,12 @@ def _at_line(timeline: Timeline, number: int, name: str, line: int) -> Breakpoin
     files = [file for file in timeline.files if is_file(file, name)]
     if not files:
         known = ", ".join(sorted({name_of(file) for file in timeline.files})) or "none"
-        raise NoSuchPlace(f"{name}:{line}", f"no line of such a file led to a record; the plan's files are {known}")
+        raise NoSuchPlace(f"{name}:{line}", f"no line of this file led to a record; the plan's files are {known}")
     if len(files) > 1:
         known = ", ".join(sorted(files))
         raise NoSuchPlace(f"{name}:{line}", f"several of the plan's files have that name: {known}")
     at, steps = timeline.line(files[0], line)
     if not at:
-        raise NoSuchPlace(f"{name}:{line}", "no record comes from this line or a later one of that file")
+        raise NoSuchPlace(f"{name}:{line}", "neither this line nor a later one of the file led to a record")
     moved = "" if at == line else f" (line {line} leads to no record)"
     return Breakpoint(number, f"{name_of(files[0])}:{at}{moved}", steps, line=(files[0], at))

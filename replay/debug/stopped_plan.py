@@ -1,8 +1,7 @@
 """The process of a debugged plan: it compares each record with the recorded one, and stops the plan at a step.
 
-While the plan is stopped, its process answers messages from the prompt: lines of JSON on a socket. To continue, the
-process itself continues, or it stays and a forked child continues, as at checkpoints on the way: so there is a process
-that can continue from here again.
+While the plan is stopped, its process answers messages from the prompt: lines of JSON on a socket. Then the process
+continues; or it stays, as at checkpoints, and a forked child continues. A process that stays can continue again later.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ from recorder.records import Task, format_error
 from recorder.tracing import forking, interrupts, journal
 from recorder.tracing.call_stack import is_plan, plan_frames
 from recorder.tracing.journal import NullSink
-from replay.retrace.guide import Guidance
 from replay.retrace.guided_run import GuidedRun
+from replay.retrace.plan_process import Guidance
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -43,15 +42,15 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
     from recorder.records import Record
-    from replay.retrace.guide import FirstDifference
+    from replay.retrace.plan_process import FirstDifference
 
 Message: TypeAlias = "dict[str, Any]"
 
-_BLOCK: Final = 1 << 16
-PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have it
+PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have SIGURG
 """Stops a plan that makes no record, and so reads no message; ignored in processes without a handler."""
+_BLOCK: Final = 1 << 16  # bytes of one read
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # a module's imports and definitions
-_MAX_NAMES: Final = 200  # that complete a text
+_MAX_NAMES: Final = 200  # completions of a text
 _CLOCKS: Final = ("time", "monotonic", "perf_counter")
 _NS: Final = 10**9
 
@@ -96,7 +95,7 @@ class Channel:
 
     @property
     def has_read(self) -> bool:
-        """Whether a message is in the buffer already, which select doesn't see."""
+        """Whether a message is in the buffer, which select doesn't see."""
         return b"\n" in self._received
 
     def close(self) -> None:
@@ -125,9 +124,9 @@ class PlanFrame(NamedTuple):
 
 
 def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool) -> list[PlanFrame]:
-    """Return the plan's frames, innermost first; after a branch's frames come those of the code that waits for it.
+    """Return the plan's frames, innermost first; a branch's frames are followed by those of the code waiting for it.
 
-    ``parents`` has the id of each task's parent. With ``failing``, frames that an error has left come first.
+    ``parents`` has the id of each task's parent. With ``failing``, the frames that an error has left come first.
     """
     own = [PlanFrame(each, each.f_lineno) for each in plan_frames(frame)]
     error = sys.exception() if failing else None
@@ -157,7 +156,7 @@ def _traceback(trace: TracebackType | None) -> Iterator[PlanFrame]:
 
 
 def variables(frame: FrameType, *, arguments: bool = False) -> list[tuple[str, str]]:
-    """Return the names and values of a frame's variables, or only of its arguments; of modules no definitions."""
+    """Return the names and values of a frame's variables, or only of its arguments; without a module's definitions."""
     values = dict(frame.f_locals)
     if arguments:
         info = inspect.getargvalues(frame)
@@ -169,14 +168,14 @@ def variables(frame: FrameType, *, arguments: bool = False) -> list[tuple[str, s
 
 
 def evaluate(frame: FrameType, expression: str, *, pretty: bool = False) -> dict[str, str]:
-    """Return an expression's value in a frame, or the error that it raised, and what it printed."""
+    """Return an expression's value in a frame, or the error that it raised, and its output."""
     printed = StringIO()
     answer: dict[str, str] = {}
     with redirect_stdout(printed), redirect_stderr(printed):
         try:
             value = value_of(frame, expression)
             answer["value"] = pprint.pformat(value) if pretty else repr(value)
-        except BaseException as error:  # noqa: BLE001  whatever the user's expression raises
+        except BaseException as error:  # noqa: BLE001  the user's expression may raise any error
             answer["error"] = format_error(error)
     return {**answer, "printed": printed.getvalue()}
 
@@ -204,7 +203,7 @@ def _repr(value: object) -> str:
 
 
 class PausableClock:
-    """Python's clocks without the time in which the plan was stopped: deadlines don't pass at the prompt."""
+    """Python's clocks, which don't advance while the plan is stopped: deadlines don't pass at the prompt."""
 
     def __init__(self) -> None:
         self._now_ns = time.monotonic_ns
@@ -218,7 +217,7 @@ class PausableClock:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Stop the clocks while the block runs, also if a forked child leaves it."""
+        """Stop the clocks in the ``with`` block, also if a forked child leaves it."""
         since = self._now_ns()
         try:
             yield
@@ -239,13 +238,13 @@ def _refuse(error: Exception) -> NoReturn:
 
 
 def _can_be_copied() -> bool:
-    """Whether a copy would do the same as this process: it would lack threads and child processes."""
+    """Return whether a copy would behave the same: a copy has neither threads nor child processes."""
     return not obstacle() and not has_children()
 
 
 @dataclass(frozen=True, slots=True)
 class WatchedExpression:
-    """An expression that is watched where a function of the plan runs."""
+    """An expression that is watched while a function of the plan runs."""
 
     expression: str
     file: str  # of the function
@@ -258,24 +257,24 @@ class WatchedExpression:
             if (code.co_filename, code.co_firstlineno) == (self.file, self.first):
                 try:
                     return repr(value_of(each.frame, self.expression))
-                except Exception:  # noqa: BLE001  a variable that isn't there yet, say
+                except Exception:  # noqa: BLE001  the user's expression may raise any error
                     return None
         return None
 
 
 @dataclass(slots=True)
 class StopConditions:
-    """What stops a plan that continues."""
+    """The conditions that stop a continuing plan."""
 
     until: int  # step
     checkpoints: frozenset[int] = frozenset()  # steps at which a copy stays
-    watched: tuple[WatchedExpression, ...] = ()  # a change of one of these values stops the plan
+    watched: tuple[WatchedExpression, ...] = ()  # a change of any value stops the plan
     through: bool = False  # whether changes are only noted
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)  # step, index in watched, before, after
 
     @classmethod
     def of(cls, message: Message, moved: tuple[str, str] | None) -> StopConditions:
-        """Return the conditions of a message, which names files by the plan's own folder."""
+        """Return the conditions of a message, in which files are in the plan's own folder."""
         new, old = moved or ("", "")
         watched = tuple(
             WatchedExpression(expression, file.replace(old, new), first)
@@ -285,7 +284,7 @@ class StopConditions:
 
 
 class StoppingSink(NullSink):
-    """Stops a guided run; :attr:`guided` compares its records before.
+    """Stops a guided run; :attr:`guided` compares its records first.
 
     Args:
         guidance, folder: see :class:`replay.retrace.guided_run.GuidedRun`.
@@ -317,7 +316,7 @@ class StoppingSink(NullSink):
         self._channel = self._connected(parent=0)
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
-        """Stop at the record's step, if it is the target."""
+        """Stop at the record's step, if a condition holds."""
         if self._over:
             return
         if isinstance(record, Task) and record.phase in (Task.STARTED, Task.ASKED):
@@ -332,7 +331,7 @@ class StoppingSink(NullSink):
             self._frame = None
 
     def close(self) -> None:
-        """Stop for good if the plan ended before its recording."""
+        """Stop finally if the plan ended before its recording."""
         if not self._over:
             self.guided.guide.close()
             self._end()
@@ -347,7 +346,7 @@ class StoppingSink(NullSink):
         self._frame = sys._getframe(2)  # noqa: SLF001  as above
         self._stop("parted")
 
-    # --- on its way -------------------------------------------------------------------------------------------------
+    # --- while the plan runs ----------------------------------------------------------------------------------------
 
     def _pass(self) -> None:
         """Continue after a record, or stop and continue later."""
@@ -359,7 +358,7 @@ class StoppingSink(NullSink):
             self._check_point()
 
     def _pause(self, _: int, frame: FrameType | None) -> None:
-        """Stop between two records: the plan may hang. During a record, the record's own check stops it."""
+        """Stop between two records, because the plan may hang; during a record, :meth:`_pass` stops it."""
         if self._step >= 0 and not (self._over or self._serving or interrupts.is_uninterrupted() or is_held()):
             self._frame = frame
             self._stop("interrupted", between=True)
@@ -379,7 +378,7 @@ class StoppingSink(NullSink):
         return bool(changes)
 
     def _watched_values(self) -> list[str | None]:
-        """Return the watched values; keep the plan's random state, and record nothing."""
+        """Return the watched values, unrecorded, and with the plan's random state restored."""
         stack = self._stack()
         dice = random.getstate()
         with journal.unrecorded():
@@ -461,7 +460,7 @@ class StoppingSink(NullSink):
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
                 return {"answer": pid}
-            case {"do": "interrupt"}:  # of what was done already
+            case {"do": "interrupt"}:  # its target is done already
                 return {"interrupt": "late"}
             case {"do": "where"}:
                 return {"answer": [each.facts(self._moved) for each in self._stack()]}
@@ -474,7 +473,7 @@ class StoppingSink(NullSink):
         return self._in_copy(doing[message["do"]])
 
     def _in_copy(self, work: Callable[[], Any]) -> Message:
-        """Do something in a forked copy, as it may call any code: the plan's process stays unchanged."""
+        """Work in a forked copy, because it may call any code: the plan's process stays unchanged."""
         if not hasattr(os, "fork"):
             return {"answer": work()}
         child = Child(lambda: json.dumps({"answer": work()}).encode())
@@ -493,10 +492,10 @@ class StoppingSink(NullSink):
         return stack(self._frame, self._parents, failing=self._failing)
 
 
-def main(text: str) -> None:
-    """Run a plan up to a step as a request in JSON says; :class:`replay.debug.guided_plan.PlanCopies` makes it."""
-    request = json.loads(text)
-    gc.freeze()  # collecting garbage writes to all objects: copies would no longer share their memory
+def main() -> None:
+    """Run a plan up to a step, by a request in JSON from :class:`replay.debug.guided_plan.PlanCopies`."""
+    request = json.loads(sys.argv[1])
+    gc.freeze()  # garbage collection writes to all objects: copies would no longer share their memory
     os.setsid()  # Ctrl-C at the prompt isn't the plan's
     die_with(request.pop("parent"))
     clock = PausableClock()

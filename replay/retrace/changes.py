@@ -1,13 +1,13 @@
 """Changes of a forked run after a step: settings of objects and fluents, answers of queries, the seed.
 
-Each change is a line of text, as a person types it and as the fork's recording keeps it: ``milk.position=1,2,0.9``,
-``reachable_object(milk)=false``. So a fork can be run again like any other run. Before anything runs, changes are
-checked as far as the recording allows; the setters check the rest.
+Each change is a line of text, both in the command and in the fork's recording: ``milk.position=1,2,0.9``,
+``reachable_object(milk)=false``. So a fork can run again like any other run. Before the plan runs, changes are checked
+as far as the recording allows; the setters check the rest.
 
-Queries draw no random numbers and change nothing in a world. So a run whose answers are taken from the recording
-continues like one that asks. An answer is taken only for the query that the recording has next: the same question, with
-the same arguments, at the same moment, and without records in between. Failed queries, queries about many targets (the
-evidence of their single answers isn't on record) and the plan's own queries are always asked.
+Queries draw no random numbers and change nothing in a world. So a run that takes the recorded answers continues like a
+run that asks. An answer is taken only if the next recorded query is the same: with the same arguments, at the same
+moment, and without records in between. Always asked are failed queries, queries about many targets (the evidence of
+their single answers isn't on record) and the plan's own queries.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
     from replay.report.question import Term
-    from replay.retrace.guide import Guide
+    from replay.retrace.guided_run import Guide
 
 _COUNTS: Final[Mapping[str, tuple[int, ...]]] = {"position": (3, 7), "orientation": (4,), "color": (4,)}
 _EXPECTED: Final = (
@@ -75,7 +75,7 @@ class BadChange(ReplayError):
     def __init__(self, change: str, cause: str) -> None:
         super().__init__(f"{change}: {cause}")
         self.change = change  # as given
-        self.cause = cause  # what is wrong with it
+        self.cause = cause
 
 
 # --- settings and the seed --------------------------------------------------------------------------------------------
@@ -86,16 +86,16 @@ class Setting:
     """A value for a quantity of an object, or for a fluent."""
 
     text: str  # as given
-    name: str  # of the object; of the fluent
+    name: str  # of the object or the fluent
     quantity: str  # "position", "orientation", "color" or a joint of the object; "" for a fluent
-    value: Any  # its numbers; of a fluent any value
+    value: Any  # list of numbers for an object; any value for a fluent
 
     def make(self, world: str) -> None:
         """Set the value, in a world of this process.
 
         Raises:
             BadChange: there is no such world or fluent.
-            PycramError: the setter refuses it.
+            PycramError: the setter rejects the value.
         """
         if not self.quantity:
             self._fluent().set_value(self.value)
@@ -114,17 +114,17 @@ class Setting:
             body.set_joint_position(self.quantity, *self.value)
 
     def _fluent(self) -> Fluent:
-        """Return the fluent of that name, found among all objects: only the plan itself refers to it."""
+        """Return the fluent of that name, found among all Python objects: only the plan refers to it."""
         named: dict[Variable, Fluent] = {}
         for each in gc.get_objects():
-            if issubclass(type(each), Fluent):  # isinstance would ask proxies, which may do anything
-                expression = getattr(each, "expression", None)  # not yet, in the middle of its making
+            if issubclass(type(each), Fluent):  # isinstance() would call proxies
+                expression = getattr(each, "expression", None)  # it may be under construction
                 if isinstance(expression, Variable) and not expression.source:
                     named[expression] = each
         found = [each for expression, each in named.items() if expression.text() == self.name]
         if not found:
             names = sorted({expression.text() for expression in named})
-            others = f"those that can be set are {', '.join(names)}" if names else "none can be set"
+            others = f"the plan has {', '.join(names)}" if names else "no fluent can be set"
             raise BadChange(self.text, f"there is no fluent {self.name} at that moment; {others}")
         if len(found) > 1:
             raise BadChange(self.text, f"{len(found)} fluents have that name")
@@ -132,15 +132,15 @@ class Setting:
 
 
 def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | None = None) -> list[Change]:
-    """Return settings, as ``milk.position=1,2,0.9``, as changes after a step; by default of the world opened last.
+    """Return settings, as ``milk.position=1,2,0.9``, as changes after a step; by default in the last opened world.
 
     Raises:
-        BadChange: one can't be read.
-        NoSuchName: there is no such world, object or joint then.
+        BadChange: a setting has another form.
+        NoSuchName: there is no such world, object or joint at that step.
     """
     changes = []
     if world is not None:
-        state_at(log, step).world(world)  # raises, also where nothing of it is set
+        state_at(log, step).world(world)  # raises an error for unknown names, also without settings
     for text in texts:
         setting = parse_setting(text, fluent=_is_of_fluent(log, text))
         name = ""
@@ -158,7 +158,7 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
 
 
 def _is_of_fluent(log: RecordReader, text: str) -> bool:
-    """Return whether a setting is for a fluent, whose name may look like OBJECT.QUANTITY."""
+    """Return whether a setting is for a fluent; a fluent's name may look like OBJECT.QUANTITY."""
     name = text.partition("=")[0].strip()
     return (
         "." not in name
@@ -168,12 +168,12 @@ def _is_of_fluent(log: RecordReader, text: str) -> bool:
 
 
 def parse_setting(text: str, *, fluent: bool) -> Setting:
-    """Parse ``milk.position=1,2,0.9``, ``pr2.torso_lift_joint=0.2`` or, of a fluent, ``battery=20``.
+    """Parse ``milk.position=1,2,0.9``, ``pr2.torso_lift_joint=0.2`` or, for a fluent, ``battery=20``.
 
-    A fluent whose name has a dot, and isn't on record yet, is ``fluent:left.battery=20``.
+    A fluent whose name has a dot, and isn't on record yet, is written ``fluent:left.battery=20``.
 
     Raises:
-        BadChange: it isn't a setting.
+        BadChange: the text has another form.
     """
     left, _, right = (part.strip() for part in text.partition("="))
     name, _, quantity = (left.removeprefix(_FLUENT), "", "") if fluent else left.rpartition(".")
@@ -197,14 +197,14 @@ def seed_change(step: int, seed: int) -> Change:
     """Return a change of the seed after a step.
 
     Raises:
-        BadChange: it isn't a seed.
+        BadChange: the seed is out of range.
     """
     if not 0 <= seed <= MAX_SEED:
         raise BadChange(f"seed {seed}", f"a seed is a whole number from 0 to {MAX_SEED}")
     return Change(step=step, seed=str(seed))
 
 
-def text_of(change: Change) -> str:
+def change_text(change: Change) -> str:
     """Return a change in words."""
     return change.set or change.answer or f"seed {change.seed}"
 
@@ -225,8 +225,8 @@ class GivenAnswer:
 
     text: str  # as given
     query: str  # name of the query
-    arguments: Mapping[str, Term]  # those that it has to have, by what records call them
-    answer: Term  # true or false; names of objects; true or false for each of several
+    arguments: Mapping[str, Term]  # required arguments, by their names in records
+    answer: Term  # true or false; names of objects; true or false for each target
 
     def fits(self, name: str, arguments: Mapping[str, object], world: BulletWorld) -> bool:
         """Return whether a query matches."""
@@ -255,10 +255,10 @@ class GivenAnswer:
 
 
 def parse_answer(text: str) -> GivenAnswer:
-    """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``; only given arguments have to match.
+    """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``; only given arguments must match.
 
     Raises:
-        BadChange: it isn't a query with one of its possible answers.
+        BadChange: the text has another form, or the query can't have this answer.
         NoSuchName: there is no such query.
     """
     left, equals, right = text.rpartition("=")
@@ -320,16 +320,16 @@ def _name(term: Term) -> str:
 class PendingChanges:
     """Makes changes after their steps, in the process of the plan.
 
-    A step's record is made in the middle of the operation that it describes. So a change waits until that is done:
+    A step's record is made within the operation that it describes. So a change waits for the end of the operation:
     until the main thread has no uninterruptible section open and holds no lock, and deferred calls of a world's lock
-    are made. The plan can't have seen the world since. Changes are made outside of the plan's tasks, blocks and
-    branches, by the setters that plans call; their records say that they aren't the plan's.
+    are made. Between operation and change, the plan can't read the world. Changes are made outside of the plan's tasks,
+    blocks and branches, by the setters that plans call; their records say that they aren't the plan's.
 
     Args:
-        changes: all, in order.
-        answers: receives the changes of answers.
-        make: makes another change.
-        refuse: called with the error of a change that can't be made; it doesn't return.
+        changes: all changes, in order.
+        answers: receives the answer overrides.
+        make: makes any other change.
+        refuse: called with the error of an impossible change; it doesn't return.
     """
 
     def __init__(
@@ -346,7 +346,7 @@ class PendingChanges:
         self._process = process()
         self._making = False
         self._done: Callable[[], None] | None = None
-        self.due: list[Change] = []  # changes whose steps have passed, and which aren't made yet
+        self.due: list[Change] = []  # changes whose steps have passed, but which aren't made yet
 
     def passed(self, step: int, done: Callable[[], None]) -> None:
         """Make the changes after a step as soon as possible; then call ``done``."""
@@ -366,12 +366,12 @@ class PendingChanges:
         if isinstance(record, Query):
             self._answers.complete(record)
         elif self._making and isinstance(record, Mutation | records.Fluent) and not record.task and not record.cause:
-            is_set = isinstance(record, Mutation) or not record.source  # others follow the world
+            is_set = isinstance(record, Mutation) or not record.source  # other fluents follow the world
             record.by_fork = is_set and threading.current_thread() is threading.main_thread()
 
     def _try(self) -> bool:
-        """Make the changes that are due, if possible now; return whether no other attempt is needed."""
-        if process() != self._process:  # a projection: it ends before that
+        """Make the due changes, if possible; return whether no other attempt is needed."""
+        if process() != self._process:  # a projection: it ends before the change
             return True
         if is_held():
             world = next((each for each in open_worlds() if each.lock.is_mine), None)
@@ -385,7 +385,7 @@ class PendingChanges:
         try:
             for change in due:
                 Context().run(self._make, change)
-        except Exception as error:  # noqa: BLE001  the setter's, or a handler's of the plan
+        except Exception as error:  # noqa: BLE001  of the setter, or of the plan's event handlers
             self._refuse(error)
         finally:
             self._making = False
@@ -399,9 +399,9 @@ class PendingChanges:
 
 
 class AnswerOracle:
-    """Answers queries with the answers that a fork was given, or with the recorded ones (``taken``).
+    """Answers queries with the given answers of a fork, or with the recorded answers (``taken``).
 
-    ``refuse`` is called with the error of an impossible given answer; it doesn't return.
+    ``refuse`` is called with the error of an impossible answer; it doesn't return.
     """
 
     def __init__(self, guide: Guide, *, taken: bool, refuse: Callable[[Exception], NoReturn]) -> None:
@@ -409,9 +409,9 @@ class AnswerOracle:
         self._takes = taken
         self._refuse = refuse
         self._process = process()
-        self._beside: dict[int, Query] = {}  # by thread: more fields for the record of its query
+        self._beside: dict[int, Query] = {}  # more fields for the record of a thread's query, by thread
         self.taken = 0  # number of recorded answers that were taken
-        self.given: list[GivenAnswer] = []  # answers that are still to be given, in order
+        self.given: list[GivenAnswer] = []  # answers for the next matching queries, in order
 
     def __call__(
         self, question: Asked, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]

@@ -1,7 +1,7 @@
 """Forks a run: the plan runs again, guided by the recording up to a step, and continues live from there.
 
-So the plan has its variables, blocks and branches again, not only its world. After that step the fork may differ by an
-edited plan whose records up to the step are the same, by changes of the world, by answers of queries, or by the seed.
+So the plan has its variables, blocks and branches again, not only its world. The fork may have an edited plan whose
+records up to the step are the same, changes of the world after the step, other answers of queries, or another seed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from recorder.records import Change, Query, Run
 from recorder.records.values import LEFT_OUT
 from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
-from replay.retrace.changes import BadChange, parse_answer, seed_change, settings as settings_of, text_of
+from replay.retrace.changes import BadChange, change_text, parse_answer, seed_change, settings as settings_of
 from replay.retrace.plan_process import PlanProcess
 from replay.retrace.retrace import compared, reads_before
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from replay.retrace.guide import FirstDifference
+    from replay.retrace.plan_process import FirstDifference
     from replay.retrace.retrace import Retracing
 
 
@@ -34,20 +34,19 @@ class NotForked(ReplayError):
         reads = "".join(f"; {each}" for each in reads_before(difference))
         super().__init__(f"the plan differs before step {step}: at step {difference.step} {difference.text}{reads}")
         self.step = step  # of the fork
-        self.difference = difference  # the first record that came out differently
+        self.difference = difference
 
 
 @dataclass(frozen=True, slots=True)
 class Fork:
     """The result of a fork."""
 
-    file: Path  # its recording, which is whole: it has the steps before the fork as well
-    step: int  # the last one that both have
-    records: int  # of its recording
-    succeeded: bool  # whether the plan ended well
-    notes: tuple[str, ...]  # what else is different from when the first one was recorded
-    #: the plan run again without the change, compared with the first recording to its end; None if it wasn't.
-    control: Retracing | None = None
+    file: Path  # its recording, with all steps from the plan's start
+    step: int  # the last step that both recordings have
+    records: int  # number of records
+    succeeded: bool  # whether the plan succeeded
+    notes: tuple[str, ...]  # other differences from the recorded conditions
+    control: Retracing | None = None  # the unchanged plan, compared to the end of the recording; None without control
 
 
 def fork(
@@ -74,29 +73,29 @@ def fork(
         log: the recording.
         step: the last step that both runs have.
         file: the new recording; an existing file is replaced.
-        plan: an edited plan, instead of the recorded file.
-        arguments: other arguments than the recorded ones.
-        settings: values that are set after that step, as ``milk.position=1,2,0.9``; see :mod:`replay.retrace.changes`.
-        world: the world of the objects that are set; by default the open world that was opened last.
+        plan: an edited plan, instead of the recorded one.
+        arguments: used instead of the recorded arguments.
+        settings: values to set after that step, as ``milk.position=1,2,0.9``; see :mod:`replay.retrace.changes`.
+        world: the world of these settings; by default the open world that was opened last.
         answers: for the next matching queries after that step, as ``reachable_object(milk)=false``.
         seed: of random numbers and of the order of branches after that step.
-        control: whether the plan also runs again unchanged to its end. If that comes out as recorded, all differences
-            of the fork are due to the change.
-        recorded_source: whether the source that is attached to the recording runs, instead of the files on the disk.
+        control: whether the plan also runs again unchanged to its end. If it repeats the recording, all differences of
+            the fork are due to the change.
+        recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
         begun: called after all checks, before the plan runs.
 
     Raises:
-        CantRetrace: the plan is missing, the recording doesn't have how it was run, or a window, real time or the
-            system prevent the same run. As for the errors below but `NotForked`, nothing has run.
+        CantRetrace: the plan is missing, the recording lacks the run's conditions, or they can't be repeated.
         BadChange, NoSuchName: a setting or an answer is impossible.
-        NotForked: the plan differs before that step; there is no new recording.
+        NotForked: the plan differs before that step; there is no new recording. After all other errors, nothing has
+            run.
         Damaged: steps up to that step are lost.
         ReplayError: the folder of the new recording doesn't exist.
     """
-    log.check()  # what is lost is known only then
+    log.check()  # losses are known only then
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
-        raise Damaged(log.path, f"what led to step {step}", f"step {gap.start} is lost; fork before it")
+        raise Damaged(log.path, f"the part before step {step}", f"step {gap.start} is lost; fork before it")
     if not file.absolute().parent.is_dir():
         raise ReplayError(f"{file}: there is no folder {file.parent}; make the folder first")
     process = PlanProcess(log, plan, arguments, until=step, recorded_source=recorded_source)
@@ -105,27 +104,22 @@ def fork(
     notes = tuple(process.notes())
     begun()
     with ThreadPoolExecutor() as beside, ExitStack() as undoing:
-        if unchanged is not None:  # else an interrupted block waits for its thread, and that for the control's plan
+        if unchanged is not None:  # else an interrupted block would wait for the thread of the control
             undoing.callback(unchanged.stop)
         controlling = None if unchanged is None else beside.submit(compared, unchanged, log)
-        _go_on(process, step, file, changes)
+        try:
+            difference = process.run(file=file, changes=changes).difference
+            if difference is not None:
+                raise NotForked(step, difference)
+        except ReplayError:
+            file.unlink(missing_ok=True)
+            raise
         controlled = None if controlling is None else controlling.result()
         undoing.pop_all()
     with RecordReader(file) as forked:
         end = forked[-1]
         notes += tuple(_unasked(forked))
         return Fork(file, step, len(forked), getattr(end, "succeeded", False), notes, controlled)
-
-
-def _go_on(process: PlanProcess, step: int, file: Path, changes: Sequence[Change]) -> None:
-    """Run the plan to its end; remove the new recording if the plan differed before the step."""
-    try:
-        difference = process.run(file=file, changes=changes).difference
-        if difference is not None:
-            raise NotForked(step, difference)
-    except ReplayError:
-        file.unlink(missing_ok=True)
-        raise
 
 
 def _changes(
@@ -139,25 +133,25 @@ def _changes(
     if seed is not None:
         changes.insert(0, seed_change(step, seed))
     if changes and step == len(log) - 1 and log.closed:
-        raise BadChange(text_of(changes[0]), f"step {step} is the last one: nothing comes after it")
+        raise BadChange(change_text(changes[0]), f"step {step} is the last step; fork at an earlier one")
     return changes
 
 
 def _unchanged(log: RecordReader, arguments: Sequence[str] | None, *, recorded_source: bool) -> PlanProcess:
-    """Return the unchanged plan; given arguments are used only if some recorded ones are secret."""
+    """Return the unchanged plan; given arguments are used only if recorded arguments are secret."""
     began = log[0]
     lacking = isinstance(began, Run) and any(LEFT_OUT in text for text in began.arguments)
     return PlanProcess(log, None, arguments if lacking else None, recorded_source=recorded_source)
 
 
 def _unasked(forked: RecordReader) -> Iterator[str]:
-    """Yield a note if queries for given answers of this fork, or of earlier ones, weren't asked."""
+    """Yield a note if given answers of this fork, or of earlier forks, weren't used."""
     given = sum(record.by_fork for record in forked.records(Query))
     recorded = forked[0]
     wanted = [each for each in recorded.origin.changes if each.answer] if isinstance(recorded, Run) else []
     if given < len(wanted):
         listed = ", ".join(f"{change.answer} after step {change.step}" for change in wanted)
-        yield f"{len(wanted) - given} of the {len(wanted)} given answers weren't asked for: {listed}"
+        yield f"{len(wanted) - given} of the {len(wanted)} given answers weren't used: {listed}"
 
 
 def resume(
@@ -172,11 +166,11 @@ def resume(
     """Continue a plan whose process was killed: a fork at the last step of its recording.
 
     Raises:
-        ReplayError: it has ended, or still runs.
+        ReplayError: the plan has ended, or still runs.
         CantRetrace, NotForked, Damaged: as :func:`fork`.
     """
     if log.closed:
-        raise ReplayError(f"{log.path}: this run has ended; fork runs it again from a step")
+        raise ReplayError(f"{log.path}: this run has ended; use fork to run it again from a step")
     if log.live:
         raise ReplayError(f"{log.path}: this run is still running")
     return fork(log, len(log) - 1, file, plan=plan, arguments=arguments, recorded_source=recorded_source, begun=begun)

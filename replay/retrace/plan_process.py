@@ -1,8 +1,8 @@
-"""Runs a recorded plan again in a process of its own, under the conditions that the recording has.
+"""Runs a recorded plan again in a process of its own, under the recorded conditions and guided by the recording.
 
-With ``recorded_source`` the source that is attached to the recording runs, written out to a folder, instead of the
-files on the disk. Attached are the plan and those of its modules that stand in a call stack, by their file names.
-Modules and other files beside the plan that aren't attached are linked to from the folder where they were.
+With ``recorded_source``, the source that is attached to the recording runs instead of the files on the disk. It is
+written to a folder. The attached files are the plan and those of its modules that are in a call stack, by their file
+names. The folder has links to the other files beside the plan.
 """
 
 from __future__ import annotations
@@ -13,32 +13,31 @@ import subprocess
 import sys
 import tempfile
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
 
 from recorder.packages import other_versions
 from recorder.provenance import pycram_revision
-from recorder.records import Mutation, Output, Run, Task
+from recorder.records import Change, Mutation, Output, Run, Task
 from recorder.records.values import LEFT_OUT
 from replay.errors import ReplayError
 from replay.history.source import name_of
-from replay.retrace.guide import FirstDifference, Guidance
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from recorder.records import Change, Record
+    from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
 
-_SHOWN: Final = 2000  # characters of stderr that a process which gave no result has last written
+_SHOWN: Final = 2000  # last characters of the stderr of a process without a result
 _STDERR: Final = 2
-_CACHE: Final = "__pycache__"  # has the compiled files of the disk
+_CACHE: Final = "__pycache__"  # its compiled files belong to the files on the disk
 
 
 class CantRetrace(ReplayError):
-    """The recording lacks something to run the plan again, or the plan can't be run here."""
+    """The recording lacks data to run the plan again, or the plan can't be run here."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)
@@ -46,11 +45,46 @@ class CantRetrace(ReplayError):
 
 
 @dataclass(frozen=True, slots=True)
+class Guidance:
+    """How a recording guides a run; the recording itself has the moments of deadlines and results of workers."""
+
+    log: str  # the recording's file
+    by_program: bool  # whether the plan itself starts the recording
+    until: int | None = None  # the last compared step; None to compare all
+    take_answers: bool = False  # whether queries get their recorded answers instead of being asked
+    changes: tuple[Change, ...] = ()  # made after their steps
+    moved: tuple[str, str] | None = None  # the folder with the plan's recorded source, and the plan's own folder
+
+    def as_json(self) -> dict[str, object]:
+        """Return the guidance as JSON data."""
+        facts = {name: getattr(self, name) for name in self.__slots__}
+        changes = [{each.name: value for each, value in change.ListFields()} for change in self.changes]
+        return {**facts, "changes": changes}
+
+    @classmethod
+    def of_json(cls, facts: Mapping[str, Any]) -> Guidance:
+        """Return the guidance from JSON data."""
+        return cls(**{**facts, "changes": tuple(Change(**each) for each in facts["changes"])})
+
+
+@dataclass(frozen=True, slots=True)
+class FirstDifference:
+    """The first record that differs."""
+
+    step: int  # in the recording; the number of its steps, if the plan continues after its end
+    text: str  # in words
+    line: str = ""  # FILE:LINE of the plan that made the new record; if the plan ended, of the recorded one
+    callers: tuple[str, ...] = ()  # lines of the plan, innermost first
+    #: Recorded and new values that differ, by the path of the field; empty for records of different kinds.
+    fields: dict[str, tuple[Plain, Plain]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class GuidedResult:
     """The result of a plan that ran again."""
 
-    equal: int  # number of records, from the first on, that came out the same
-    difference: FirstDifference | None  # the first one that didn't; None if all did that were compared
+    equal: int  # number of equal records before the first difference
+    difference: FirstDifference | None  # None if all compared records are equal
     taken: int  # number of answers that were taken from the recording
 
 
@@ -59,13 +93,13 @@ class PlanProcess:
 
     Args:
         log: the recording.
-        plan: a file that runs instead of the recorded one.
-        arguments: instead of the recorded ones.
-        until: the last step that is compared; by default the last of all.
-        recorded_source: whether the source that is attached to the recording runs, instead of the files on the disk.
+        plan: a file to run instead of the recorded plan.
+        arguments: used instead of the recorded arguments.
+        until: the last compared step; by default the last step.
+        recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
 
     Raises:
-        CantRetrace: the plan is missing, the recording doesn't have how it was run, or the run couldn't be the same.
+        CantRetrace: the plan is missing, the recording lacks the run's conditions, or they can't be repeated.
     """
 
     def __init__(
@@ -78,32 +112,32 @@ class PlanProcess:
         recorded_source: bool = False,
     ) -> None:
         began = log[0]
-        if not hasattr(os, "fork"):  # nor can it hand on what is open
+        if not hasattr(os, "fork"):  # nor can child processes inherit open files
             raise CantRetrace("plans can't be run again on this system: it has no os.fork")
         if not isinstance(began, Run) or not (began.directory or plan):
             raise CantRetrace(f"{log.path}: an older release made it, which didn't record how the plan was run")
         if recorded_source and plan is not None:
-            raise CantRetrace("give either another file of the plan or --recorded-source, not both")
+            raise CantRetrace("give either a plan or --recorded-source, not both")
         self._log = log
         self._began = began
         self._until = until
         self._edited = plan is not None
         self._source: _RecordedSource | None = None
         if recorded_source:
-            self.program = _recorded_program(log, began)  # the file that will run, or whose recorded source will
+            self.program = _recorded_program(log, began)  # the file that runs, or whose recorded source runs
             self._source = _RecordedSource(log, self.program)
         else:
             program = _recorded_program(log, began) if plan is None else Path(plan)
             if not program.is_file():
                 raise CantRetrace(
-                    f"{program}: the plan isn't there; give its file with --plan, or run --recorded-source"
+                    f"{program}: there is no such plan; give its file with --plan, or use --recorded-source"
                 )
             self.program = program.absolute()
         self._arguments = list(began.arguments) if arguments is None else list(arguments)
         if any(LEFT_OUT in each.value_json for each in began.parameters):
-            raise CantRetrace(f"{log.path}: its secret parameters weren't recorded, so the plan can't run again")
+            raise CantRetrace(f"{log.path}: secret parameters weren't recorded, so the plan can't run again")
         if any(LEFT_OUT in text for text in self._arguments):
-            raise CantRetrace(f"{log.path}: secret arguments were left out of it; give all with --arguments, last")
+            raise CantRetrace(f"{log.path}: secret arguments weren't recorded; give all with --arguments, last")
         self._folder = Path(began.directory) if Path(began.directory).is_dir() else Path.cwd()
         _refuse_unrepeatable(log, until)
         own = last_own_step(log)
@@ -119,7 +153,7 @@ class PlanProcess:
         elif began.plan.sha256 and sha256(self.program.read_bytes()).hexdigest() != began.plan.sha256:
             yield f"{self.program.name} differs from the recorded source"
         if began.pycram.sha256 and began.pycram.sha256 != pycram_revision().sha256:
-            yield "PyCRAM's code differs from the one that made the recording"
+            yield "PyCRAM's code differs from the code that made the recording"
         yield from other_versions(self._log.metadata, "python", "pybullet", "numpy", "machine", "platform")
         if not began.seed:
             yield "no seed is recorded: random numbers may differ"
@@ -127,7 +161,7 @@ class PlanProcess:
             yield "no PYTHONHASHSEED is recorded: the order of sets may differ"
         if self._interrupted_after is not None:
             last = self._interrupted_after
-            yield f"the run was interrupted after step {last}; only the steps up to there can be the same"
+            yield f"the run was interrupted after step {last}; only the steps up to this one can be the same"
         if str(self._folder) != began.directory:
             yield f"the working directory {began.directory} doesn't exist; {self._folder} is used"
 
@@ -136,16 +170,16 @@ class PlanProcess:
     ) -> GuidedResult:
         """Run it to the first difference; or as a fork, to its end.
 
-        With a file, it continues into this recording after the last step that is compared, and prints to stderr. If the
-        recorded run is a fork itself, its changes are made again, each after its step; with ``changes`` only those up
-        to the last step.
+        With a file, the plan continues after the last compared step into this recording, and prints to stderr. If the
+        recorded run is itself a fork, its changes are made again, each after its step; with ``changes``, only those up
+        to the last compared step.
 
         Raises:
-            CantRetrace: the process has ended before it came to a result.
+            CantRetrace: the process ended without a result.
             ReplayError: a change can't be made.
         """
         until = self._until
-        if until is None:  # behind its last own step the plan may hang
+        if until is None:  # after its last own step the plan may hang
             until = self._interrupted_after if self._log.closed else len(self._log) - 1
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
@@ -157,20 +191,20 @@ class PlanProcess:
             facts = {"result": writing, "output": output, "file": None if file is None else str(file.absolute())}
             guidance = self.guidance(until, changes, take_answers=take_answers)
             try:
-                process = self.start("replay.retrace", guidance, folder, errors, (writing, output), **facts)
+                process = self.start("replay.retrace.guided_run", guidance, folder, errors, (writing, output), **facts)
             finally:
                 os.close(writing)
                 os.close(output)
             self._running = process
             with process, ExitStack() as undoing:
                 undoing.callback(process.kill)
-                if self._stopped:  # before there was anything to end
+                if self._stopped:  # before the process started
                     process.kill()
                 line = results.readline()  # the plan's own processes may keep the pipe open
                 code = process.wait()
                 undoing.pop_all()
             os.set_blocking(reading, False)
-            line = results.readline() or line  # a later one tells what came up on the way
+            line = results.readline() or line  # the last message counts
             if not line:
                 errors.seek(0)
                 printed = errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
@@ -183,7 +217,7 @@ class PlanProcess:
         return GuidedResult(answer["equal"], None if found is None else FirstDifference(**found), answer["taken"])
 
     def stop(self) -> None:
-        """End the run from another thread; :meth:`run` then raises `CantRetrace`."""
+        """Stop the run from another thread; :meth:`run` then raises `CantRetrace`."""
         self._stopped = True
         if self._running is not None:
             self._running.kill()
@@ -196,8 +230,13 @@ class PlanProcess:
     def guidance(
         self, until: int | None = None, changes: Sequence[Change] = (), *, take_answers: bool = False
     ) -> Guidance:
-        """Return how the recording guides the run; with other changes than the recorded ones, those are added."""
-        recorded = self._recorded_changes(changed=bool(changes))
+        """Return how the recording guides the run, with its recorded changes and more changes.
+
+        With more changes, or an edited plan, only recorded changes up to the last compared step are made again.
+        """
+        recorded = list(self._began.origin.changes)
+        if (changes or self._edited) and self._until is not None:
+            recorded = [change for change in recorded if change.step <= self._until]
         log = str(self._log.path.resolve())
         return Guidance(log, self._began.by_program, until, take_answers, (*recorded, *changes))
 
@@ -210,10 +249,15 @@ class PlanProcess:
         descriptors: Collection[int] = (),
         **facts: object,
     ) -> subprocess.Popen[bytes]:
-        """Start a module as a process in which the plan can run the same again, without input and visible output.
+        """Start the ``main`` function of a module in a process with the recorded conditions, without input and output.
 
-        The folder is for the recordings of its projections, and for the recorded source if that is to run; ``errors``
-        gets its stderr. It inherits open files by their descriptors. Its main function gets the facts as well.
+        Args:
+            module: its main function gets the run and the facts as one text in JSON.
+            guidance: how the recording guides the run.
+            folder: for the recordings of projections, and for the recorded source.
+            errors: gets its stderr.
+            descriptors: open files that it inherits.
+            facts: data for the main function.
         """
         began = self._began
         program = self.program
@@ -234,7 +278,7 @@ class PlanProcess:
         else:
             environment.pop("PYTHONHASHSEED", None)
         return subprocess.Popen(  # noqa: S603  no text of users is a command
-            [sys.executable, "-P", "-m", module, json.dumps(request)],
+            [sys.executable, "-P", "-c", f"from {module} import main; main()", json.dumps(request)],
             cwd=self._folder,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -243,15 +287,9 @@ class PlanProcess:
             pass_fds=descriptors,
         )
 
-    def _recorded_changes(self, *, changed: bool) -> Iterator[Change]:
-        """Yield the changes of the recorded run, if it is a fork; of an edited plan only those up to the last step."""
-        for change in self._began.origin.changes:
-            if not (changed or self._edited) or self._until is None or change.step <= self._until:
-                yield change
-
 
 def last_own_step(log: RecordReader) -> int:
-    """Return the last step that a plan reaches by itself: Ctrl-C and its effects come from outside."""
+    """Return the last step that a plan reaches by itself, before Ctrl-C and its effects."""
     step = len(log) - 1
     end = log[step]
     if isinstance(end, Run) and end.interrupted_by:
@@ -266,23 +304,23 @@ def _is_end(record: Record) -> bool:
 
 
 def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
-    """Refuse worlds with a window or in real time: the run couldn't be the same."""
+    """Reject worlds with a window or in real time: the run couldn't be the same."""
     for record in log.records(Mutation, 0, len(log) if until is None else until + 1):
         window = record.HasField("open_world") and record.open_world.mode == "GUI"
         if window or (record.HasField("set_realtime") and record.set_realtime.enabled):
             what = f"{record.world} has a window" if window else f"{record.world} runs in real time"
-            why = "actions of a person or of the clock can't be repeated"
+            why = "effects of a person or of the clock can't be repeated"
             raise CantRetrace(f"{log.path}: from step {record.seq} on {what}; {why}. Fork before that step")
 
 
 def _recorded_program(log: RecordReader, began: Run) -> Path:
     if not began.program:
-        raise CantRetrace(f"{log.path}: no file of a plan is recorded, as from a prompt; give one with --plan")
+        raise CantRetrace(f"{log.path}: it names no file of a plan, because it was made at a prompt; use --plan")
     return Path(began.program)
 
 
 class _RecordedSource:
-    """The recorded source of a plan, whose file was run as ``program``.
+    """The recorded source of the plan ``program``.
 
     Raises:
         CantRetrace: the plan's source isn't attached.
@@ -295,11 +333,10 @@ class _RecordedSource:
         keys = [key for key in log.assets if key.endswith(".py")]
         main = [key for key in keys if name_of(key) == program.name and key.startswith(digest)]
         if len(main) != 1:
-            raise CantRetrace(f"{log.path}: the source of {program.name} isn't attached to it")
+            raise CantRetrace(f"{log.path}: it lacks the source of {program.name}")
         places = _places(log) - {program}
-        self.files = {Path(program.name): log.assets[main[0]]}  # the attached files by their paths in the plan's folder
-        # names of attached files whose places aren't known, or aren't below the plan's folder
-        self.left_out: list[str] = []
+        self.files = {Path(program.name): log.assets[main[0]]}  # attached files by their paths in the plan's folder
+        self.left_out: list[str] = []  # names of attached files whose paths are unknown or outside of the plan's folder
         for key in keys:
             fitting = [place for place in places if place.name == name_of(key)]
             shared = sum(name_of(other) == name_of(key) for other in keys) > 1
@@ -324,12 +361,8 @@ class _RecordedSource:
 
     def __str__(self) -> str:
         names = ", ".join(sorted(map(str, self.files)))
-        outside = (
-            f"; {', '.join(sorted(set(self.left_out)))} and all other files come"
-            if self.left_out
-            else "; all other files come"
-        )
-        return f"the recorded source runs: {names}{outside} from the disk"
+        others = f"{', '.join(sorted(set(self.left_out)))} and " if self.left_out else ""
+        return f"the recorded source runs: {names}; {others}all other files come from the disk"
 
 
 def _lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:

@@ -1,9 +1,9 @@
 """Retraces a recording: runs the plan again, and compares it with the recording, record by record.
 
 The same plan, seed, arguments and working directory give the same records in the same order. So the first difference is
-due to a later change of the plan, of PyCRAM or of the engine, or to what the plan reads of the outside world: clocks,
-files, the network. Lines that may read these are found in the source, by the names of Python's own functions and a few
-others; a plan may read in other ways as well.
+due to a later change of the plan, of PyCRAM or of the engine, or to data from the outside world: clocks, files, the
+network. Lines that may read such data are found in the source by the names of common functions; a plan may have other
+ways to read it.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from replay.file.record_reader import RecordReader
-    from replay.retrace.guide import FirstDifference
+    from replay.retrace.plan_process import FirstDifference
 
 
-_MAX_LINES: Final = 3  # that are named
+_MAX_LINES: Final = 3  # named lines of a file
 _CLOCK, _FILE, _NETWORK = "the clock", "a file", "the network"
 _PROGRAM, _RANDOM, _INPUT = "another program", "random numbers without a seed", "its input"
 
-#: What a call reads, by its name or the beginning of it.
+#: Sources of outside data, by the name of the call or the beginning of that name.
 _READS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("time.time", "time.monotonic", "time.perf_counter", "time.process_time"), _CLOCK),
     **dict.fromkeys((f"{name}_ns" for name in ("time.time", "time.monotonic", "time.perf_counter")), _CLOCK),
@@ -43,21 +43,20 @@ _READS: Final[Mapping[str, str]] = {
     "input": _INPUT,
     "fileinput": _INPUT,
 }
-_STDIN: Final = "sys.stdin"  # whatever reads it: a call, a loop
-_METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # of whatever object
+_STDIN: Final = "sys.stdin"  # read by a call or a loop
+_METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # of any object
 
 
 @dataclass(frozen=True, slots=True)
 class Retracing:
     """The result of retracing a recording."""
 
-    plan: Path  # the file that was run
+    plan: Path  # the file that ran
     steps: int  # of the recording
-    equal: int  # number of records, from the first on, that came out the same
-    #: the first one that didn't; None if all did, or those up to where the recording was cut or damaged.
-    difference: FirstDifference | None
-    notes: tuple[str, ...]  # what else is different from when it was recorded, and may be why
-    seconds: float  # how long it took
+    equal: int  # number of equal records before the first difference
+    difference: FirstDifference | None  # None if all are equal, or all before the recording was cut or damaged
+    notes: tuple[str, ...]  # other differences from the recorded conditions: possible causes
+    seconds: float  # duration
     taken: int = 0  # number of queries whose answers were taken from the recording, instead of being asked again
 
     @property
@@ -81,15 +80,15 @@ def retrace(
 
     Args:
         log: the recording.
-        plan: a file that runs instead of the recorded one.
-        arguments: instead of the recorded ones.
+        plan: a file to run instead of the recorded plan.
+        arguments: used instead of the recorded arguments.
         answers: "asked" to ask reasoning queries again and compare their answers; "recorded" to take the answers from
             the recording, which is faster: then only the queries and their moments are compared.
-        recorded_source: whether the source that is attached to the recording runs, instead of the files on the disk.
+        recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
 
     Raises:
-        CantRetrace: the plan is missing, the recording doesn't have how it was run, or a window, real time or the
-            system prevent the same run; nothing has run.
+        CantRetrace: the plan is missing, the recording lacks the run's conditions, or they can't be repeated; nothing
+            has run.
     """
     process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
     return compared(process, log, take_answers=answers == "recorded")
@@ -106,17 +105,17 @@ def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = Fa
     return Retracing(process.program, len(log), outcome.equal, outcome.difference, notes, seconds, outcome.taken)
 
 
-# --- the world outside ------------------------------------------------------------------------------------------------
+# --- data from outside ------------------------------------------------------------------------------------------------
 
 
 def likely_reasons(log: RecordReader, difference: FirstDifference) -> Iterator[str]:
-    """Yield in words possible causes of a difference in the outside world."""
+    """Yield possible causes of a difference that are outside of the plan, in words."""
     yield from reads_before(difference)
     yield from decided_outside(log, difference.step)
 
 
 def reads_before(difference: FirstDifference) -> Iterator[str]:
-    """Yield in words the lines before a difference that read the outside world, nearest first."""
+    """Yield the lines before a difference that read outside data, in words, nearest first."""
     files = set()
     for place in (difference.line, *difference.callers):
         file, _, number = place.rpartition(":")
@@ -129,12 +128,12 @@ def reads_before(difference: FirstDifference) -> Iterator[str]:
 
 
 def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield in words the tasks around a step of an old recording that the clock or a worker thread ended.
+    """Yield the tasks around a step of an old recording that the clock or a worker thread ended, in words.
 
-    Newer ones tell at which look that was.
+    Newer recordings have the moments of these ends.
     """
     began = log[0]
-    if isinstance(began, Run) and began.HasField("looks"):  # then the recording guides that
+    if isinstance(began, Run) and began.HasField("looks"):  # then they guide the run
         return
     begun: dict[int, int] = {}
     for record in log.records(Task):
@@ -146,7 +145,7 @@ def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
 
 
 def _reads(file: Path) -> Iterator[tuple[int, str, str]]:
-    """Yield line, text and source of each read of the outside world in a file."""
+    """Yield line, text and source of each read of outside data in a file."""
     try:
         nodes = syntax_nodes(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):

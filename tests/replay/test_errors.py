@@ -27,8 +27,7 @@ from replay.errors import (
 from replay.report.question import BadQuestion
 from replay.retrace.changes import BadChange
 from replay.retrace.fork import NotForked
-from replay.retrace.guide import FirstDifference
-from replay.retrace.plan_process import CantRetrace
+from replay.retrace.plan_process import CantRetrace, FirstDifference
 from replay.runs.folder import NotRead
 from replay.runs.runs import Refused
 

@@ -199,7 +199,7 @@ def test_watches_find_where_a_state_or_a_variable_changed(plan_log: Path, debug:
     assert watched.startswith("Watch 1: milk.z > 0.6: steps ")
     assert (at(over), over.splitlines()[0]) == (up[1], "watch milk.z > 0.6: False -> True")
     assert (at(changed), changed.splitlines()[0]) == (up[0], "watch milk.z: 0.2 -> 0.5")
-    assert variable == "Watch 2: lifted: the plan runs to find out where it changes\n"
+    assert variable == "Watch 2: lifted: the plan must run to find its changes\n"
     assert (at(one), one.splitlines()[0]) == (up[1], "watch lifted: 1 -> 2")
     assert at(two) == 0, "it was 1 at its first record: it has not changed before"
     assert (at(three), three.splitlines()[-3][:4]) == (up[1], "step")
@@ -418,7 +418,7 @@ def test_what_can_t_be_is_told_before_it_is_tried(
     copy = tmp_path / "moved.mcap"
     copy.write_bytes(plan_log.read_bytes())
     assert main(["debug", str(copy), "--plan", str(tmp_path / "none.py")]) == 2
-    assert "the plan isn't there" in capsys.readouterr().err
+    assert "there is no such plan" in capsys.readouterr().err
     program = tmp_path / "program.py"
     program.write_text(f'import recorder\nwith recorder.record("{tmp_path / "program.mcap"}"):\n    print(1)\n')
     subprocess.run([sys.executable, program], check=True, capture_output=True, timeout=60)

@@ -146,7 +146,7 @@ def test_an_answer_is_given_to_the_next_query_that_fits(
     file = tmp_path / "answers.mcap"
     given = ("contact(milk, object2=cup)=true", "stable(...)=false", "occluding(milk, ...)=[cup]", "visible(cup)=true")
     result = forked(log, file, answers=given)
-    assert result.notes[-1].startswith("1 of the 4 given answers weren't asked for: ")
+    assert result.notes[-1].startswith("1 of the 4 given answers weren't used: ")
     with replay.open(file) as other:
         assert "[True, True, False]" in printed(other)  # the next one, not those after it
         assert "blocking False True" in printed(other)
@@ -184,7 +184,7 @@ def test_another_seed_takes_another_order_from_the_step_on(log: Recording, tmp_p
 def test_what_only_the_setter_knows_ends_the_fork(log: Recording, tmp_path: Path) -> None:
     for changes, said in (
         ({"settings": ["cabinet.drawer_joint=9"]}, "drawer_joint"),
-        ({"settings": ["hunger=1"]}, "there is no fluent hunger at that moment; those that can be set are battery"),
+        ({"settings": ["hunger=1"]}, "there is no fluent hunger at that moment; the plan has battery"),
         ({"answers": ["occluding(milk)=[soap]"]}, "soap"),
     ):
         with pytest.raises(ReplayError, match=said):

@@ -18,8 +18,7 @@ from recorder.records import Fluent, Mutation, Task
 from replay.cli.main import main
 from replay.errors import Damaged
 from replay.retrace.fork import fork
-from replay.retrace.guide import FirstDifference
-from replay.retrace.plan_process import CantRetrace
+from replay.retrace.plan_process import CantRetrace, FirstDifference
 from replay.retrace.retrace import decided_outside, reads_before, retrace
 from tests.measures import seeded
 from tests.replay.copies import CHUNK, container_records, zeroed
@@ -400,7 +399,7 @@ def test_a_killed_run_is_retraced_to_its_last_record(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [("move", "the plan isn't there"), ("secret", "secret arguments were left out")],
+    [("move", "there is no such plan"), ("secret", "secret arguments weren't recorded")],
 )
 def test_what_cant_be_retraced_is_said_before_it_runs(tmp_path: Path, change: str, said: str) -> None:
     file = tmp_path / "plan.py"
@@ -435,11 +434,11 @@ def test_of_several_recordings_the_others_are_retraced_where_one_cant_be(
     assert main(["retrace", *logs]) == 2
     printed = capsys.readouterr()
     assert printed.out.startswith(f"identical  {logs[2]}")
-    assert printed.err.count("the plan isn't there") == 2
+    assert printed.err.count("there is no such plan") == 2
     assert main(["retrace", *logs, "--json"]) == 2
     results = json.loads(capsys.readouterr().out)
     assert [result.get("identical") for result in results] == [None, None, True]
-    assert "the plan isn't there" in results[0]["error"]
+    assert "there is no such plan" in results[0]["error"]
 
 
 def test_what_a_person_or_the_clock_decides_is_refused_before_it_runs(tmp_path: Path) -> None:
