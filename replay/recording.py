@@ -1,6 +1,6 @@
 """The facade over :mod:`replay.file`, :mod:`replay.state`, :mod:`replay.explain` and :mod:`replay.restore`.
 
-It turns names of steps into numbers; the functions in these packages take numbers only.
+It turns names of steps into numbers: the functions in these packages take only numbers.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 
 class Recording(RecordReader):
-    """A recording; ``replay.open(path)`` opens it. Not for several threads at once.
+    """A recording; ``replay.open(path)`` opens it. Not for several threads.
 
-    Steps are numbers, or names as :meth:`step` takes them.
+    Steps are numbers, or names as for :meth:`step`.
 
     Raises:
-        NotALog: the file isn't one, or nothing of it can be read.
+        NotALog: the file is no recording, or completely unreadable.
     """
 
     def step(self, name: int | str) -> int:
@@ -39,37 +39,37 @@ class Recording(RecordReader):
         return step_of(self, name)
 
     def state_at(self, step: int | str) -> State:
-        """Return what is true after a step; see :func:`replay.state.fold.state_at`.
+        """Return the state after a step; see :func:`replay.state.fold.state_at`.
 
-        Of a time that lies within a stretch of simulation, as "0.25s", it is what was true then by its samples:
-        ``state.sampled`` tells how near they come. So it is for pictures, questions and restored worlds; one that is
-        restored exactly is simulated up to then.
+        For a time within a stretch of simulation, as "0.25s", it is the state of the last sample until then; its time
+        is in ``state.sampled``. The same holds for pictures, questions and restored worlds; exactly restored worlds are
+        simulated up to that time.
         """
         return state_at(self, self.step(step), moment_of(step))
 
     def believed(
         self, step: int | str, what: str, *, robot: str | None = None, world: str | None = None
     ) -> RecordedBelief | None:
-        """Return what a robot believed of an object after a step, or the last that it learned of objects of a type.
+        """Return a robot's latest belief after a step about an object, or about objects of a type; None without one.
 
-        By default of any robot, in the open world that was opened last; None if it had neither seen nor held any.
+        By default of any robot, in the last opened world.
         """
         return next(iter(self.state_at(step).world(world).believed(what, robot)), None)
 
     def tree(self, step: int | str | None = None) -> Tree:
         """Return the task tree, at the end or after a step; its classes are those of ``pycram.tasks``."""
-        from replay.history.tasks import tree  # noqa: PLC0415  these take long to import
+        from replay.history.tasks import tree  # noqa: PLC0415  slow to import
 
         return tree(self, None if step is None else self.step(step) + 1)
 
     def why(self, step: int | str | None = None) -> Why:
         """Explain a failure; see :func:`replay.explain.why.why`."""
-        from replay.explain.why import why  # noqa: PLC0415  it and what it needs take long to import
+        from replay.explain.why import why  # noqa: PLC0415  slow to import
 
         return why(self, None if step is None else self.step(step))
 
     def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:
-        """Return what last changed a body or joint; see :func:`replay.history.blame.blame`."""
+        """Return the last change of a body or joint; see :func:`replay.history.blame.blame`."""
         from replay.history.blame import blame  # noqa: PLC0415  as above
 
         return blame(self, target, None if step is None else self.step(step), world)
@@ -88,7 +88,7 @@ class Recording(RecordReader):
     ) -> Image.Image:
         """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.DrawnWorld.picture`.
 
-        Where no world is open any more, it is one of the last step at which there was one: ``picture.info["step"]``.
+        If no world is open any more, it shows the last step with an open world: ``picture.info["step"]``.
         """
         from replay.restore.render import DrawnWorld  # noqa: PLC0415
 

@@ -1,9 +1,9 @@
 """Recordings in the Rerun viewer: translated into an ``.rrd`` that is kept beside the recording, and opened.
 
-The same code translates as while the plan runs (:mod:`recorder.viewer`): both show the same. Records that make no sense
-are reported as damage. An ``.rrd`` is a cache, in a folder where others may write. So one is used only if this user has
-made it, of this very recording, with this software: a folder of the user's own holds the hash of each that was made,
-under the hash of its inputs.
+The same code translates as while the plan runs (:mod:`recorder.viewer`), so both show the same. Invalid records are
+reported as damage. An ``.rrd`` is a cache, in a folder where others may write. So it is used only if this user made it
+from this recording with this software: a folder of the user holds the hash of each ``.rrd``, under the hash of its
+inputs.
 """
 
 from __future__ import annotations

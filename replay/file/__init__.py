@@ -1,1 +1,1 @@
-"""From bytes to records: the index, chunks, and what can be recovered of a damaged file."""
+"""From bytes to records: the index, the chunks, and the recovery of damaged files."""

@@ -41,23 +41,23 @@ class Assets(Mapping[str, bytes]):
         self._path = path
         self._index = index
         self._models: dict[str, Urdf] = {}
-        self.damaged: dict[str, str] = {}  # what is wrong with the damaged ones that were read, by name
+        self.damaged: dict[str, str] = {}  # causes of damage that was found so far, by name
         self.shared = shared_by(path, index)  # the file of models that the recording names; None if it holds all itself
-        self._looked = False  # into the shared file
+        self._looked = False  # whether the shared file was needed
 
     def __getitem__(self, name: str) -> bytes:
         """Return the content of a file.
 
         Raises:
-            KeyError: there is none of that name.
-            Damaged: it isn't what was attached.
-            MissingModels: it is in none of the files that can be read.
+            KeyError: there is no file of that name.
+            Damaged: its content is damaged.
+            MissingModels: it is in no readable file.
         """
         data: bytes = self.attachment(name).data
         return data
 
     def attachment(self, name: str) -> Attachment:
-        """Return a file with its time and media type; raises as :meth:`__getitem__`."""
+        """Return a file with its time and media type; for errors see :meth:`__getitem__`."""
         try:
             content = self._content(name)
             found: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
@@ -83,13 +83,13 @@ class Assets(Mapping[str, bytes]):
         return self.shared.read(name)
 
     def check(self) -> None:
-        """Read all of the recording's own files; damaged ones are in :attr:`damaged` then."""
+        """Read all of the recording's own files; then :attr:`damaged` has the damaged ones."""
         for name in self._index.attachments:
             with suppress(Damaged):
                 self.attachment(name)
 
     def missing(self, *, look: bool = False) -> str:
-        """Return why shared files are missing; "" if none are, or if the shared file was never needed."""
+        """Return why shared files are missing; "" if none is, or if the shared file was never needed."""
         self._looked = self._looked or look
         return self.shared.cause if self.shared is not None and self._looked else ""
 
@@ -116,7 +116,7 @@ class Assets(Mapping[str, bytes]):
 
         Raises:
             NoSuchName: the recording doesn't have it.
-            Damaged: it isn't what was attached.
+            Damaged: its content is damaged.
         """
         if name not in self._models:
             from recorder.urdf import Urdf  # noqa: PLC0415  needs numpy, which most questions don't
@@ -128,25 +128,20 @@ class Assets(Mapping[str, bytes]):
         return self._models[name]
 
 
-_SHOWN: Final = 80  # characters of a name that is none
+_SHOWN: Final = 80  # maximum length of an invalid name in messages
 _FLAGS: Final = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a pipe would wait
 
 
 class SharedFile:
-    """The file of models that a recording names; opened on demand.
-
-    Args:
-        recording: the recording.
-        stated: how it names the file.
-    """
+    """The file of models that a recording names in its metadata ``stated``; opened on demand."""
 
     def __init__(self, recording: Path, stated: Mapping[str, str]) -> None:
         self._folder = Path(os.path.realpath(recording)).parent
         self._sha256 = stated.get("sha256", "")
         self._stated = stated.get("file", "")
-        self.name = self._stated[:_SHOWN].encode("unicode_escape").decode()  # of the file, as it is shown
+        self.name = self._stated[:_SHOWN].encode("unicode_escape").decode()  # of the file, in messages
         self._index: Index | None = None
-        self._cause: str | None = None  # why it isn't there; None if it wasn't looked for yet
+        self._cause: str | None = None  # why it can't be read; None before the first attempt
 
     @property
     def cause(self) -> str:
@@ -182,14 +177,14 @@ class SharedFile:
         if not MODELS_NAME.fullmatch(self._stated) or self._stated != f"models-{self._sha256[:12]}.mcap":
             raise ValueError("is no name of a file of models")
         path = self._folder / self._stated
-        if path.is_symlink():  # where the system has no flag for it
+        if path.is_symlink():  # for systems without the flag
             raise ValueError("is a link, which isn't followed")
         with ExitStack() as undoing:
             file = undoing.enter_context(open(path, "rb", opener=lambda name, _: os.open(name, _FLAGS)))
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise ValueError("is no regular file")
             if hashlib.file_digest(file, "sha256").hexdigest() != self._sha256:
-                raise ValueError("has another content than the one that the recording was made with")
+                raise ValueError("has changed since the recording was made")
             file.seek(0)
             undoing.pop_all()
         return file

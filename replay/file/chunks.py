@@ -1,11 +1,11 @@
 """The records in a recording's chunks: decompressed on demand, found by interpolation search.
 
-A chunk has about 50 records. What is damaged is noted and left out.
+A chunk has about 50 records. Damaged parts are noted and left out.
 
-A file that another program has written may have other chunks or none, and its messages in any order. It is read once,
-for where each record is. Then its records are handed out in the order of their steps, in chunks like the recorder's.
-Meanwhile a temporary file holds the inflated contents of its own chunks: to inflate a large chunk anew for each record
-could take hours.
+A file of another program may have other chunks or none, and its messages in any order. It is read once, to find the
+position of each record. Then its records are yielded in the order of their steps, in chunks like the recorder's.
+Meanwhile a temporary file holds the inflated contents of its own chunks: inflating a large chunk for each record could
+take hours.
 """
 
 from __future__ import annotations
@@ -42,15 +42,21 @@ if TYPE_CHECKING:
 Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
-_CACHED: Final = 64  # chunks
-_CACHED_BYTES: Final = 2 << 20  # of these, but for the last; decoded they may have fifty times as many
 MAX_STEP: Final = 1 << 40
-"""Numbers of steps are below it; others are damage."""
+"""Numbers of steps are below it; larger numbers are damage."""
+_CACHED: Final = 64  # chunks
+_CACHED_BYTES: Final = 2 << 20  # of these, without the last; decoded, they may take fifty times as many
 _MAX_DIGITS: Final = 9  # of the number of a world's lifetime
 _PACKAGE: Final = f"{PACKAGE}."
 _OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE: Final = struct.Struct("<BQH")  # opcode, length, channel
-_PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
+_CHANNEL: Final = struct.Struct("<HI")  # channel, sequence: the first fields of a message
+_FIELDS: Final = 22  # bytes of a message's fields
+_PAYLOAD: Final = HEADER + _FIELDS  # bytes before a message's payload
+_MESSAGES: Final = 100  # of a chunk of sorted messages
+_IN_MEMORY: Final = 16 << 20  # bytes of inflated chunks that are kept in memory
+_LOOSE: Final = -1  # the chunk of a message outside of chunks
+_NUMBER: Final = 40  # bits of a message's number, below its step
 
 
 @dataclass(slots=True)
@@ -71,7 +77,7 @@ class Chunks:
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
         self._cached = 0  # bytes of the chunks in it
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of the chunks that were read
-        self.damaged: dict[int, str] = {}  # what is wrong with the damaged ones that were read, by their number
+        self.damaged: dict[int, str] = {}  # causes of damage that was found so far, by the number of the chunk
         self._sorted = None if index.ours else SortedMessages.of(index, kinds_of(index))
         if self._sorted is not None:
             index.chunks.arrange(self._sorted.chunks)
@@ -93,7 +99,7 @@ class Chunks:
         return self._sorted.contents(number), "", None
 
     def grow(self) -> bool:
-        """Look for chunks that were written since; return whether there is anything new."""
+        """Read new chunks of a growing file; return whether there are any."""
         last = len(self) - 1
         if self._sorted is not None or not self._index.refresh():
             return False
@@ -101,7 +107,7 @@ class Chunks:
         return True
 
     def channel_maps(self) -> Iterator[bytes | None]:
-        """Return the channels in each chunk, as :class:`replay.file.mcap_format.ChunkExtent` has them."""
+        """Return the channels in each chunk; see :class:`replay.file.mcap_format.ChunkExtent`."""
         return self._index.chunks.channel_maps()
 
     def refresh(self, number: int) -> None:
@@ -133,9 +139,9 @@ class Chunks:
         backwards: bool = False,
         naming: str = "",
     ) -> Iterator[Record]:
-        """Yield the records of a chunk, of some types, of a world, that have a text in one of their fields.
+        """Yield a chunk's records of given types, of a world, and with a text in one of their fields.
 
-        No others are decoded.
+        No other records are decoded.
         """
         types = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
         if types is not None and not any(kind in types for kind, _ in self.channels(number)):
@@ -188,7 +194,7 @@ class Chunks:
     # --- search for a step -------------------------------------------------------------------------------------------
 
     def span(self, number: int) -> tuple[int, int]:
-        """Return the first and the last step in a chunk; of an unreadable one an empty span after the previous one."""
+        """Return the first and last step in a chunk; for an unreadable chunk, an empty span after the previous one."""
         for at in range(number, -1, -1):
             if at not in self._spans:
                 first = next(self.records(at), None)
@@ -201,11 +207,11 @@ class Chunks:
         return 0, -1
 
     def chunk_of(self, step: int, steps: int) -> int:
-        """Return the number of the chunk that can have a step: the last one that doesn't begin after it."""
+        """Return the number of the chunk that may have a step: the last chunk that doesn't begin after the step."""
         low, first, high, end = 0, 0, len(self) - 1, steps
         probes = 0
         while low < high:
-            # steps increase almost evenly, so interpolation gets near; halving each third time bounds the search
+            # steps increase almost evenly, so interpolation is fast; halving every third time bounds the search
             probes += 1
             guess = low + (high + 1 - low) * (step - first) // max(1, end - first)
             middle = min(max(guess, low + 1), high) if probes % 3 else (low + high + 1) // 2
@@ -221,7 +227,7 @@ class Chunks:
     # --- decoding --------------------------------------------------------------------------------------------------
 
     def _load(self, number: int, text: bytes = b"") -> _Entries:
-        """Return the entries of a chunk; none if a text isn't in it."""
+        """Return the entries of a chunk; no entries if it doesn't contain a text."""
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]
@@ -282,7 +288,7 @@ class Chunks:
 
 
 def kinds_of(index: Index) -> dict[int, type[Record]]:
-    """Return the types of record by channel; other programs' channels are left out."""
+    """Return the types of record by channel, without other programs' channels."""
     kinds, ours = {}, known_definitions()
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
@@ -290,7 +296,7 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
         if kind is not None and message == kind.DESCRIPTOR.full_name:
             kinds[number] = kind
         elif kind is None and message.startswith(_PACKAGE) and message.removeprefix(_PACKAGE) not in ours:
-            kinds[number] = Envelope  # of a newer release
+            kinds[number] = Envelope  # a kind of a newer release
     return kinds
 
 
@@ -301,12 +307,7 @@ def _owner(metadata: Mapping[str, str]) -> Owner | None:
     return (metadata["world"], int(lifetime)) if known else None
 
 
-_MESSAGES: Final = 100  # of a chunk
-_IN_MEMORY: Final = 16 << 20  # bytes of the file's chunks
-_CHANNEL: Final = struct.Struct("<HI")  # channel, sequence
-_FIELDS: Final = 22  # bytes of a message's fields, of which these are the first
-_LOOSE: Final = -1
-_NUMBER: Final = 40  # bits of a message's number, below its step
+# --- files of other programs ------------------------------------------------------------------------------------------
 
 
 class _MessagePlaces:
@@ -348,8 +349,7 @@ class SortedMessages:
                 self._inflated.write(contents)
         numbers = array("Q", (key & ((1 << _NUMBER) - 1) for key in sorted(places.keys)))
         self._groups = [numbers[start : start + _MESSAGES] for start in range(0, len(numbers), _MESSAGES)]
-        # what takes the place of the file's
-        self.chunks = [
+        self.chunks = [  # they replace the file's chunks
             ChunkExtent(
                 0, 0, b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in {places.channels[at] for at in group})
             )
@@ -358,16 +358,14 @@ class SortedMessages:
 
     @classmethod
     def of(cls, index: Index, kinds: Mapping[int, type[Record]]) -> SortedMessages | None:
-        """Return the sorted messages of a file; None if its chunks have all records in order.
+        """Return the sorted messages of a file, given the types of record by channel; damage is added to the index.
 
-        Args:
-            index: of the file; damage is added to it if the messages are sorted.
-            kinds: types of record by channel.
+        Returns None if the file's chunks have all records in order.
         """
         damage: list[str] = []
         places = _places(index, kinds, damage)
         if not index.loose and places.sorted:
-            return None  # what is damaged is found when it is read
+            return None  # damage is found when it is read
         index.damage += damage
         return cls(index, places)
 
@@ -392,9 +390,9 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
     places = _MessagePlaces()
     for chunk, offset, message in _messages(index, damage):
         try:
-            channel, step = _CHANNEL.unpack_from(message, HEADER)  # a message for other tools has its record's number
+            channel, step = _CHANNEL.unpack_from(message, HEADER)  # messages for other tools have a record's number
             is_record = channel in kinds
-            if is_record:  # a record tells its own; not all programs keep that of its message
+            if is_record:  # a record has its own number; not all programs keep that of its message
                 step = decode(kinds[channel], message[HEADER + _FIELDS :]).seq
             places.add(step, channel, chunk, Extent(offset, len(message)), is_record=is_record)
         except (DecodeError, struct.error) as error:
@@ -404,7 +402,7 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
 
 
 def _messages(index: Index, damage: list[str]) -> Iterator[tuple[int, int, bytes]]:
-    """Yield chunk number, offset in the chunk and bytes of each message; of loose ones -1, and the file's offset."""
+    """Yield chunk number, offset in the chunk and bytes of each message; for loose messages -1 and its offset."""
     for number in range(len(index.chunks)):
         contents = _contents(index, number, damage) or b""
         try:

@@ -1,7 +1,7 @@
 """The index of a recording's file: its chunks, channels, attached files and metadata.
 
-A closed file has it at its end. Any other file is scanned once, header by header, and past damage to the next intact
-chunk: its process was killed or still runs, or it is damaged. No record is decoded.
+A closed file has its index at the end. Any other file is scanned once, header by header, and past damage to the next
+intact chunk: its process was killed or still runs, or it is damaged. No record is decoded.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ if TYPE_CHECKING:
     from collections.abc import Container
 
 
-_BLOCK: Final = 1 << 20  # bytes that are read at once
-_MAX_LENGTH: Final = 1 << 32  # bytes; what claims to be longer is damaged
-#: Part of the head of each compressed chunk, by which the next one is found after damage.
+_BLOCK: Final = 1 << 20  # bytes of one read
+_MAX_LENGTH: Final = 1 << 32  # bytes; a longer record is damaged
+#: Part of the head of each compressed chunk, to find the next chunk after damage.
 _MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
 
 
 class _Budget:
-    """A limit of the bytes of all chunks: a hostile index may name the same chunk many times."""
+    """A limit for the bytes of all chunks: a hostile index may name the same chunk many times."""
 
     def __init__(self) -> None:
         self._taken = 0
@@ -75,23 +75,23 @@ class Index:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
-        self.size = os.fstat(file.fileno()).st_size  # bytes of the file, when it was looked at last
+        self.size = os.fstat(file.fileno()).st_size  # bytes of the file at the last scan
         self._decompressor = Decompressor()
         self.closed = False  # whether the file was closed by its recorder
-        self.whole = False  # whether its summary is intact, so that no scan was needed
-        self.damage: list[str] = []  # the parts that were left out, in words
+        self.whole = False  # whether its summary is intact
+        self.damage: list[str] = []  # damaged parts, in words
         self.chunks = ChunkTable()  # in the file's order
         self.channels: dict[int, Channel] = {}  # by their id
         self.schemas: dict[int, str] = {}  # names of message types by their id
         self.definitions: dict[str, bytes] = {}  # of message types, as in the file, by their names
-        self.loose: list[Extent] = []  # messages outside of chunks, as some programs write them, in the file's order
+        self.loose: list[Extent] = []  # messages outside of chunks, which some programs write, in the file's order
         self.attachments: dict[str, Extent] = {}  # by name
         self.metadata: dict[str, dict[str, str]] = {}  # values by key, by name of the metadata
         self.counts: defaultdict[int, int] = defaultdict(int)  # number of messages of each channel in all whole chunks
-        self.incomplete_bytes = 0  # at the end, of a record that was cut off, or is being written
-        self.data_end = 0  # where the record that ends the data begins; 0 if there is none, or it wasn't found
-        self._claimed = 0  # bytes of files and metadata, by the summary
-        self._stored = _Budget()  # of the file's own bytes
+        self.incomplete_bytes = 0  # at the end: a record that was cut off, or is being written
+        self.data_end = 0  # offset of the record that ends the data; 0 if there is none, or it wasn't found
+        self._claimed = 0  # bytes of files and metadata by the summary
+        self._stored = _Budget()  # for the file's own bytes
         self._inflated = _Budget()
         self._scan = FileScan(file, self)
         self._file.seek(0)
@@ -103,14 +103,8 @@ class Index:
             self._read_summary()
         except DAMAGE:
             self.chunks.clear()
-            for table in (
-                self.channels,
-                self.schemas,
-                self.definitions,
-                self.attachments,
-                self.metadata,
-                self.counts,
-            ):
+            tables = (self.channels, self.schemas, self.definitions, self.attachments, self.metadata, self.counts)
+            for table in tables:
                 table.clear()
             self._stored, self._inflated = _Budget(), _Budget()
             del self.damage[damaged:]
@@ -123,7 +117,7 @@ class Index:
 
     @property
     def ours(self) -> bool:
-        """Whether PyCRAM wrote the file, as far as is known: then it has all checksums, and steps in order."""
+        """Whether PyCRAM wrote the file, by its header: then it has all checksums, and steps in order."""
         return not self.library or self.library.startswith("pycram")
 
     def check_open(self) -> None:
@@ -136,7 +130,7 @@ class Index:
 
         Raises:
             LogClosed: the file was closed.
-            EOFError: it isn't in the file.
+            EOFError: the extent isn't within the file.
         """
         self.check_open()
         offset, length = extent.offset, extent.length
@@ -146,12 +140,12 @@ class Index:
         return self._file.read(min(length, self.size - offset))
 
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
-        """Return a chunk's messages, decompressed and checked; how it differs from the index; its messages there.
+        """Return a chunk's decompressed messages, its difference from the index, and the index' number of messages.
 
         An error in its head is corrected by the index. The number of messages is None if the index doesn't have it.
 
         Raises:
-            CHUNK_DAMAGE: it is damaged.
+            CHUNK_DAMAGE: the chunk is damaged.
         """
         self.check_open()
         stated = self.chunks.stated(number)
@@ -171,14 +165,14 @@ class Index:
 
     def _decompressed(self, number: int, chunk: memoryview) -> bytes:
         size = CHUNK_HEAD.unpack_from(chunk)[2]
-        if size <= MAX_INFLATED:  # others are refused without being inflated
+        if size <= MAX_INFLATED:  # larger chunks are rejected without being inflated
             self._inflated.take(number, size, max(FREE, MAX_RATIO * self.size), _TOO_MUCH)
         return self._decompressor.contents(chunk)
 
     def check(self) -> None:
         """Compare the checksum of all bytes with the stored one, and add a difference to ``damage``.
 
-        This also finds wrong bytes in parts that are not needed for reading.
+        This also finds wrong bytes in parts that aren't read.
         """
         if not self.data_end:
             return
@@ -190,10 +184,10 @@ class Index:
         end = self._file.read(DATA_END)
         stored = int.from_bytes(end[HEADER:], "little")
         if end[:HEADER] != LENGTH.pack(Opcode.DATA_END, 4) or (stored != crc if self.ours else stored not in (0, crc)):
-            self.damage = [*self.damage, "its checksum differs from the one that it was closed with"]
+            self.damage = [*self.damage, "its checksum differs from the stored one"]
 
     def refresh(self) -> bool:
-        """Scan what was written since; return whether there is anything new. A closed file never has."""
+        """Scan the new part of a growing file; return whether there is any. A closed file has none."""
         return not self.closed and self._scan.resume()
 
     def _read_library(self) -> str:
@@ -230,7 +224,7 @@ class Index:
         starts = []
         stop = 0
         for opcode, start, stop in framed(summary):
-            if opcode == Opcode.CHUNK_INDEX:  # by far the most; read when the chunk is
+            if opcode == Opcode.CHUNK_INDEX:  # most records; read with their chunks
                 if stop - start < CHUNK_INDEX.size:
                     raise EOFError
                 starts.append(start)
@@ -258,7 +252,7 @@ class Index:
             self._read_stated_metadata(MetadataIndex.read(stream))
 
     def _claim(self, length: int) -> None:
-        """Refuse a summary whose files and metadata have more bytes than the file: it names some many times."""
+        """Reject a summary whose files and metadata have more bytes than the file: it repeats some."""
         self._claimed += length
         if self._claimed > self.size:
             raise EOFError
@@ -301,7 +295,7 @@ class FileScan:
         self._decoded = -1  # the chunk whose messages were counted by decoding it
 
     def resume(self) -> bool:
-        """Continue the scan from where it ended; return whether there is anything new."""
+        """Continue the scan from its end; return whether there is anything new."""
         index = self._index
         before = self._next
         size = index.size = self._file.seek(0, io.SEEK_END)
@@ -329,7 +323,7 @@ class FileScan:
             index.damage.append(f"{following - at} bytes at byte {at} are damaged")
             at = following
         if index.chunks:
-            self._count_last()  # its index may be cut off, or not written yet
+            self._count_last()  # its message index may be cut off, or not yet written
         self._next = at
         index.incomplete_bytes = size - at
         return at > before
@@ -364,12 +358,12 @@ class FileScan:
                 self._index.define(definition)
 
     def _is_damaged(self, opcode: int, extent: Extent, size: int) -> bool:
-        """Return whether a record that reaches beyond the end is damaged, rather than cut off."""
+        """Return whether a record that ends after the end of the file is damaged, not cut off."""
         if not Opcode.HEADER <= opcode <= Opcode.DATA_END or extent.length > _MAX_LENGTH:
             return True
         if opcode == Opcode.CHUNK and extent.offset + CHUNK_HEAD.size + 32 <= size:
             return not self._is_chunk(extent)
-        # if whole chunks follow, the end isn't cut off
+        # if intact chunks follow, the file isn't cut off here
         return self._next_chunk(extent.offset, size) is not None
 
     def _is_chunk(self, extent: Extent) -> bool:
@@ -449,7 +443,7 @@ class FileScan:
         return counted
 
     def _count_last(self) -> None:
-        """Count the last chunk's messages from itself."""
+        """Count the messages of the last chunk by decoding it."""
         number = len(self._index.chunks) - 1
         if number == self._decoded:
             return

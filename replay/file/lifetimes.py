@@ -1,7 +1,7 @@
-"""The lifetimes of worlds. After a world has ended, another one can have its name.
+"""The lifetimes of worlds: after the end of a world, another world can have its name.
 
-The recorder gives each lifetime its own channels, so the index has the chunks of each. Where channels don't have it
-(more worlds than a file has channels for, recordings of earlier releases), the changes themselves are read.
+The recorder gives each lifetime its own channels, so the index has the chunks of each lifetime. If a file has more
+worlds than channels, or is from an early release, the changes themselves are read.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class Lifetime:
     """A world from its opening to its end."""
 
     world: str  # its name
-    number: int  # which world of that name it is, from 1
-    start: int  # the step at which it was opened; 0 of the first of its name
-    stop: int | None  # the step at which the next one of its name was opened; None if there is none
+    number: int  # among the worlds of that name, from 1
+    start: int  # the step at which it was opened; 0 for the first world of its name
+    stop: int | None  # the step at which the next world of its name was opened; None for the last one
     changes: Sequence[int]  # numbers of the chunks with its mutations or keyframes
     keyframes: Sequence[int]  # numbers of the chunks with its keyframes
-    looks: Sequence[int]  # numbers of the chunks with queries that taught its robots where objects are
+    looks: Sequence[int]  # numbers of the chunks with queries that updated its robots' beliefs
 
     @property
     def title(self) -> str:
@@ -45,7 +45,7 @@ class Lifetime:
 
 
 def title(world: str, number: int) -> str:
-    """Return the title of a world: its name, with its number unless it is the first of that name."""
+    """Return the title of a world: its name, with its number if it isn't the first world of that name."""
     if number == 1:
         return world
     ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
@@ -86,11 +86,11 @@ def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
                 lists_by_channels[ids] = lists
         for numbers in lists:
             numbers.append(number)
-    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # of others, all changes are lost
+    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # all changes of the others are lost
 
 
 def _owner(record: Record, channel_owner: Owner | None, last_number: dict[str, int]) -> Owner:
-    """Return the lifetime of a record: its channel's if that is known, else by counting."""
+    """Return the lifetime of a record: that of its channel if it is known, else by counting openings."""
     lifetime = channel_owner[1] if channel_owner is not None else last_number.get(record.world, 0)
     if not lifetime or (channel_owner is None and _opens(record)):
         lifetime += 1
@@ -125,7 +125,7 @@ def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[
 
 
 def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
-    """Return the first steps of lifetimes; 0 if nothing depends on it, to avoid reading."""
+    """Return the first steps of lifetimes; 0 if the step isn't needed, to avoid reading."""
     beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # by chunk
     for owner, (changes, *_) in chunks_of.items():
         beginning[changes[0]].append(owner)
@@ -137,7 +137,7 @@ def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
 
 
 def _first_steps(chunks: Chunks, number: int, owners: Iterable[Owner]) -> Iterator[tuple[Owner, int]]:
-    """Yield the first steps of the lifetimes that begin in a chunk, as far as it is readable."""
+    """Yield the first steps of the lifetimes that begin in a chunk, as far as the chunk is readable."""
     waiting = sorted(owners)
     for record in chunks.records(number, (Mutation, Keyframe)):
         owner = next((each for each in waiting if each[0] == record.world), None)

@@ -1,12 +1,10 @@
-"""The MCAP format's framing, the positions of a file's chunks, and their decompression.
+"""The MCAP format: its framing, the positions of a file's chunks, their decompression, and decoding of payloads.
 
-A recording of a million records has 20,000 chunks, and a question needs a few: the file's summary is decoded chunk by
-chunk on demand.
+A recording of a million records has 20,000 chunks, and a question needs few of them: the file's summary is decoded
+chunk by chunk, on demand.
 
-Decodes the payloads of messages into records; one with more parts than any recorder writes is refused.
-
-An empty part has two bytes in a file, and some fifty times as many in memory. What is so small that it can't have too
-many parts isn't counted, which is nearly all.
+A payload with more parts than any recorder writes is rejected: an empty part has two bytes in a file, and about fifty
+times as many in memory. Small payloads, which are nearly all, can't have too many parts and aren't counted.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ if TYPE_CHECKING:
 
 MAGIC: Final = b"\x89MCAP0\r\n"  # the first bytes, and the last
 HEADER: Final = 9  # bytes of opcode and length before each MCAP record
-LENGTH: Final = struct.Struct("<BQ")  # these two
+LENGTH: Final = struct.Struct("<BQ")  # opcode and length
 DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
 FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
@@ -40,10 +38,10 @@ _MESSAGE_INDEX: Final = HEADER + 6  # bytes of a channel's message index before 
 _ENTRY: Final = 16  # bytes of a message's entry
 _MAP_LENGTH: Final = struct.Struct("<I")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
-MAX_INFLATED: Final = 64 << 20  # bytes of a chunk, decompressed; recorders close them at about 1 MiB
-#: What a damaged file can raise in the libraries that decode it.
+MAX_INFLATED: Final = 64 << 20  # bytes of a decompressed chunk; recorders close chunks at about 1 MiB
+#: Errors that libraries raise when they decode a damaged file.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
-#: What a damaged chunk can raise: also errors of Zstandard, and of LZ4, which are RuntimeErrors.
+#: Errors of a damaged chunk: also those of Zstandard, and of LZ4, which are RuntimeErrors.
 CHUNK_DAMAGE: Final = (*DAMAGE, ZstdError, RuntimeError)
 
 
@@ -62,7 +60,7 @@ class Extent(NamedTuple):
 class ChunkExtent(NamedTuple):
     """The extent of a chunk's content, and the channels that have messages in it.
 
-    ``channels`` has 10 bytes for each channel, as MCAP's chunk index has them; None where it is not known.
+    ``channels`` has 10 bytes for each channel, as in MCAP's chunk index; None if unknown.
     """
 
     offset: int
@@ -79,15 +77,15 @@ class ChunkExtent(NamedTuple):
 class StatedChunk(NamedTuple):
     """An entry for a chunk in the index at a file's end."""
 
-    offset: int  # where it begins, with opcode and length
-    length: int  # its bytes, with these
-    head: bytes  # its first bytes, opcode and length first, up to its CRC
-    tail: bytes  # the bytes after its CRC, up to its data
-    messages: int | None  # how many it has; None if that isn't stated
+    offset: int  # of its opcode
+    length: int  # in bytes, with opcode and length
+    head: bytes  # its first bytes, from its opcode up to its CRC
+    tail: bytes  # the bytes from its CRC to its data
+    messages: int | None  # number of messages; None if unknown
 
 
 class ChunkTable:
-    """The chunks in the file's order: those of its summary, or found by scanning."""
+    """The chunks in the file's order, from its summary or from a scan."""
 
     def __init__(self) -> None:
         self._summary = b""
@@ -152,10 +150,10 @@ class ChunkTable:
 
 
 def framed(contents: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield the opcode of each MCAP record, and where its content begins and ends.
+    """Yield the opcode of each MCAP record, and the start and end of its content.
 
     Raises:
-        struct.error: the last one is cut off within its opcode and length.
+        struct.error: the last record is cut off within its opcode and length.
     """
     at = 0
     while at < len(contents):
@@ -171,9 +169,9 @@ def describe(error: Exception) -> str:
 
 
 class Decompressor:
-    """Decompresses chunks one after the other; not for several threads at once.
+    """Decompresses chunks, one after another; not for several threads.
 
-    Nothing takes more memory than a chunk's head says, and that is bounded: a few kB can claim to be GB.
+    A chunk never takes more memory than its head states, and that is bounded: a few kB could inflate to GB.
     """
 
     def __init__(self) -> None:
@@ -183,11 +181,11 @@ class Decompressor:
         """Return the messages of a chunk.
 
         Raises:
-            CHUNK_DAMAGE: it is damaged.
+            CHUNK_DAMAGE: the chunk is damaged.
         """
         _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
         if size > MAX_INFLATED:
-            raise ValueError(f"it has {size} bytes by its head; chunks have up to {MAX_INFLATED}")
+            raise ValueError(f"it has {size} bytes by its head; the maximum is {MAX_INFLATED}")
         start = CHUNK_HEAD.size + length
         end = start + 8 + int.from_bytes(chunk[start : start + 8], "little")
         data = self._inflated(bytes(chunk[CHUNK_HEAD.size : start]), chunk[start + 8 : end], size)
@@ -198,7 +196,7 @@ class Decompressor:
         return data
 
     def _inflated(self, compression: bytes, data: memoryview, size: int) -> bytes:
-        if compression == b"zstd":  # ours; other recorders may choose
+        if compression == b"zstd":  # PyCRAM's; other recorders use others
             if frame_content_size(data) > size:
                 raise ValueError(f"it inflates to {frame_content_size(data)} bytes, by its head to {size}")
             return self._zstd.decompress(data, max_output_size=size)
@@ -213,11 +211,10 @@ class Decompressor:
 
 
 MAX_PARTS: Final = 1 << 19
-"""Messages within a record; eight texts count as one."""
+"""Maximum number of messages within a record; eight texts count as one."""
 UNCOUNTED: Final = 2 * MAX_PARTS
-"""Bytes of a payload up to which it can't have more parts."""
-
-_TEXTS: Final = 8  # that take as much memory as an empty message
+"""Payloads of up to so many bytes can't have more parts."""
+_TEXTS: Final = 8  # texts that take as much memory as an empty message
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 
 
@@ -225,7 +222,7 @@ def decode(kind: type[Record], payload: bytes) -> Record:
     """Return the record of a payload.
 
     Raises:
-        DecodeError: it is none, or has too many parts.
+        DecodeError: the payload is invalid, or has too many parts.
     """
     if len(payload) > UNCOUNTED:
         try:
@@ -242,11 +239,11 @@ def _within(descriptor: Any) -> dict[int, Any]:  # protobuf's two runtimes have 
 
 
 def _weigh(descriptor: Any, data: bytes, at: int, end: int) -> int:
-    """Return what a message's parts weigh: a text 1, a message 8.
+    """Return the weight of a message's parts: 1 for a text, 8 for a message.
 
     Raises:
-        DecodeError: it is more than that of the most parts, or the message is none.
-        IndexError: it is cut off.
+        DecodeError: there are too many parts, or the message is invalid.
+        IndexError: the message is cut off.
     """
     within, weight = _within(descriptor), 0
     while at < end:

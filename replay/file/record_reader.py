@@ -1,8 +1,8 @@
 """A recording: its records by step, also of a file whose process was killed, or that a recorder is writing.
 
-No question costs more than a few chunks, however long the recording is; see :mod:`replay.file.index` and
-:mod:`replay.file.chunks`. Of a recording of a newer release, unknown fields are left out, and of records of unknown
-kinds only the envelope is read.
+Every question reads only a few chunks, however long the recording is; see :mod:`replay.file.index` and
+:mod:`replay.file.chunks`. In a recording of a newer release, unknown fields are ignored; only the envelope is read of
+records of unknown kinds.
 """
 
 from __future__ import annotations
@@ -59,23 +59,23 @@ __all__ = ["KINDS", "RecordReader"]
 
 R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output)
 
-_MIN_MAGIC: Final = len(MAGIC) - 2  # bytes that must be right: a damaged file may have wrong ones
+_MIN_MAGIC: Final = len(MAGIC) - 2  # minimum number of right bytes: a damaged file may have wrong ones
 _NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # a pipe would wait for a writer
 _MAX_NAMES: Final = 4  # in a message
-_FIRST: Final = [0, 1, 0]  # release: no recording of it is newer
-_MAX_DIGITS: Final = 9  # of a number that is one
+_FIRST: Final = [0, 1, 0]  # the first release: its recordings are never newer
+_MAX_DIGITS: Final = 9  # of a valid number
 _RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
 
 
 class RecordReader:
-    """The records of a recording. Not for several threads at once."""
+    """The records of a recording. Not for several threads."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._file = open_file(self.path)
         with contextlib.ExitStack() as undoing:
             undoing.callback(self._file.close)
-            # when the file was last written to before it was opened, ns since the Unix epoch
+            # time of the last write before it was opened, ns since the Unix epoch
             self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns
             self._index = Index(self._file)
             check_ours(self.path, self._index)
@@ -84,7 +84,7 @@ class RecordReader:
             undoing.pop_all()
         self.assets = Assets(self.path, self._index)  # the attached files by ``<sha256>/<file name>``
         self.lost_before = lost_before(self._index)  # steps that were lost before the file was repaired
-        self._gaps: list[range] = []  # what is lost, when so many chunks were known to be damaged, of so many steps
+        self._gaps: list[range] = []  # lost steps, and the numbers of damaged chunks and of steps when they were found
         self._gaps_of = (-1, -1)
 
     def __enter__(self) -> Self:
@@ -107,7 +107,7 @@ class RecordReader:
         self._index.close()
 
     def after_fork(self) -> None:
-        """Reopen the file in a forked child, which would else share the parent's file position."""
+        """Reopen the file in a forked child, which else shares the parent's file position."""
         self.assets.close()
         descriptor = self._file.fileno()
         own = os.open(self.path, os.O_RDONLY)
@@ -128,7 +128,7 @@ class RecordReader:
 
     @property
     def closed(self) -> bool:
-        """Whether the recorder closed the file: nothing will be added."""
+        """Whether the recorder closed the file: it won't grow."""
         return self._index.closed
 
     @property
@@ -144,7 +144,7 @@ class RecordReader:
 
     @property
     def complete(self) -> bool:
-        """Whether the recorder closed the file, and no damage was found so far."""
+        """Whether the recorder closed the file, and no damage is known."""
         return not self.problems
 
     @property
@@ -210,8 +210,8 @@ class RecordReader:
         """Return the record of a step; negative steps count from the end.
 
         Raises:
-            NoSuchStep: there is none.
-            Damaged: there was one, but it is lost.
+            NoSuchStep: there is no such step.
+            Damaged: its record is lost.
         """
         number = step + self._steps if step < 0 else step
         if not 0 <= number < self._steps:
@@ -231,7 +231,7 @@ class RecordReader:
     def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
         """Stream the records of one or several types from ``start`` to before ``stop``; no others are decoded.
 
-        A type may be given by its name, as "query".
+        A type may also be a name, as "query".
 
         Raises:
             NoSuchName: there is no such type.
@@ -258,9 +258,9 @@ class RecordReader:
     @overload
     def backwards(self, start: int = -1, kind: Kinds | None = None, *, naming: str = "") -> Iterator[Record]: ...
     def backwards(self, start: int = -1, kind: Any = None, *, naming: str = "") -> Iterator[Any]:
-        """Stream records from a step (negative ones count from the end) down to the first.
+        """Stream records from a step (negative steps count from the end) down to the first.
 
-        Only those of one or several types, that have a text in one of their fields, are decoded.
+        Only records of one or several types with a text in one of their fields are decoded.
         """
         first = start + self._steps if start < 0 else start
         for number in range(self.chunk_of(first), -1, -1):
@@ -269,7 +269,7 @@ class RecordReader:
                     yield record
 
     def lifetime_at(self, world: str, step: int) -> Lifetime | None:
-        """Return the world that has a name at a step, or the first one to have it later; None if there is none."""
+        """Return the world that has a name at a step, or the first world that gets it later; None without either."""
         return next((lifetime for lifetime in self.lifetimes if lifetime.world == world and lifetime.has(step)), None)
 
     @overload
@@ -288,7 +288,7 @@ class RecordReader:
         return self._chunks.chunk_of(step, self._steps)
 
     def end_of(self, lifetime: Lifetime) -> Record | None:
-        """Return the last change of a world, or its last keyframe if that comes later; None if it is lost."""
+        """Return the last change or keyframe of a world; None if it is lost."""
         last = None
         for last in self.records_of(lifetime, (Mutation, Keyframe), lifetime.changes[-1:]):  # noqa: B007  the last one
             pass
@@ -309,12 +309,12 @@ class RecordReader:
         """Read everything once, and return :attr:`problems`."""
         last = -1
         for number in range(len(self._chunks)):
-            for record in self._chunks.records(number):  # what is damaged is noted on the way
+            for record in self._chunks.records(number):  # notes damage
                 if not last < record.seq < self._steps:
                     self._chunks.misplaced(number, record)
                 last = record.seq
         for name in self.assets:
-            with contextlib.suppress(Damaged):  # which is kept in assets.damaged
+            with contextlib.suppress(Damaged):  # noted in assets.damaged
                 _ = self.assets[name]
         if not self.damage:
             self._index.check()
@@ -325,7 +325,7 @@ class RecordReader:
         intact = self._index.whole or (not self._index.closed and not self._index.damage)
         if intact and not self._chunks.damaged and not self._lost:
             return []
-        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # each state of a damaged recording asks for them
+        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # each state of a damaged recording needs them
             self._gaps.clear()
             expected = 0
             for record in self.records():
@@ -336,7 +336,7 @@ class RecordReader:
         return list(self._gaps)
 
     def write_sound(self, file: BinaryIO) -> Losses:
-        """Write a sound copy of what can be read; see :func:`replay.file.repair.write_sound`."""
+        """Write a sound copy of the readable part; see :func:`replay.file.repair.write_sound`."""
         self.check()
         return write_sound(file, self._index, self._chunks, self.assets, self.problems, self.missing())
 
@@ -350,7 +350,7 @@ class RecordReader:
         if cause := self.assets.missing(look=True):
             raise MissingModels(self.path, cause)
         if problems := self.check():
-            raise ReplayError(f"{self.path}: it isn't sound ({problems}); repair it, which packs what can be read")
+            raise ReplayError(f"{self.path}: it isn't sound ({problems}); use repair, which packs the readable part")
         write_sound(file, self._index, self._chunks, self.assets, None, [])
 
     def missing(self) -> list[range]:
@@ -361,7 +361,7 @@ class RecordReader:
         return list(dict.fromkeys([*gaps, *self.lost_before]))
 
     def refresh(self) -> bool:
-        """Read records that were written since; return whether there are any."""
+        """Read the new records of a growing file; return whether there are any."""
         if not self._chunks.grow():
             return False
         self.__dict__.pop("lifetimes", None)
@@ -369,7 +369,7 @@ class RecordReader:
         return True
 
     def _count(self) -> int:
-        """Return the number of steps: one more than the last one's."""
+        """Return the number of steps: one more than the number of the last one."""
         for number in range(len(self._chunks) - 1, -1, -1):
             last = next(self._chunks.records(number, backwards=True), None)
             if last is not None:
@@ -379,11 +379,11 @@ class RecordReader:
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Open a file that is, or before its damage was, an MCAP file by its first bytes.
+    """Open a file that is an MCAP file by its first bytes, even if a few are damaged.
 
     Raises:
-        NotALog: it doesn't exist, or is no MCAP file.
-        Unreadable: it is empty, or cut off within these bytes.
+        NotALog: the file doesn't exist, or is no MCAP file.
+        Unreadable: the file is empty, or cut off within these bytes.
     """
     try:
         with contextlib.ExitStack() as undoing:
@@ -397,7 +397,7 @@ def open_file(path: Path) -> BinaryIO:
 
 def _check_start(path: Path, file: BinaryIO) -> None:
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        raise NotALog(path, "is no regular file; recordings are read at random positions: write it to a file first")
+        raise NotALog(path, "is no regular file; reading needs random access: write the recording to a file first")
     start = file.read(len(MAGIC))
     if len(start) < len(MAGIC) and MAGIC.startswith(start):
         raise Unreadable(path, "is cut off within its first bytes" if start else "is empty")
@@ -411,8 +411,8 @@ def check_ours(path: Path, index: Index) -> None:
     """Raise an error if a file has no channel of a recording.
 
     Raises:
-        NotALog: it is another program's.
-        Unreadable: another release wrote it, or it is too damaged to be recognised.
+        NotALog: the file belongs to another program.
+        Unreadable: another release wrote the file, or it is too damaged to be recognised.
     """
     if kinds_of(index):
         return
@@ -420,7 +420,7 @@ def check_ours(path: Path, index: Index) -> None:
     if names:
         raise Unreadable(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
     if index.library == MODELS_LIBRARY:
-        raise NotALog(path, "has the models that recordings of a sweep share; it is no recording itself")
+        raise NotALog(path, "has the models that recordings of a sweep share; it is no recording")
     if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
         raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
     raise Unreadable(path, "has no record that can be read")
@@ -446,9 +446,8 @@ class Newer:
 
     release: str  # its version
     format: int  # its format; see :mod:`recorder.records.definition_new`
-    #: what it has in messages that this one knows: fields, and values of enums, as ``Mutation.force``.
-    fields: tuple[str, ...]
-    kinds: tuple[str, ...]  # kinds of records that this one doesn't know
+    fields: tuple[str, ...]  # unknown fields of known messages, and values of enums, as ``Mutation.force``
+    kinds: tuple[str, ...]  # unknown kinds of records
 
     def __str__(self) -> str:
         text = f"written by PyCRAM {self.release or 'of an unknown version'}, which is newer than this one"
@@ -456,7 +455,7 @@ class Newer:
             be = "is" if len(self.fields) == 1 else "are"
             text += f"; {_counted(self.fields, 'field')} unknown here {be} ignored {_listed(self.fields)}"
         if self.kinds:
-            text += f"; of {_counted(self.kinds, 'kind')} of records only the envelope is read {_listed(self.kinds)}"
+            text += f"; for {_counted(self.kinds, 'kind')} of records only the envelope is read {_listed(self.kinds)}"
         return text
 
 
@@ -491,7 +490,7 @@ def newer_of(index: Index) -> Newer | None:
 
 
 def _is_later(release: str) -> bool:
-    """Return whether a release is later than this one, as far as that is known."""
+    """Return whether a release is later than this one, as far as known."""
     other = _RELEASE.match(release)
     if other is None or _numbers(other) <= _FIRST:
         return False

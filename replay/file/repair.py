@@ -1,7 +1,7 @@
-"""Writes a sound copy of whatever can be read of a recording: indexed, closed, with all checksums.
+"""Writes a sound copy of the readable part of a recording: indexed, closed, with all checksums.
 
-Messages, attached files and metadata are copied as they are, so nothing is lost that a newer release has added. Steps
-keep their numbers; which of them are missing is said in the copy's metadata, and by all who read it.
+Messages, attached files and metadata are copied unchanged, so fields of newer releases are kept. Steps keep their
+numbers; the copy's metadata lists the missing steps, and readers report them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _METADATA: Final = "pycram.repair"
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log and publish time
 _MOST_MESSAGES: Final = 10_000  # of a chunk of the copy
 _RANGES: Final = re.compile(r"\d{1,18}(-\d{1,18})?(, \d{1,18}(-\d{1,18})?)*")
-_MAX_TEXT: Final = 1 << 16  # characters of the list of lost steps that are read
+_MAX_TEXT: Final = 1 << 16  # characters of the list of lost steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,20 +40,19 @@ class Losses:
     """The losses of a repaired copy."""
 
     problems: str  # of the original, in words
-    steps: tuple[range, ...]  # ranges of steps that are lost, as far as is known
-    records: int  # number of records that were kept
-    chunks: Mapping[int, str]  # what is wrong with the chunks that are lost, by their number in the original
-    messages: int  # number of messages in other chunks that can't be read
-    files: Mapping[str, str]  # what is wrong with the attached files that are lost, by their name
+    steps: tuple[range, ...]  # ranges of lost steps, as far as known
+    records: int  # number of kept records
+    chunks: Mapping[int, str]  # causes of damage of lost chunks, by their number in the original
+    messages: int  # number of unreadable messages in other chunks
+    files: Mapping[str, str]  # causes of damage of lost attached files, by name
 
 
 def write_sound(
     file: BinaryIO, index: Index, chunks: Chunks, assets: Assets, problems: str | None, missing: list[range]
 ) -> Losses:
-    """Write a sound copy of what can be read into an empty file, with the models that the original shares with others.
+    """Write a sound copy of the readable part into an empty file, with the models that the original shares with others.
 
-    The copy says which problems the original had, and which steps are missing; without problems (None) it is only
-    packed, and says nothing.
+    The copy lists the original's problems and missing steps. With None for the problems, it is only packed.
     """
     from recorder.packages import versions  # noqa: PLC0415
 
@@ -69,7 +68,7 @@ def write_sound(
     for name in assets:
         try:
             kept = assets.attachment(name)
-        except Damaged:  # which is kept in assets.damaged
+        except Damaged:  # noted in assets.damaged
             continue
         writer.add_attachment(kept.log_time, name, kept.media_type, kept.data)
     kinds = kinds_of(index)
@@ -86,7 +85,7 @@ def write_sound(
                 kept_messages = [message for message in found if message[0] in ids and _is_sound(message, kinds)]
                 unread += len(found) - len(kept_messages)
                 records += sum(channel in kinds for channel, *_ in kept_messages)
-                kept_messages.sort(key=lambda message: message[2])  # their times; equal ones stay as they are
+                kept_messages.sort(key=lambda message: message[2])  # by time; a stable sort
                 writer.add_messages([(ids[channel], number, at, data) for channel, number, at, data in kept_messages])
                 writer.flush()
         except struct.error as error:
@@ -96,7 +95,7 @@ def write_sound(
 
 
 def _define(writer: McapWriter, index: Index) -> dict[int, int]:
-    """Define the channels whose message types are known; return their new ids by the old ones."""
+    """Define the channels whose message types are known; return their new ids by their old ids."""
     schemas: dict[str, int] = {}
     ids = {}
     for number, channel in index.channels.items():
@@ -119,7 +118,7 @@ def _messages(contents: bytes) -> Iterator[tuple[int, int, int, bytes]]:
 
 
 def _is_sound(message: tuple[int, int, int, bytes], kinds: Mapping[int, type[Record]]) -> bool:
-    """Return whether a message can be decoded, or is another program's."""
+    """Return whether a message can be decoded, or belongs to another program."""
     channel, _, _, payload = message
     try:
         _ = decode(kinds[channel], payload) if channel in kinds else None

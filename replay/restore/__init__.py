@@ -1,1 +1,1 @@
-"""From a recording back to a live world, or to a picture of it. This room and those above import the executor."""
+"""Live worlds, answers and pictures from a recording. This room and those above it import the executor."""

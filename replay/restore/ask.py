@@ -1,7 +1,7 @@
 """Asks reasoning queries at any past step, also under changed conditions.
 
-The world of that step is rebuilt unrecorded, objects are moved if wanted, and the query runs there. Plans call the same
-code, so at a step where a plan asked, the answer is the plan's.
+The world of that step is rebuilt unrecorded, objects are moved on request, and the query runs there. Plans call the
+same code: at the step of a plan's query, the answer is the plan's.
 """
 
 from __future__ import annotations
@@ -33,12 +33,11 @@ if TYPE_CHECKING:
     from replay.state.state import State
 
 BELIEVED: Final = "believed"
-"""Asks what a robot believed, which the records themselves tell; ``away`` is how far the object is from there, m."""
+"""Asks for a robot's belief, which is on record; ``away`` is the object's distance from the believed position, m."""
 _BELIEVED_TAKES: Final = ("what", "robot")
 QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
 """Names of the queries that can be asked."""
-
-#: Parameters that take an object, or several; a pose may be one, or a position.
+#: Parameters that take one or several objects; a pose may be an object or a position.
 _OBJECTS: Final = ("object", "object1", "object2", "robot", "pose", "ignoring")
 _PARAMETERS: Final = {recorded: parameter for parameter, recorded in RECORDED_AS.items()}
 
@@ -49,7 +48,7 @@ class Move:
 
     body: str  # name of the object
     position: Vector  # xyz, m
-    orientation: Quaternion | None = None  # xyzw; None keeps it
+    orientation: Quaternion | None = None  # xyzw; None leaves it unchanged
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +58,9 @@ class QueryAnswer:
     step: int  # the step after which it was asked
     world: str  # name of the world
     question: QueryCall  # the query with its arguments
-    answer: bool | list[str | bool]  # true or false, names of objects, or true or false for each of several
-    evidence: Mapping[str, Plain]  # what the answer is based on
-    moves: tuple[Move, ...] = ()  # what was moved before
+    answer: bool | list[str | bool]  # true or false, names of objects, or true or false for each target
+    evidence: Mapping[str, Plain]  # the basis of the answer
+    moves: tuple[Move, ...] = ()  # made before the query
 
 
 def ask(
@@ -73,16 +72,15 @@ def ask(
     moves: Sequence[Move] = (),
     moment: float | None = None,
 ) -> QueryAnswer:
-    """Ask a query at a past step, unrecorded; objects are moved first, with everything that they carry.
+    """Ask a query at a past step, unrecorded; objects are moved first, with all objects that they carry.
 
-    A moment within the next record is as :func:`replay.restore.world.world_at` takes it.
-
-    Questions are as ``visible(milk, wide_stereo_optical_frame)``: any of :data:`QUERIES`, with the arguments of
-    :mod:`pycram.bullet_world_reasoning`, or ``believed(milk)``, of an object or of a type. Without one, the query that
-    is recorded as this step is asked again, in its world. By default the world is the open one that was opened last.
+    A question is any of :data:`QUERIES` with the arguments of :mod:`pycram.bullet_world_reasoning`, as ``visible(milk,
+    wide_stereo_optical_frame)``; or ``believed(milk)``, with an object or a type. Without a question, the query that is
+    recorded at this step is asked again, in its world. By default the world is the last opened one that is open. For
+    ``moment`` see :func:`replay.restore.world.world_at`.
 
     Raises:
-        BadQuestion: it can't be parsed, that world has no answer, or the step's record is no query.
+        BadQuestion: the question is invalid, the world has no answer, or the step's record is no query.
         NotRestored: no world was open at that step.
     """
     if question is None:
@@ -102,11 +100,17 @@ def ask(
                 except PycramError as error:
                     raise BadQuestion(f"moving {move.body}", str(error)) from error
             result = _call(restored, call)
-        except NoSuchName as error:  # of an object, which another world may have
+        except NoSuchName as error:  # another world may have an object of this name
             raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
             raise BadQuestion(str(call), str(error)) from error
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # no check foresaw it
+        except (
+            ArithmeticError,
+            AttributeError,
+            LookupError,
+            TypeError,
+            ValueError,
+        ) as error:  # unchecked arguments
             raise BadQuestion(str(call), f"it can't be answered: {format_error(error)}") from error
         answer: bool | list[str | bool]
         if isinstance(result, list):
@@ -122,13 +126,13 @@ def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCal
     """Return the query of a step's record, and its world.
 
     Raises:
-        BadQuestion: there is no query that could be asked again, or it was asked in another world.
+        BadQuestion: the record is no query that can be asked again, or it was asked in another world.
     """
     record = log[step]
     if not isinstance(record, Query):
-        raise BadQuestion(f"step {step}", "its record is no query that could be asked again; give a question")
+        raise BadQuestion(f"step {step}", "its record is no query that can be asked again; give a question")
     if record.name not in QUERIES:
-        cause = f"its record is a {record.name}, which was no question of the plan's to a world; give a question"
+        cause = f"its record is a {record.name}, which isn't a plan's query about a world; give a question"
         raise BadQuestion(f"step {step}", cause)
     if world not in (None, record.world):
         raise BadQuestion(f"step {step}", f"that query was asked in {record.world}, not in {world}")
@@ -136,20 +140,20 @@ def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCal
 
 
 def _believed(state: State, step: int, world: str | None, question: QueryCall, moves: Sequence[Move]) -> QueryAnswer:
-    """Return what a robot believed after a step, from the records.
+    """Return a robot's belief after a step, from the records.
 
     Raises:
-        BadQuestion: it has other arguments, or changed conditions, on which beliefs don't depend.
+        BadQuestion: the question has other arguments, or objects are moved: beliefs don't depend on that.
         NoSuchName: there is no such object or type.
     """
     if moves:
-        raise BadQuestion(str(question), "what a robot believed doesn't depend on what is moved now")
+        raise BadQuestion(str(question), "a robot's past belief doesn't depend on moves")
     given = dict(zip(_BELIEVED_TAKES, question.arguments, strict=False))
     terms = {name: getattr(term, "text", term) for name, term in {**given, **question.keywords}.items()}
     count = len(question.arguments) + len(question.keywords)
     known = "what" in terms and len(terms) == count and set(terms) <= {*_BELIEVED_TAKES}
     if not known or not all(isinstance(term, str) for term in terms.values()):
-        raise BadQuestion(str(question), "it is believed(what, robot): names of an object, or a type, and a robot")
+        raise BadQuestion(str(question), "the question is believed(what, robot): an object or a type, and a robot")
     what, robot = str(terms["what"]), None if "robot" not in terms else str(terms["robot"])
     there = state.world(world)
     names = [name for body in there.bodies.values() for name in (body.name, body.type)]
@@ -171,12 +175,11 @@ def _call(world: BulletWorld, question: QueryCall) -> Verdict | Found[Object] | 
         bound = signature.bind(*question.arguments, **keywords)
     except TypeError as error:
         takes = ", ".join(str(parameter).partition(":")[0] for parameter in signature.parameters.values())
-        raise BadQuestion(str(question), f"{error}; it is {question.query}({takes})") from None
+        raise BadQuestion(str(question), f"{error}; the query is {question.query}({takes})") from None
     return query(**{name: _value(world, name, term) for name, term in bound.arguments.items()})
 
 
 def _value(world: BulletWorld, parameter: str, term: object) -> object:
-    """Return a term's value."""
     if parameter == "world":
         return world
     if parameter in _OBJECTS and isinstance(term, Name | str):

@@ -1,7 +1,4 @@
-"""A recorded world for restoring or drawing: its state, its models, its robot's description.
-
-The physics engine isn't needed.
-"""
+"""A recorded world for restoring or drawing, without the physics engine: its state, models and robot descriptions."""
 
 from __future__ import annotations
 
@@ -24,24 +21,23 @@ if TYPE_CHECKING:
 
 
 def world_state(log: RecordReader, step: int, name: str | None = None, moment: float | None = None) -> World:
-    """Return the state of a world that is open after a step; without a name, of the one that was opened last.
+    """Return the state of a world that is open after a step; without a name, of the last opened world.
 
-    A moment, in s of simulated time, that lies within the next record is known by its samples; see
-    :func:`replay.state.fold.state_at`.
+    For a moment within the next record, in s of simulated time, see :func:`replay.state.fold.state_at`.
 
     Raises:
-        NotRestored: no such world was open at that step.
-        NoSuchName: there never was a world of that name.
-        Damaged: records are lost that could have changed it.
+        NotRestored: the world isn't open at that step.
+        NoSuchName: the recording has no world of that name.
+        Damaged: lost records may have changed it.
     """
     state = state_at(log, step, moment)
     if name is None and not any(world.open for world in state.worlds.values()):
         closed = ", ".join(state.worlds)
-        hint = f" (there was: {closed}); take a step before its end" if closed else " yet; take a later step"
+        hint = f" any more ({closed}); take an earlier step" if closed else " yet; take a later step"
         raise NotRestored(step, f"no world is open then{hint}")
     world = state.world(name)
     if not world.open:
-        raise NotRestored(step, f"{world.name} has ended by then; take a step before its end")
+        raise NotRestored(step, f"{world.name} has ended by then; take an earlier step")
     if state.uncertainty:
         raise Damaged(log.path, f"the world after step {step}", state.uncertainty)
     return world
@@ -51,14 +47,14 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
     """Return the model of a body, as files in a temporary folder.
 
     Raises:
-        Damaged: one of its files is missing or damaged, or makes no sense.
+        Damaged: a file is missing, damaged or invalid.
     """
     names = [f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in loaded.assets]
     if not names:
         raise Damaged(log.path, f"the loading of {loaded.body}", "it names no files")
     missing = next((name for name in names if name not in log.assets), None)
     if missing is not None:
-        raise Damaged(log.path, f"the attached file {missing}", "it isn't there")
+        raise Damaged(log.path, f"the attached file {missing}", "it is missing")
     files = [(name, log.assets[name]) for name in names]
     try:
         return load.restore(files, Loading.of(loaded))
@@ -69,5 +65,5 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
 
 @cache
 def description_of(text: str) -> RobotDescription | None:
-    """Return a robot's description from its recorded TOML text; None for "", of a body that is no robot."""
+    """Return a robot's description from its recorded TOML text; None for "", the text of other bodies."""
     return RobotDescription.parse(text, "the recording's robot description") if text else None

@@ -1,11 +1,11 @@
 """Verifies a recording: that it is consistent, and that its changes, made again, have the recorded effects.
 
-The changes are executed in fresh worlds, in order, and the mutation of each is compared with the recorded one to the
-last bit: every pose, joint, velocity, attachment and simulated sample. That holds for one build of the physics engine
-on one kind of computer; elsewhere the last bits may differ, which contacts amplify. Then the result says how near it
-is. In a world that began before its recording, changes without physics are compared to a micrometre.
+The changes are executed in new worlds, in order, and each mutation is compared with the recorded one to the last bit:
+every pose, joint, velocity, attachment and simulated sample. They are equal for one build of the physics engine on one
+kind of computer; elsewhere the last bits may differ, and contacts amplify that. Then the result has the largest
+deviation. In a world that began before its recording, changes without physics are compared to a micrometre.
 
-Messages for other tools (``/tf``, ``/log``) follow from the records and are not compared.
+Messages for other tools (``/tf``, ``/log``) follow from the records and aren't compared.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from replay.state.state import World
 
 OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3
-"""m or rad within which effects count as the same on another computer, or with another build of the engine."""
+"""Tolerance, in m or rad, of effects on another computer, or with another build of the engine."""
 
 _DIFFERENT: Final = "made again, it has another effect"
 _LATE_TOLERANCE: Final = 1e-6  # m or rad, of changes without physics in a world that continues from a keyframe
-_ENVIRONMENT_KEYS: Final = ("pycram", "pybullet", "machine", "platform")  # what the last bits depend on
+_ENVIRONMENT_KEYS: Final = ("pycram", "pybullet", "machine", "platform")  # the last bits depend on these
 
 
 def verify(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:
@@ -53,7 +53,7 @@ class _Verifier(Verifier):
         self.environment = other_versions(log.metadata, *_ENVIRONMENT_KEYS)
 
     def forget(self) -> None:
-        """Forget all worlds, as records are missing."""
+        """Forget all worlds, because records are missing."""
         self._reexecution.forget()
 
     def check(self, record: Keyframe | Mutation) -> Problem | None:
@@ -67,7 +67,7 @@ class _Verifier(Verifier):
                 self.late[record.world] = None
         except (PycramError, ReplayError, ValueError) as error:
             if isinstance(error, Damaged) or isinstance(record, Keyframe) or record.HasField("load_body"):
-                self.damage.append(str(error))  # what can't be loaded as it was
+                self.damage.append(str(error))
             return self._problem(record, f"it can't be made again: {error}")
         return None
 
@@ -81,11 +81,11 @@ class _Verifier(Verifier):
             self._follow(record)
             return None
         if repeated is None:
-            return self._problem(record, "it is no change that this release knows")
+            return self._problem(record, "this release doesn't know this kind of change")
         if self.log.newer is not None:
             record = Mutation.FromString(record.SerializeToString())
             record.DiscardUnknownFields()
-        if record.drags:  # nobody does it again: the world goes on from what is recorded
+        if record.drags:  # they can't be repeated: the world continues from the recorded state
             self.dragged[record.world] = None
             self._reexecution.late.add(record.world)
         if record.world in self._reexecution.late:
@@ -126,7 +126,7 @@ class _Verifier(Verifier):
         worst = deviation if world is None else _worst(world, self.integrity.world(record.world)) or deviation
         if worst.size > OTHER_ENVIRONMENT_TOLERANCE:
             where = ", ".join(self.environment)
-            return self._problem(record, f"{_DIFFERENT}; but the environment is a different one: {where}", worst)
+            return self._problem(record, f"{_DIFFERENT}; but the environment is different: {where}", worst)
         self._note(worst)
         return None
 
@@ -139,7 +139,7 @@ class _Verifier(Verifier):
 
 
 def _worst(world: BulletWorld, state: World) -> Deviation | None:
-    """Return the largest deviation of a world from its recorded state; None if they are the same bit for bit."""
+    """Return the largest deviation of a world from its recorded state; None if they are equal bit for bit."""
     bodies = [body.name for body in world.objects]
     pairs = [(body.name, held.body.name) for body in world.objects for held in body.carried]
     if sorted(bodies) != sorted(state.bodies):

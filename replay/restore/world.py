@@ -1,13 +1,13 @@
 """Live worlds as they were after any step, from the recording alone.
 
-There are two methods. From the *state*: bodies are loaded from the recorded models and put where they were. Poses,
-joints, velocities, attachments, gravity, colours and the robot are exact. The solver's contacts and the targets of
-sagging motors aren't known, so the future is a likely one. By *re-execution* (``exact``): every change is made again
-from the start, so the future is the original's too, bit for bit. A world that existed before its recording began
-continues from its first keyframe: near to the original, but not the same to the last bit once time runs.
+There are two methods. From the *state*: bodies are loaded from the recorded models and placed at their recorded poses.
+Poses, joints, velocities, attachments, gravity, colours and the robot are exact. The solver's contacts and the targets
+of sagging motors are unknown, so the future may differ from the original. By *re-execution* (``exact``): each change is
+made again from the start, so the future equals the original, bit for bit. A world that began before its recording
+continues from its first keyframe: it is near to the original, but differs in the last bits once time runs.
 
-A world is unrecorded while it is rebuilt. A world for a user is announced afterwards to recordings that run, with its
-whole state; a world for a question never appears in any.
+A world is unrecorded while it is rebuilt. Then running recordings get the whole state of a world for a user; a world
+for a question never appears in a recording.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-    from recorder.records import AttachBody, BeginTrajectory, DetachBody, LoadBody, MoveBody, MoveJoints, Record
+    from recorder.records import AttachBody, BeginTrajectory, LoadBody, Record
     from replay.file.record_reader import RecordReader
     from replay.state.state import Body, RecordedBelief, Sampled, World
 
@@ -50,15 +50,15 @@ def world_at(
     mode: str = "DIRECT",
     moment: float | None = None,
 ) -> BulletWorld:
-    """Return a world as it was after a step, called ``NAME@STEP``; it becomes the current one, and time stands still.
+    """Return a world as it was after a step, called ``NAME@STEP``; it becomes the current one, and its time stops.
 
-    By default it is the one that was opened last. With ``exact`` every change is executed again, so that its future is
-    the original's too. A moment, in s of simulated time, that lies within the next record is known by its samples, or
-    with ``exact`` simulated up to its last step of 1/240 s.
+    By default it is the last opened world. With ``exact``, every change is executed again, so that its future equals
+    the original. For a moment within the next record, in s of simulated time, it has the state of the last sample until
+    then; with ``exact`` it is simulated, up to the last step of 1/240 s.
 
     Raises:
-        NotRestored: none was open at that step, or an exact one is impossible.
-        Damaged: records or files are lost, or make no sense.
+        NotRestored: no world was open at that step, or an exact one is impossible.
+        Damaged: records or files are lost or invalid.
         DisplayError: no window can open.
     """
     state = world_state(log, step, world, moment)
@@ -87,7 +87,7 @@ def _suffix(step: int, within: Sampled | None) -> str:
 def temporary_world(
     log: RecordReader, step: int, world: str | None = None, moment: float | None = None
 ) -> Iterator[BulletWorld]:
-    """Yield a past world for a question: it isn't the current one, unrecorded, and closed after the block.
+    """Yield a past world for a question: it is unrecorded, not the current one, and closed after the block.
 
     The arguments and errors are those of :func:`world_at`.
     """
@@ -111,7 +111,7 @@ def _reporting_damage(log: RecordReader, step: int) -> Iterator[None]:
 
 
 def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return a new world ``NAME@SUFFIX`` with a recorded state; to be called unrecorded."""
+    """Return a new world ``NAME@SUFFIX`` with a recorded state; the caller switches recording off."""
     world = open_world(f"{state.name}@{suffix}", mode)
     with ExitStack() as undoing:
         undoing.callback(world.exit)
@@ -148,10 +148,10 @@ def load_body(
 ) -> Object:
     """Load a body from its recorded model.
 
-    Its color is RGBA 0..1, empty for that of its model; by default the one that it was loaded with.
+    Its color is RGBA 0..1, empty for the model's color; by default the color with which it was loaded.
 
     Raises:
-        Damaged: a file isn't in the recording, or isn't what was attached.
+        Damaged: a file is missing or damaged.
     """
     return Object(
         loaded.body,
@@ -206,9 +206,8 @@ class Reexecution:
         self._mode = mode
         self._last = _LastMutation()
         self._journal = Journal([self._last])
-        self.worlds: dict[str, BulletWorld] = {}  # those that are open, by their recorded names
-        # names of those that continue from a keyframe, or from what somebody dragged by hand
-        self.late: set[str] = set()
+        self.worlds: dict[str, BulletWorld] = {}  # open worlds by their recorded names
+        self.late: set[str] = set()  # names of worlds that continue from a keyframe, or after a drag by hand
 
     def __enter__(self) -> Self:
         return self
@@ -236,15 +235,15 @@ class Reexecution:
     def repeat(self, record: Mutation, *, observed: bool = True) -> Mutation | None:
         """Make a recorded change again, and return the new mutation in the old one's envelope.
 
-        It is None if the change isn't observed, or unknown to this release.
+        Returns None if the change isn't observed, or unknown to this release.
 
         Raises:
-            PycramError: it can't be made.
-            NotRestored: its world isn't there.
-            Damaged: it contradicts the world's clock.
+            PycramError: the change can't be made.
+            NotRestored: the beginning of its world isn't recorded.
+            Damaged: the change contradicts the world's clock.
         """
         command = record.WhichOneof("command") or ""
-        if command == "set_realtime":  # what it simulated is recorded as simulate commands
+        if command == "set_realtime":  # its simulation is recorded as simulate commands
             return record
         if command != "open_world" and record.world not in self.worlds:
             raise NotRestored(record.seq, f"the recording lacks the beginning of {record.world}")
@@ -274,18 +273,17 @@ class Reexecution:
 
 
 def _check_clock(log: RecordReader, world: BulletWorld, record: Mutation) -> None:
-    """Refuse a simulation that contradicts the world's clock: it could be years."""
+    """Reject a simulation that contradicts the world's clock: it could last for years."""
     if world.sim_step + record.simulate.steps != record.sim_step:
-        cause = (
-            f"it simulates {record.simulate.steps} steps from step {world.sim_step} on, and ends at {record.sim_step}"
-        )
+        steps = record.simulate.steps
+        cause = f"it simulates {steps} steps from step {world.sim_step} on, and ends at {record.sim_step}"
         raise Damaged(log.path, f"step {record.seq}", cause)
 
 
 def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: bool) -> None:
     """Copy the fields that don't depend on how the change is made; overlaps only if the recording has them."""
     if record.HasField("open_world"):
-        repeated.open_world.mode = record.open_world.mode  # a window changes nothing
+        repeated.open_world.mode = record.open_world.mode  # a window has no effect
     if record.HasField("load_body") and not with_overlaps and not record.load_body.overlaps:
         del repeated.load_body.overlaps[:]
     if record.simulate.HasField("settled"):  # follows from the states
@@ -293,7 +291,7 @@ def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: b
 
 
 def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return a world that is open after a step, with the engine's complete state: its future is the original's.
+    """Return a world that is open after a step, with the engine's complete state: its future equals the original.
 
     Raises:
         NotRestored: the world began before the recording.
@@ -301,12 +299,12 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
     """
     lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
     chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
-    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # of what wasn't read, nothing is known to be lost
+    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # losses are known only after reading
         pass
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
-        cause = f"step {gap.start} is lost; without exact, the state may do"
-        raise Damaged(log.path, f"what led to step {step}", cause)
+        cause = f"step {gap.start} is lost; try it without exact"
+        raise Damaged(log.path, f"the part before step {step}", cause)
     with Reexecution(log, str(step), mode) as reexecution:
         for record in log.records_of(lifetime, (Mutation, Keyframe), chunks):
             if record.seq > step:
@@ -314,28 +312,16 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
             if isinstance(record, Mutation):
                 if record.drags:
                     dragged = f"{record.drags[0].body} was dragged by hand at step {record.seq}"
-                    raise NotRestored(step, f"{dragged}; without exact, the state will do")
+                    raise NotRestored(step, f"{dragged}; restore it without exact")
                 reexecution.repeat(record, observed=False)
             elif name not in reexecution.worlds:
-                raise NotRestored(step, f"{name} began before the recording; without exact, the state will do")
+                raise NotRestored(step, f"{name} began before the recording; restore it without exact")
         return reexecution.worlds.pop(name)
-
-
-def _move_body(world: BulletWorld, command: MoveBody) -> None:
-    world.get_object(command.body).set_position_and_orientation(command.position, command.orientation)
-
-
-def _move_joints(world: BulletWorld, command: MoveJoints) -> None:
-    world.get_object(command.body).set_joint_positions(dict(zip(command.joints, command.positions, strict=True)))
 
 
 def _attach(world: BulletWorld, command: AttachBody) -> None:
     carrier, body = world.get_object(command.carrier), world.get_object(command.body)
     carrier.attach(body, command.carrier_link or None, command.body_link or None)
-
-
-def _detach(world: BulletWorld, command: DetachBody) -> None:
-    world.get_object(command.carrier).detach(world.get_object(command.body))
 
 
 def _begin_trajectory(world: BulletWorld, command: BeginTrajectory) -> None:
@@ -346,10 +332,14 @@ def _begin_trajectory(world: BulletWorld, command: BeginTrajectory) -> None:
 
 _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
     "remove_body": lambda world, command: world.get_object(command.body).remove(),
-    "move_body": _move_body,
-    "move_joints": _move_joints,
+    "move_body": lambda world, command: world.get_object(command.body).set_position_and_orientation(
+        command.position, command.orientation
+    ),
+    "move_joints": lambda world, command: world.get_object(command.body).set_joint_positions(
+        dict(zip(command.joints, command.positions, strict=True))
+    ),
     "attach_body": _attach,
-    "detach_body": _detach,
+    "detach_body": lambda world, command: world.get_object(command.carrier).detach(world.get_object(command.body)),
     "set_gravity": lambda world, command: world.set_gravity(command.gravity),
     "set_color": lambda world, command: world.get_object(command.body).set_color(command.color),
     "set_robot": lambda world, command: world.set_robot(world.get_object(command.body) if command.body else None),

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
     from replay.report.question import Term
-    from replay.retrace.guided_run import Guide
+    from replay.retrace.guide import Guide
 
 _COUNTS: Final[Mapping[str, tuple[int, ...]]] = {"position": (3, 7), "orientation": (4,), "color": (4,)}
 _EXPECTED: Final = (

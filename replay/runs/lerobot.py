@@ -1,9 +1,9 @@
-"""Runs as a data set in LeRobot's format v3.0: an episode for each run, 30 frames a second of simulated time.
+"""Runs as a data set in LeRobot's format v3.0: an episode per run, with 30 frames per second of simulated time.
 
-A frame has the robot's base pose and joints (``observation.state``), the same of the next frame (``action``), and poses
-of all bodies that move in any run (``observation.environment_state``). Between two changes nothing moves. So only runs
-whose motions take time (execution environment ``continuous``) have trajectories. A camera's picture can be drawn for
-each frame (:mod:`replay.runs.video`). The folder is written under a temporary name and renamed when it is complete.
+A frame has the robot's base pose and joints (``observation.state``), those of the next frame (``action``), and the
+poses of all bodies that move in any run (``observation.environment_state``). Between two changes nothing moves. So only
+runs whose motions take time (execution environment ``continuous``) have trajectories. A camera's picture can be drawn
+for each frame (:mod:`replay.runs.video`). The folder is written under a temporary name and renamed when it is complete.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _STATE, _ACTION, _ENVIRONMENT = "observation.state", "action", "observation.envi
 
 
 #: Draws the picture of a camera in a world after a step, or at a moment within the next step (s of simulated time). The
-#: size is width and height in pixels. The caller provides it, as reading recordings doesn't need rendering.
+#: size is width and height in pixels. The caller provides this function: the room doesn't import rendering.
 Draw: TypeAlias = "Callable[[RecordReader, int, str, float | None, tuple[int, int]], NDArray[np.uint8]]"
 
 
@@ -73,15 +73,15 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
         ReplayError: no robot moves in any run, the runs are of several robots, or the folder can't be written.
     """
     if draw is not None:
-        from replay.runs.video import Videos  # noqa: PLC0415  what it needs is an extra
+        from replay.runs.video import Videos  # noqa: PLC0415  needs an extra
     if folder.exists():
-        raise ReplayError(f"{folder}: is there already; a data set gets a folder of its own")
+        raise ReplayError(f"{folder}: already exists; a data set needs a new folder")
     robots = _robots(runs, names)
     if not robots:
-        raise ReplayError(f"{runs.path}: no robot moves in these runs, so there is nothing to learn from")
+        raise ReplayError(f"{runs.path}: no robot moves in these runs, so they have no data to learn from")
     kinds = sorted(set(robots.values()))
     if len(kinds) > 1:
-        raise ReplayError(f"{runs.path}: the runs are of {', '.join(kinds)}; a data set is of one robot")
+        raise ReplayError(f"{runs.path}: the runs have the robots {', '.join(kinds)}; a data set has one robot")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
@@ -215,7 +215,7 @@ class _Writer:
     def _series(
         self, run: str, table: str, key: str, columns: Sequence[str], body: str | None = None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return times and values by name; of several values at one time the last counts."""
+        """Return times and values by name; the last of several values at one time counts."""
         rows = self.runs.sql(
             f"SELECT {key}, sim_seconds, {', '.join(columns)} FROM {table} WHERE run = ? AND (? IS NULL OR body = ?) "  # noqa: S608  the names are ours
             "ORDER BY step, sim_seconds",
@@ -292,7 +292,7 @@ class _Writer:
 
 
 def _at(series: tuple[np.ndarray, np.ndarray], moments: np.ndarray) -> np.ndarray:
-    """Return the values at some moments; before the first value, the first one."""
+    """Return the values at given moments; before the first value, the first value."""
     times, values = series
     return values[np.maximum(np.searchsorted(times, moments + 1e-9, side="right") - 1, 0)]
 
@@ -310,7 +310,7 @@ def _table(frames: Mapping[str, np.ndarray]) -> pa.Table:
 
 
 def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[float]]]:
-    """Return the statistics by which LeRobot normalises, each with a number for each component of a feature."""
+    """Return the statistics by which LeRobot normalises, each as a list of one number per component of a feature."""
     found = {}
     for name, values in columns.items():
         rows = values.astype(np.float64).reshape(len(values), -1)

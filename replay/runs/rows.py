@@ -4,9 +4,9 @@ One pass over the records makes the rows; a failed run also gets its root cause.
 :func:`write_rows` at its end; readers make the rows of all other recordings. A row file holds one table after another,
 until a reader merges it into the folder's tables (:mod:`replay.runs.folder`).
 
-Two failures have the same cause if they have the same type, the same first colliding pair of links, and the same names
-of tasks around them. Without recorded links, the first line of the message counts, without its numbers. So coordinates,
-seeds and attempt numbers don't split a cause.
+Two failures have the same cause if their types, their first colliding pairs of links, and the names of the tasks around
+them are equal. Without recorded links, the first line of the message counts, without its numbers. So coordinates, seeds
+and attempt numbers don't split a cause.
 """
 
 from __future__ import annotations
@@ -54,6 +54,15 @@ FOLDER: Final = "tables"
 NEW: Final = "new"
 """The subfolder of the tables with the rows of recordings that aren't merged yet."""
 _PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # other runs need the processors
+_NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow now imports pandas, if installed: once, before a process forks
+_NO_EVENT: Final = Event()  # for the fields that fluents lack
+_STATUSES: Final = {Task.SUCCEEDED: "succeeded", Task.FAILED: "failed", Task.CANCELLED: "cancelled"}
+_OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
+_OPTION: Final = re.compile(r"--([A-Za-z][\w-]*)(?:=(.*))?", re.DOTALL)
+_NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
+_LIST: Final = re.compile(r"[\[(]#(?:, #)*[\])]")
+_MAX_PATH: Final = 500  # characters: tasks may be nested a thousand deep
+_MAX_NAMED: Final = 3  # objects in a label
 
 
 def write_rows(path: Path) -> None:
@@ -74,14 +83,14 @@ def write_rows(path: Path) -> None:
                 marked = table.replace_schema_metadata(_marks(name, state))
                 with pa.ipc.new_stream(file, marked.schema, options=_PACKED) as stream:
                     stream.write_table(marked)
-        with suppress(FileNotFoundError):  # a reader that was faster has removed it
+        with suppress(FileNotFoundError):  # a reader has already removed it
             partial.replace(rows)
     finally:
         partial.unlink(missing_ok=True)
 
 
 def read_rows(path: Path, state: os.stat_result) -> dict[str, pa.Table] | None:
-    """Return the rows that the process of a recording wrote; None if there are none, or the file has changed since.
+    """Return the rows that the process of a recording wrote; None without rows, or if the recording has changed.
 
     Args:
         path: the recording.
@@ -111,14 +120,8 @@ def partial_rows(path: Path) -> Path:
 
 
 def _marks(table: str, state: os.stat_result) -> dict[str, str]:
-    """Return the metadata that tells whether a row file belongs to a recording, a table and its version."""
+    """Return the metadata that identifies recording, table and version of a row file."""
     return {"table": table, "version": str(VERSION), "file": f"{state.st_size} {state.st_mtime_ns}"}
-
-
-_NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow imports pandas here, if installed: once, before a process forks
-_NO_EVENT: Final = Event()  # a fluent lacks the fields of events
-_MAX_PATH: Final = 500  # characters: tasks may be nested a thousand deep
-_STATUSES: Final = {Task.SUCCEEDED: "succeeded", Task.FAILED: "failed", Task.CANCELLED: "cancelled"}
 
 
 def tables_of(log: RecordReader) -> dict[str, pa.Table]:
@@ -156,7 +159,7 @@ class _Rows:
         self.end: Run | None = None
         self._paths: dict[int, str] = defaultdict(str)
         self._tasks: dict[int, list[Any]] = {}  # their rows
-        self._failing: set[int] = set()  # tasks of which a part failed
+        self._failing: set[int] = set()  # tasks that have a failed part
 
     def add(self, record: Record) -> None:
         """Add the rows of a record."""
@@ -445,13 +448,8 @@ class _Rows:
         return failure, path, broken.step
 
 
-_OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
-_OPTION: Final = re.compile(r"--([A-Za-z][\w-]*)(?:=(.*))?", re.DOTALL)
-_MAX_NAMED: Final = 3  # objects in a label
-
-
 def parameters(start: Run) -> list[tuple[str, str]]:
-    """Return the parameters of a run in its sweep, else the options among its arguments."""
+    """Return the parameters of a run; without any, the options among its arguments."""
     given = {each.name: each.value_json for each in start.parameters}
     return list((given or _options(start.arguments)).items())
 
@@ -482,7 +480,7 @@ def _key(name: str) -> str:
 
 
 def label(name: str, arguments: Sequence[Argument]) -> str:
-    """Return a name with the objects among its arguments, else with the object type that it looks for."""
+    """Return a name with the objects among its arguments, or else with the type of object in them."""
     found: dict[str, None] = {}
     for argument in arguments:
         if '{"object":' in argument.json:
@@ -496,10 +494,6 @@ def label(name: str, arguments: Sequence[Argument]) -> str:
 def source(record: Task | Query | Mutation | Event | Fluent | Refusal) -> str:
     """Return the plan's line that caused a record, as `file:line`, or ""."""
     return f"{record.source_file}:{record.source_line}" if record.source_file else ""
-
-
-_NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
-_LIST: Final = re.compile(r"[\[(]#(?:, #)*[\])]")
 
 
 def without_numbers(text: str) -> str:

@@ -1,7 +1,7 @@
 """A folder of recordings as tables, for SQL statements that only read.
 
-DuckDB runs them in memory, from the Parquet files of the folder. It is sandboxed: it takes single SELECT statements,
-opens no other files, and its settings are locked.
+DuckDB executes them in memory, from the Parquet files of the folder. It is sandboxed: it accepts single SELECT
+statements, opens no other files, and its settings are locked.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from replay.runs.folder import Skipped
 
-_SINGLE: Final = "give one statement that selects: the tables of runs are read, never written"
+_SINGLE: Final = "give a single SELECT statement: the tables of runs are read-only"
 
 
 class Refused(ReplayError):
@@ -36,8 +36,8 @@ class Refused(ReplayError):
 
     def __init__(self, sql: str, cause: str) -> None:
         super().__init__(cause)
-        self.sql = sql  # the statement
-        self.cause = cause  # the reason
+        self.sql = sql
+        self.cause = cause
 
 
 class Answer:
@@ -45,7 +45,7 @@ class Answer:
 
     def __init__(self, table: pa.Table) -> None:
         names: list[str] = []
-        for name in table.column_names:  # joined tables repeat names, JSON objects and data frames can't
+        for name in table.column_names:  # unlike joined tables, JSON objects and data frames need unique names
             others = (f"{name}_{number}" for number in range(1, len(table.column_names)))
             names.append(name if name not in names else next(each for each in others if each not in names))
         self._table = table.rename_columns(names)
@@ -85,9 +85,7 @@ class Answer:
 class Runs:
     """A folder of recordings as tables; :func:`replay.open_runs` opens it. A context manager.
 
-    Args:
-        path: the folder.
-        progress: called with the number of new recordings read, and of all new ones.
+    ``progress`` is called with the number of new recordings that were read, and of all new recordings.
 
     Raises:
         NotALog: there is no such folder.
@@ -137,7 +135,7 @@ class Runs:
             values: the values.
 
         Raises:
-            Refused: the statement is no single SELECT, opens other files, or is invalid.
+            Refused: the statement isn't a single SELECT, opens other files, or is invalid.
             NotRead: the tables were removed since they were opened.
         """
         try:
@@ -146,7 +144,7 @@ class Runs:
             raise Refused(statement, str(error)) from error
         if len(found) != 1 or found[0].type != duckdb.StatementType.SELECT:
             raise Refused(statement, _SINGLE)
-        with ThreadPoolExecutor(1) as executor:  # the database itself doesn't look for Ctrl-C
+        with ThreadPoolExecutor(1) as executor:  # the database doesn't react to Ctrl-C
             selected = executor.submit(lambda: self._database.sql(statement, params=list(values)).to_arrow_table())
             try:
                 return Answer(selected.result())
@@ -159,7 +157,7 @@ class Runs:
     def _error(self, statement: str, error: duckdb.Error) -> ReplayError:
         """Return the error to raise for an error of the database."""
         if not all(Path(file).exists() for file in self._files):
-            return NotRead(self.path, "its tables were removed since they were opened; open it again")
+            return NotRead(self.path, "its tables were removed since they were opened; open the folder again")
         if isinstance(error, duckdb.PermissionException):
             return Refused(statement, f"only the folder's own tables are read: {_first_line(error)}")
         return Refused(statement, str(error))
@@ -184,7 +182,7 @@ class Runs:
             database.execute("SET TimeZone='UTC'")
             database.execute("SET lock_configuration=true")
         except duckdb.Error as error:
-            again = f"its tables can't be read; remove {self.folder.tables}, and they are made anew"
+            again = f"its tables can't be read; remove {self.folder.tables} to make them again"
             raise NotRead(self.path, f"{again}: {_first_line(error)}") from error
 
 

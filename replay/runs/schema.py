@@ -32,7 +32,7 @@ class Table:
     """A table; each has ``run`` as its first column."""
 
     name: str  # also of its view
-    meaning: str  # what one row is
+    meaning: str  # of a row
     columns: tuple[Column, ...]  # without ``run``
 
     @property
@@ -49,67 +49,67 @@ def _table(name: str, meaning: str, *columns: tuple[str, str, str]) -> Table:
 
 
 _STEP: Final = ("step", "whole", "of the record")
-_TASK: Final = ("task", "whole", "id of the task in which it happened; 0: in none")
-_PATH: Final = ("path", "text", "names of the tasks in which it happened, from the outermost on, as `a/b/c`")
+_TASK: Final = ("task", "whole", "id of the task in which it happened; 0: none")
+_PATH: Final = ("path", "text", "names of the tasks in which it happened, outermost first, as `a/b/c`")
 _WORLD: Final = ("world", "text", "name of the world")
 _SECONDS: Final = ("seconds", "number", "when, s since the recording began")
 _SIM: Final = ("sim_seconds", "number", "when, s of simulated time")
 _SOURCE: Final = ("source", "text", "the plan's line, as `file:line`")
-_ERROR: Final = ("failure", "text", "type of what was raised; empty: nothing was")
+_ERROR: Final = ("failure", "text", "type of the raised error; empty: none")
 
 TABLES: Final = (
     _table(
         "runs",
         "a recording",
         ("plan", "text", "name of the plan"),
-        ("number", "whole", "of the run in its sweep; null without one"),
+        ("number", "whole", "of the run in its sweep; null: no sweep"),
         (
             "parameters",
             "map",
-            "what the run was given, values as JSON: of a sweep, else `--name value` of its arguments",
+            "parameters of the run, values as JSON; without any, `--name value` of its arguments",
         ),
         ("arguments", "texts", "of the plan"),
         ("seed", "text", "of random numbers and of the order of branches"),
-        ("branch_order", "text", "which order of branches was asked for; empty: drawn from the seed"),
-        ("environment", "text", "execution environment that was asked for"),
+        ("branch_order", "text", "requested order of branches; empty: drawn from the seed"),
+        ("environment", "text", "requested execution environment"),
         ("outcome", "text", "`succeeded`, `failed`, `interrupted`, or `cut off`: its process was killed"),
-        ("succeeded", "yes/no", "null where it was interrupted"),
-        ("cause", "text", "what it failed of, without numbers: the same for all runs that failed so; empty: it didn't"),
-        ("failure", "text", "type of the failure that explains its end; empty: it has none"),
+        ("succeeded", "yes/no", "null: it was interrupted"),
+        ("cause", "text", "cause of its failure, without numbers: equal for all runs with this cause; empty: none"),
+        ("failure", "text", "type of the failure that explains its end; empty: none"),
         ("message", "text", "of that failure"),
-        ("cause_path", "text", "names of the tasks in which that began"),
-        ("cause_step", "whole", "the step at which it began; null if nothing failed"),
+        ("cause_path", "text", "names of the tasks in which that failure began"),
+        ("cause_step", "whole", "the step at which that failure began; null: none"),
         ("last_step", "whole", "the last step at which a world was open"),
         ("began", "moment", "when it began"),
-        ("seconds", "number", "how long it took, s"),
+        ("seconds", "number", "duration, s"),
         ("sim_seconds", "number", "simulated time of its last change, s"),
         ("records", "whole", "number of records"),
         ("bytes", "whole", "of the file"),
         ("plan_sha256", "text", "of the plan's text"),
         ("complete", "yes/no", "whether nothing of the recording is missing or damaged"),
-        ("release", "text", "of PyCRAM that made it"),
+        ("release", "text", "PyCRAM's release that made it"),
         ("host", "text", "computer"),
     ),
     _table(
         "tasks",
         "a task",
-        ("step", "whole", "of the record of its start, or of its being asked for"),
+        ("step", "whole", "of the record of its start, or of its request"),
         ("task", "whole", "its id"),
         ("parent", "whole", "id of the task around it; 0: none"),
         ("path", "text", "names from the outermost task to this one, as `a/b/c`"),
         ("kind", "text", "`motion`, `process-module`, `block`, `branch`, `attempt`, ..."),
         ("name", "text", "its name"),
-        ("label", "text", "its name with the objects that it was given, as `pick-up(spoon)`"),
+        ("label", "text", "its name with the objects among its parameters, as `pick-up(spoon)`"),
         _WORLD,
         ("status", "text", "`succeeded`, `failed`, `cancelled`; `running`: it has no end on record"),
-        ("last_step", "whole", "of the record of its end; null without one"),
+        ("last_step", "whole", "of the record of its end; null: none"),
         ("began", "number", "s since the recording began"),
-        ("seconds", "number", "how long it took, s"),
+        ("seconds", "number", "duration, s"),
         _SIM,
-        ("sim_took", "number", "how much simulated time it took, s"),
-        ("attempt", "whole", "of attempts: which one, from 1; else 0"),
-        ("parameters", "text", "what it was given: JSON"),
-        ("solution", "text", "what it was resolved to: JSON"),
+        ("sim_took", "number", "duration in simulated time, s"),
+        ("attempt", "whole", "number of an attempt, from 1; of other tasks 0"),
+        ("parameters", "text", "JSON"),
+        ("solution", "text", "the resolved parameters: JSON"),
         ("result", "text", "JSON"),
         ("resolver", "text", "function that found the solution"),
         ("module", "text", "class of the process module"),
@@ -125,14 +125,14 @@ TABLES: Final = (
         _TASK,
         _PATH,
         ("name", "text", "of the query"),
-        ("label", "text", "its name with the objects that it was about, as `reachable_object(milk)`"),
+        ("label", "text", "its name with the objects among its arguments, as `reachable_object(milk)`"),
         _WORLD,
         ("arguments", "text", "JSON"),
-        ("answer", "text", "JSON; empty: it has none"),
-        ("chosen", "text", "name of the candidate that was chosen; empty: none was, or it is no choice"),
-        ("candidates", "whole", "how many were considered"),
+        ("answer", "text", "JSON; empty: none"),
+        ("chosen", "text", "name of the chosen candidate; empty: none, or it is no choice"),
+        ("candidates", "whole", "number of considered candidates"),
         ("began", "number", "s since the recording began"),
-        ("seconds", "number", "how long it took, s"),
+        ("seconds", "number", "duration, s"),
         _SIM,
         _ERROR,
         _SOURCE,
@@ -146,9 +146,9 @@ TABLES: Final = (
         ("query", "text", "name of the query"),
         ("label", "text", "the query's name with its objects"),
         ("candidate", "text", "names of the candidates, as `front`"),
-        ("count", "whole", "how many these are"),
+        ("count", "whole", "number of candidates"),
         ("chosen", "yes/no", "whether it was chosen"),
-        ("reason", "text", "type of the reason for which it was rejected; empty: it wasn't"),
+        ("reason", "text", "type of the reason why it was rejected; empty: it wasn't"),
         ("details", "text", "data of the reason: JSON"),
     ),
     _table(
@@ -159,9 +159,9 @@ TABLES: Final = (
         _PATH,
         _WORLD,
         ("command", "text", "`move_body`, `attach_body`, `simulate`, ..."),
-        ("body", "text", "name of the object that it was about; empty: none"),
+        ("body", "text", "name of the changed object; empty: none"),
         ("text", "text", "the change in words"),
-        ("changed", "whole", "how many bodies changed"),
+        ("changed", "whole", "number of bodies that changed"),
         _SECONDS,
         _SIM,
         _SOURCE,
@@ -176,10 +176,10 @@ TABLES: Final = (
         ("name", "text", "of the event or fluent"),
         ("label", "text", "its name with the objects of its arguments"),
         _WORLD,
-        ("sender", "text", "of an event: who fired it"),
-        ("arguments", "text", "of an event: JSON"),
-        ("value", "text", "of a fluent, after the change: JSON"),
-        ("handlers", "whole", "of an event: how many were called"),
+        ("sender", "text", "object that fired the event"),
+        ("arguments", "text", "of the event: JSON"),
+        ("value", "text", "of the fluent, after the change: JSON"),
+        ("handlers", "whole", "number of called handlers of the event"),
         _SECONDS,
         _SIM,
         _SOURCE,
@@ -191,19 +191,19 @@ TABLES: Final = (
         _TASK,
         _PATH,
         ("of", "text", "`task`, `query`, `refusal`, `run` or `thread`"),
-        ("type", "text", "of what was raised"),
-        ("message", "text", "its words"),
-        ("data", "text", "its fields: JSON"),
-        ("pairs", "texts", "links that would have met, as `l_gripper_palm_link / counter`"),
-        ("cause", "text", "what it failed of, without numbers"),
-        ("root", "yes/no", "whether it is the one that explains how the run ended"),
+        ("type", "text", "of the error"),
+        ("message", "text", "of the error"),
+        ("data", "text", "fields of the error: JSON"),
+        ("pairs", "texts", "links that would have collided, as `l_gripper_palm_link / counter`"),
+        ("cause", "text", "of the failure, without numbers"),
+        ("root", "yes/no", "whether it explains how the run ended"),
         _SECONDS,
         _SIM,
         _SOURCE,
     ),
     _table(
         "joints",
-        "where a joint was: at each change, and 30 times a simulated second where it moves",
+        "a position of a joint: after each change, and 30 times per simulated second while it moves",
         _STEP,
         _WORLD,
         _SIM,
@@ -214,7 +214,7 @@ TABLES: Final = (
     ),
     _table(
         "poses",
-        "where a body was: at each change, and 30 times a simulated second where it moves",
+        "a pose of a body: after each change, and 30 times per simulated second while it moves",
         _STEP,
         _WORLD,
         _SIM,
@@ -237,7 +237,7 @@ COLUMNS: Final = {table.name: {name: at for at, name in enumerate(table.names)} 
 @cache
 def arrow_schema(table: Table) -> pa.Schema:
     """Return the Arrow schema of a table, without ``run``."""
-    import pyarrow as pa  # noqa: PLC0415  the schema is also printed without it
+    import pyarrow as pa  # noqa: PLC0415  the documentation doesn't need it
 
     kinds = {
         "text": pa.string(),

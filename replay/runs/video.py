@@ -1,7 +1,7 @@
 """The videos of a LeRobotDataset v3.0: the view of a robot's camera in each run, drawn from its recording.
 
-Episodes follow one another in AV1 files (MP4), at the frame rate of the data set. Every second frame is a key frame, as
-training reads single frames. A frame is drawn only if something has changed since the last one.
+Episodes follow one another in AV1 files (MP4), at the frame rate of the data set. Every second frame is a key frame,
+because training reads single frames. A frame is drawn only if the world has changed since the last frame.
 """
 
 from __future__ import annotations
@@ -37,14 +37,7 @@ _CODECS: Final = {"libsvtav1": {"g": "2", "crf": "30", "preset": "8"}, "libx264"
 
 
 class Videos:
-    """Writes the videos of a data set. A context manager.
-
-    Args:
-        folder: the folder of the data set.
-        runs: the folder of recordings.
-        robot: the robot with the camera.
-        draw: draws the camera's pictures.
-    """
+    """Writes the videos of a data set, the pictures of a robot's camera, into its folder. A context manager."""
 
     def __init__(self, folder: Path, runs: Runs, robot: str, draw: Draw) -> None:
         self._folder, self._runs, self._robot, self._draw = folder, runs, robot, draw
@@ -64,11 +57,7 @@ class Videos:
         self._close()
 
     def write(self, run: str, moments: np.ndarray) -> dict[str, Any]:
-        """Write a run's frames; return its columns in the table of episodes.
-
-        Args:
-            run: name of the recording.
-            moments: times of the frames, s of simulated time.
+        """Write a run's frames at moments in s of simulated time; return its columns in the table of episodes.
 
         Raises:
             ReplayError: the robot has no camera, or its view isn't recorded.
@@ -120,7 +109,7 @@ class Videos:
         return self._folder / VIDEO_PATH.format(video_key=VIDEO, chunk_index=chunk, file_index=file)
 
     def _pictures(self, run: str, moments: np.ndarray) -> Iterator[NDArray[np.uint8]]:
-        """Yield the camera's pictures at some moments of a run."""
+        """Yield the camera's pictures at given moments of a run."""
         (world,) = self._runs.sql(
             "SELECT arg_max(world, step) FROM mutations WHERE run = ? AND command = 'set_robot' AND body = ?",
             [run, self._robot],
@@ -132,7 +121,7 @@ class Videos:
         ).rows()
         steps, times = [step for step, _ in changes], np.maximum.accumulate([time for _, time in changes])
         drawn: NDArray[np.uint8] | None = None
-        still = -1  # the change after which nothing moved until the picture was taken
+        still = -1  # the change after which nothing moved before the picture
         with RecordReader(self._runs.path / run) as log:
             for moment in moments:
                 at = max(int(np.searchsorted(times, moment + 1e-9, side="right")) - 1, 0)

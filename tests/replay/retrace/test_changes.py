@@ -225,7 +225,7 @@ def test_nothing_comes_after_the_last_step(log: Recording, tmp_path: Path, capsy
     command = ["fork", str(log.path), "--at", "last", "--set", "battery=1", "-o", str(tmp_path / "on.mcap")]
     assert main(command) == 2
     said = capsys.readouterr().err
-    assert "is the last one" in said
+    assert "is the last step" in said
     assert "runs again" not in said
 
 

@@ -1,0 +1,238 @@
+"""Guides a run by its recording: each new record is compared with the recorded one as soon as it is made.
+
+The order of records is compared, but not clocks, durations, ids of tasks and source lines, which differ from run to run
+(see :func:`replay.compare.differing`).
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, TypeAlias
+
+from recorder.records import Run, Task, format_failure
+from recorder.records.text import text_of, values
+from recorder.tracing.journal import NullSink
+from replay.compare import differing
+from replay.retrace.plan_process import FirstDifference
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Sequence
+    from pathlib import Path
+
+    from google.protobuf.message import Message
+
+    from recorder.records import Plain, Record
+    from recorder.records.values import AssetFile
+    from recorder.tracing.journal import Sink
+    from replay.file.record_reader import RecordReader
+
+_Stack: TypeAlias = "tuple[str, ...]"  # the plan's lines that called one another, outermost first
+
+
+class Guide(NullSink):
+    """Compares the records of a run with a recording, up to the first difference.
+
+    Args:
+        log: the recording.
+        report: called once, with the number of equal records and the first difference or None. It need not return.
+        until: the last compared step; by default the recording's last step.
+        path: the file that the run would record to; recordings of its projections are written beside it.
+    """
+
+    def __init__(
+        self,
+        log: RecordReader,
+        report: Callable[[int, FirstDifference | None], None],
+        until: int | None,
+        path: Path,
+    ) -> None:
+        self.path = path
+        self._log = log
+        self._until = until
+        self._recorded = log.records()
+        self._ahead: Record | None = None  # the next record, if it was read before its comparison
+        self._reading = threading.Lock()
+        self._report = report
+        self._ended = False
+        self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # of running tasks, recorded and new
+        self._strikes: dict[int, Collection[int]] | None = None  # by the number of the poll; None until needed
+        self.equal = 0  # number of equal records so far
+        self.recorded_ns = 0  # time of the last of them by the recording's clock
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
+        """Compare a record."""
+        if self._ended:
+            return
+        recorded = self._next()
+        if recorded is None or recorded.seq != self.equal:  # the recording ends here, or its next record is lost
+            if recorded is not None or not self._log.closed:
+                self._end(None)
+                return
+            stack = _stack(record, self._stacks[1])
+            text = f"the plan continues with {_words(record)}{_at(stack)} where the recording ends"
+            self._end(FirstDifference(self.equal, text, *_lines(stack)))
+            return
+        before, now = _stack(recorded, self._stacks[0]), _stack(record, self._stacks[1])
+        fields = differing(recorded, record)
+        if fields:
+            failed = isinstance(record, Run) and record.HasField("failure")  # its line may be unknown
+            self._end(_difference(recorded, record, fields, now if failed else now or before))
+            return
+        self.equal += 1
+        self.recorded_ns = recorded.monotonic_ns
+        if recorded.seq == self._until or (isinstance(record, Run) and record.phase == Run.FINISHED):
+            self._end(None)
+
+    def upcoming(self) -> Record | None:
+        """Return the next recorded record; None at the end, or if it is lost."""
+        if self._ended:
+            return None
+        with self._reading:
+            if self._ahead is None:
+                self._ahead = next(self._recorded, None)
+            return self._ahead if self._ahead is not None and self._ahead.seq == self.equal else None
+
+    def foreseen(self, look: int) -> Collection[int] | None:
+        """Return the interruptions of the recorded run at a poll for them; None after the end of the comparison.
+
+        All are read in advance: the record of an interruption follows it.
+        """
+        if self._ended:
+            return None
+        with self._reading:
+            if self._strikes is None:
+                stop = None if self._until is None else self._until + 1
+                records = self._log.records(None, 0, stop)
+                self._strikes = {each.look: each.which for record in records for each in record.strikes}
+            return self._strikes.get(look, ())
+
+    def _next(self) -> Record | None:
+        with self._reading:
+            record, self._ahead = self._ahead, None
+            return record or next(self._recorded, None)
+
+    def close(self) -> None:
+        """Report the difference if the plan ended before its recording."""
+        if not self._ended:
+            recorded = self._next()
+            if recorded is None or recorded.seq != self.equal:
+                self._end(None)
+                return
+            stack = _stack(recorded, self._stacks[0])
+            text = f"the plan ended where step {recorded.seq} has {_words(recorded)}{_at(stack)}"
+            self._end(FirstDifference(recorded.seq, text, *_lines(stack)))
+
+    def _end(self, difference: FirstDifference | None) -> None:
+        self._ended = True
+        self._report(self.equal, difference)
+
+
+def _difference(
+    recorded: Record, record: Record, fields: dict[str, tuple[Plain, Plain]], stack: _Stack
+) -> FirstDifference:
+    before, now = _words(recorded), _words(record)
+    same = type(recorded) is type(record)
+    if before == now and same:
+        text = f"{now}{_at(stack)} differs from step {recorded.seq}"
+    else:
+        verb = "asks for" if isinstance(record, Task) and record.phase == Task.STARTED else "has"
+        text = f"the plan {verb} {now}{_at(stack)} where step {recorded.seq} has {before}"
+    return FirstDifference(recorded.seq, text, *_lines(stack), fields if same else {})
+
+
+def _words(record: Record) -> str:
+    """Return a record in words, without durations."""
+    if isinstance(record, Task):
+        if record.phase == Task.STARTED:
+            return f"{record.name}({values(record.parameters)})"
+        ended = "" if record.phase == Task.ASKED else Task.Status.Name(record.status).lower()
+        failed = f": {format_failure(record.failure)}" if record.HasField("failure") else ""
+        return f"{record.name} {ended or 'in the queue'}{failed}"
+    if isinstance(record, Run) and record.phase == Run.FINISHED:
+        return "its end" if record.succeeded else f"its end by {format_failure(record.failure)}"
+    return text_of(record)[0]
+
+
+def _stack(record: Record, tasks: dict[int, _Stack]) -> _Stack:
+    """Return the plan's lines that led to a record, or else to its task; note the lines of a starting task."""
+    file, line = getattr(record, "source_file", ""), getattr(record, "source_line", 0)
+    stack = tasks.get(record.task, ())
+    if file and line:
+        callers = (f"{caller.file or file}:{caller.line}" for caller in getattr(record, "callers", ()))
+        stack = (*callers, f"{file}:{line}")
+    if isinstance(record, Task) and record.phase == Task.STARTED:
+        stack = tasks[record.task] = stack or tasks.get(record.parent, ())
+    elif isinstance(record, Task) and record.phase == Task.FINISHED:
+        tasks.pop(record.task, None)
+    elif isinstance(record, Run):
+        stack = tuple(f"{frame.file}:{frame.line}" for frame in record.failure.frames)
+    return stack
+
+
+def _lines(stack: _Stack) -> tuple[str, tuple[str, ...]]:
+    return (stack[-1], stack[-2::-1]) if stack else ("", ())
+
+
+def _at(stack: _Stack) -> str:
+    return f" at {stack[-1]}" if stack else ""
+
+
+class GuidedSink(NullSink):
+    """Completes each record of a guided run, writes it to several sinks, and then reports its step as passed.
+
+    Sinks are closed in reverse order. If the plan was ``moved`` (see :class:`Guidance`), records name its own folder.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        sinks: Sequence[Sink],
+        complete: Callable[[Record], None],
+        passed: Callable[[int], None],
+        moved: tuple[str, str] | None,
+        lock: threading.Lock | None = None,
+    ) -> None:
+        self.path = path
+        self.lock = lock
+        self._sinks = sinks
+        self._complete = complete
+        self._passed = passed
+        self._moved = moved
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  the record is completed first
+        """Complete and forward a record."""
+        self._complete(record)
+        if self._moved is not None:
+            _rename(record, *self._moved)
+        completed = record.SerializeToString()
+        for sink in self._sinks:
+            sink.write(topic, record, completed)
+        self._passed(record.seq)
+
+    def attach(self, asset: AssetFile) -> None:
+        """Forward a file."""
+        for sink in self._sinks:
+            sink.attach(asset)
+
+    def flush(self) -> None:
+        """Flush all sinks."""
+        for sink in self._sinks:
+            sink.flush()
+
+    def close(self) -> None:
+        """Close all sinks."""
+        for sink in reversed(self._sinks):
+            sink.close()
+
+
+def _rename(message: Message, old: str, new: str) -> None:
+    """Replace a folder's name in all texts of a message."""
+    for each, value in message.ListFields():
+        repeated = hasattr(value, "append")
+        if each.cpp_type == each.CPPTYPE_MESSAGE:
+            for part in value if repeated else [value]:
+                _rename(part, old, new)
+        elif each.type == each.TYPE_STRING and repeated:
+            value[:] = [text.replace(old, new) for text in value]
+        elif each.type == each.TYPE_STRING and old in value:
+            setattr(message, each.name, value.replace(old, new))
