@@ -1,4 +1,4 @@
-"""High-level robot plans, run in a physics world, with everything that happens on record."""
+"""High-level robot plans that run in a simulated world; everything that happens is recorded."""
 
 # General layout, from the bottom up; each room imports only rooms above it in this list:
 #
@@ -12,7 +12,7 @@
 # motions/     motion designators, their resolvers, the resources they move, and the process modules that execute them.
 # fluents/     values that branches wait for and react to, also those that follow a world.
 # describing/  first descriptions of robots and furniture.
-# projection/  plans tried in a copy of the process.     actions/  what a robot is to do, not how, on top of these.
+# projection/  plans tried in a copy of the process.     actions/  goals of a robot; choices of how to reach them.
 # exploration/ plans run in many orders of their branches.     sweeping/  with many seeds and parameters.
 #
 # bullet_world, bullet_world_reasoning, designator, motion_designators, process_module, fluent, event, failures, tasks:
@@ -31,7 +31,7 @@ __all__ = ["UnknownParameter", "parameters", "sweep"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import what plans call by ``pycram.NAME`` when they do: commands start before that is worth its time."""
+    """Import the names that plans use as ``pycram.NAME`` on demand, so that commands start fast."""
     if name == "sweep":
         from pycram.sweeping import sweep  # noqa: PLC0415
 

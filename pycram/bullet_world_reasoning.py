@@ -1,8 +1,8 @@
-"""The reasoning queries (thesis 4.4, table 4.3): what is so, and what would be.
+"""The reasoning queries (thesis 4.4, table 4.3) about the present world and about possible ones.
 
-Import it as ``btr``. Queries leave no trace in the world; each call is on record with its answer and what it rests on.
-Answers behave as the thesis' bool or list and carry their ``evidence``. Where a position of a camera is asked for, the
-name of a camera's frame or a pair of position and orientation will do as well.
+Import it as ``btr``. Queries leave no trace in the world; each call is recorded with its answer and evidence. Answers
+behave as the thesis' bool or list and have ``evidence``. A camera is given by its position, the name of its frame, or a
+pair of position and orientation.
 """
 
 from pycram.foundation.failures import ReasoningError

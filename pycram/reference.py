@@ -1,7 +1,7 @@
-"""The reference of motions and actions, docs/reference.md, as their code tells it: ``python -m pycram.reference``.
+"""Writes docs/reference.md, the reference of motions and actions, from their code: ``python -m pycram.reference``.
 
-Slots, values, units and defaults are those by which designators are checked, the failures those that process modules
-declare, the texts those of docstrings. So what a page says that is written by it is so.
+Slots, values, units and defaults are those that check designators, failures are those that process modules declare, and
+texts are docstrings. So the page is always correct.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ if TYPE_CHECKING:
 _HEAD: Final = """\
 # Reference: motions and actions
 
-What plans can ask for, with slots, values, units, defaults and failures. This page is written by `make reference` from
-the code that checks designators and does what they ask for. Lengths are in m, angles in rad, poses in the world frame;
-quaternions are [x, y, z, w]. An optional slot may be left out, or be None.
+All motions and actions, with their slots, values, units, defaults and failures. `make reference` writes this page from
+the code that checks and executes designators. Lengths are in m, angles in rad, poses in the world frame; quaternions
+are [x, y, z, w]. An optional slot may be left out, or be None.
 """
 _ACTIONS: Final = """\
-`pycram.actions.perform(ActionDesignator(type=..., ...))` does an action: what is left open is chosen, and the
-next choice is tried when one fails. Names of slots are written with `_` as keyword arguments, `reachable_for=`, and
-with one at the end where Python has that word, `in_=`. Where there is nothing to choose from, as an object isn't found
-or no place will do (`NoPlace`), an action fails with that before anything moves. Every action takes also
+`pycram.actions.perform(ActionDesignator(type=..., ...))` executes an action: it chooses values for empty slots, and
+tries the next choice when one fails. As keyword arguments, names of slots have `_` for `-`, as `reachable_for=`; a name
+that is a Python keyword gets a `_` at its end, as `in_=`. Without any choice, because an object isn't found or no place
+is suitable (`NoPlace`), an action fails before anything moves. Every action also has these slots:
 """
 _MOTIONS: Final = """\
-`ProcessModule.perform(MotionDesignator(type=..., ...))`, or `perform`, does a motion. A slot takes a designator of an
-object or a place instead of its value, too. In the `continuous` environment, where motions take simulated time, they
-may fail in more ways.
+`ProcessModule.perform(MotionDesignator(type=..., ...))`, or `perform`, executes a motion. A slot also accepts a
+designator of an object or a place as its value. In the `continuous` environment, where motions take simulated time,
+motions may have more failures.
 """
-_ARMS: Final = "`NAME-arm` stands for a slot for each arm that the robot has, as `left-arm`."
+_ARMS: Final = "`NAME-arm` stands for a slot for each arm of the robot, as `left-arm`."
 
 
 def reference() -> str:
@@ -69,7 +69,7 @@ def reference() -> str:
 
 
 def _action(kind: ActionType, slots: Sequence[Slot]) -> str:
-    fails = "`ActionFailed`, when no choice has done" if kind.choices else "what fails in it"
+    fails = "`ActionFailed`, if no choice succeeds" if kind.choices else "the failures of its parts"
     parts = [f"### {kind.type}\n", f"{kind.text}\n", _table(slots), f"Fails with {fails}.\n"]
     return "\n".join(parts)
 
@@ -90,14 +90,14 @@ def _motion(motion: MotionType, module: ProcessModule) -> str:
 
 
 def _demands(kind: SlotTable) -> Iterator[str]:
-    """Yield which slots have to be there together."""
+    """Yield the slots that a designator requires together."""
     if len(kind.one_of) > 1:
         names = " or ".join(f"`{name}`" for name in kind.one_of)
-        yield f"{'Exactly' if kind.only_one else 'At least'} one of {names} has to be there.\n"
+        yield f"{'Exactly' if kind.only_one else 'At least'} one of {names} is required.\n"
 
 
 def _table(slots: Iterable[Slot]) -> str:
-    rows = ["| Slot | Value | If it is left out |", "|---|---|---|"]
+    rows = ["| Slot | Value | Default |", "|---|---|---|"]
     for slot in slots:
         names = " or ".join(f"`{name}`" for name in (slot.name, *slot.aliases))
         values, default = _default(slot.values)
@@ -107,7 +107,7 @@ def _table(slots: Iterable[Slot]) -> str:
 
 
 def _default(values: str) -> tuple[str, str]:
-    """Return what a slot may hold, and what its text says of the default."""
+    """Return a slot's values and its default, in words."""
     found = re.fullmatch(r"(.*); (?:by default (.*)|(.*) by default(.*))", values, re.DOTALL)
     return (found[1], found[2] or found[3] + found[4]) if found else (values, "")
 
@@ -139,7 +139,7 @@ def _failure(kind: type[PlanFailure], source: str) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write it into a file, or print it."""
+    """Write the page into a file, or print it."""
     if arguments:
         Path(arguments[0]).write_text(reference(), encoding="utf-8")
     else:

@@ -1,7 +1,7 @@
-"""The task tree of the running plan: what it does, what it tried, what failed and where.
+"""The task tree of the running plan: its actions, attempts and failures, with their places in the plan.
 
-A plan may read it while it runs (from any thread), or after its end; ``replay.open(file).tree()`` rebuilds the same
-from a recording, with the same classes. It keeps the last 20,000 tasks.
+A plan may read the tree while it runs (from any thread), or after its end; ``replay.open(file).tree()`` rebuilds the
+tree from a recording, with the same classes. It keeps the last 20,000 tasks.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ __all__ = ["Moment", "Node", "State", "Tree", "current", "tree"]
 
 
 def tree() -> Tree:
-    """Return all tasks since the latest recording began, else since the process began; later tasks are added to it."""
+    """Return all tasks since the start of the latest recording or of the process; later tasks are added to the tree."""
     return span.tree()
 
 

@@ -1,8 +1,8 @@
-"""Opens recordings: any step back, from the file alone.
+"""Opens recordings: any past step, from the file alone.
 
-``replay.open(path)`` gives a :class:`Recording`: its records by step, and with ``log.state_at(step)`` what was true of
-every world after one. Needs neither the plan nor the physics engine. ``replay.open_runs(folder)`` opens a folder of
-recordings as tables.
+``replay.open(path)`` returns a :class:`Recording`: its records by step, and with ``log.state_at(step)`` the state of
+every world after a step. It needs neither the plan nor the physics engine. ``replay.open_runs(folder)`` opens a folder
+of recordings as tables.
 """
 
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ open = Recording  # noqa: A001  replay.open reads well
 
 def open_runs(path: "str | Path") -> "Runs":
     """Open a folder of recordings as tables, which needs the extra ``runs``; see :class:`replay.runs.runs.Runs`."""
-    from recorder.packages import needed  # noqa: PLC0415  who reads one recording need not have it
+    from recorder.packages import needed  # noqa: PLC0415  only folders need it
 
     with needed("runs"):
         from replay.runs.runs import Runs  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Errors of opening and reading recordings; each says what, where, and what to do."""
+"""Errors of opening and reading recordings; each says the problem, the place, and what to do."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ class Damaged(ReplayError):
     def __init__(self, path: str | Path, where: str, cause: str) -> None:
         super().__init__(f"{path}: {where} is damaged: {cause}")
         self.path = str(path)
-        self.where = where  # the part: a step, an attached file
-        self.cause = cause  # what is wrong with it
+        self.where = where  # the damaged part: a step, an attached file
+        self.cause = cause
 
 
 class MissingModels(Damaged):
-    """The file of models that recordings of a sweep share is missing beside a recording, or was changed."""
+    """The file of models that recordings of a sweep share is missing beside a recording, or has changed."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
         super().__init__(path, "its models", cause)
-        hint = "put that file beside it, or pack recordings before they are moved"
+        hint = "put that file beside the recording, or pack recordings before you move them"
         self.args = (f"{path}: its models are missing: {cause}; {hint}",)
 
 
@@ -51,7 +51,7 @@ class LogClosed(ReplayError):
     """A recording was read after it was closed, for example after its ``with`` block."""
 
     def __init__(self, path: str | Path) -> None:
-        super().__init__(f"{path}: it was closed; read it inside its with block, or open it again")
+        super().__init__(f"{path}: the recording was closed; read it inside its with block, or open it again")
         self.path = str(path)
 
 
@@ -60,16 +60,16 @@ class NoSuchStep(ReplayError, LookupError):
 
     def __init__(self, step: object, steps: int, hint: str = "") -> None:
         super().__init__(f"there is no step {step}: {hint or f'the recording has steps 0 to {steps - 1}'}")
-        self.step = step  # what was asked for
-        self.steps = steps  # how many there are
+        self.step = step  # the requested step
+        self.steps = steps  # number of steps
 
 
 class NoSuchName(ReplayError, LookupError):
     """There is no such body, joint, link or world at that step."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
-        self.name = name  # what was asked for
-        self.known = sorted(set(known))  # the names that there were
+        self.name = name  # the requested name
+        self.known = sorted(set(known))  # the existing names
         super().__init__(f"there is no {kind}{f' {name!r}' if name else ''}; {hint or suggestion(name, self.known)}")
 
 
@@ -78,5 +78,5 @@ class NotRestored(ReplayError):
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(f"the world after step {step} can't be restored: {cause}")
-        self.step = step  # the step that was asked for
+        self.step = step  # the requested step
         self.cause = cause

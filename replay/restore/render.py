@@ -1,10 +1,9 @@
 """Pictures of any step, without a viewer and without the physics engine: the folded state, drawn by our rasterizer.
 
-A picture is taken by a camera of the robot, as it was directed then; from a point; or from a viewpoint with a clear
-view of an object, of a link, or by default of the robot and the movable objects. Viewpoints are judged by rendering:
-how many pixels of a thing, drawn alone, are left when everything else is drawn too. Each thing is drawn through a
-window of the picture just around it, so small things count like large ones. If no viewpoint has a clear view, furniture
-and walls in front are cut away.
+A picture is taken by a camera of the robot; from a point; or from a viewpoint with a clear view of an object, of a
+link, or by default of the robot and the movable objects. Viewpoints are rated by rendering: by the share of an object's
+pixels that remain when everything else is drawn, too. Each object is drawn in a window just around it, so small objects
+count like large ones. If no viewpoint has a clear view, furniture and walls in front are cut away.
 """
 
 from __future__ import annotations
@@ -43,9 +42,34 @@ with needed("render"):
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, of cameras without one
 _NEAR, _FAR = 0.02, 30.0  # m
-_OVERSAMPLING: Final = 2  # pixels a side that are averaged to one: edges are smooth then
+_OVERSAMPLING: Final = 2  # pixels per side that are averaged to one, for smooth edges
 _MAX_SIDE: Final = 4096  # pixels
-_SURROUNDINGS: Final = 0.7  # m of what is around a small thing that its picture shows at least
+_SURROUNDINGS: Final = 0.7  # m, minimum size of the scene in the picture of a small object
+#: Directions from the target to the viewpoint, in the robot's frame, for each side that can be requested.
+SIDES: Final[dict[str, tuple[Vector, ...]]] = {
+    "behind": ((-0.85, 0.0, 0.5), (-0.95, 0.0, 0.2), (-0.6, 0.0, 0.8)),
+    "right": ((0.0, -0.85, 0.5), (0.0, -0.95, 0.2), (0.0, -0.6, 0.8)),
+    "left": ((0.0, 0.85, 0.5), (0.0, 0.95, 0.2), (0.0, 0.6, 0.8)),
+    "front": ((0.85, 0.0, 0.5), (0.95, 0.0, 0.2), (0.6, 0.0, 0.8)),
+    "above": ((-0.02, 0.0, 1.0),),
+}
+#: Directions that are tried first without a requested side: over the robot's shoulders, then from its front.
+_PREFERRED: Final = (
+    (-0.55, -0.65, 0.55),
+    (-0.55, 0.65, 0.55),
+    (0.55, -0.65, 0.55),
+    (0.55, 0.65, 0.55),
+    (-0.4, 0.0, 0.9),
+)
+_CLOSER: Final = 0.6  # of the distance, for viewpoints within the walls of a room
+_ENOUGH: Final = 0.7  # share of the pixels: the first viewpoint that shows so many is taken
+_TOO_LITTLE: Final = 0.3  # share of the pixels: if the best viewpoint shows fewer, what hides the target is cut away
+_ROBOT_SHARE: Final = 0.4  # share of a robot's pixels that is enough: its work hides the rest
+_GLANCE: Final = (40, 40)  # pixels of the window around an object
+_MAX_CUTS: Final = 6  # layers of furniture and walls that are cut away
+_ROOM: Final = 1.5  # m: fixed links that are smaller in one direction are furniture, without viewpoints inside
+_CUT_GAP: Final = 0.02  # m between a cut and the visible object
+_CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for number in range(8)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +82,11 @@ class _DrawnBody:
 
 
 class DrawnWorld:
-    """The bodies of a world after a step, or at a moment as :func:`world_state` takes it, ready to be drawn.
+    """The bodies of a world after a step, or at a moment (see :func:`world_state`), ready to be drawn.
 
     Raises:
         NotRestored: no world was open then.
-        Damaged: records or files are lost, or make no sense.
+        Damaged: records or files are lost or invalid.
     """
 
     def __init__(self, log: RecordReader, step: int, world: str | None = None, moment: float | None = None) -> None:
@@ -107,7 +131,7 @@ class DrawnWorld:
         """Return a picture of the world.
 
         If no viewpoint shows the target, furniture and walls in front of it are cut away. The picture's ``info`` has
-        the "step", and the names of links that are cut away as "cut".
+        the "step", and the names of the cut links as "cut".
 
         Args:
             camera: a frame of the robot, as "wide_stereo_optical_frame"; the frame of the robot's camera has its field
@@ -122,7 +146,7 @@ class DrawnWorld:
             ReplayError: the size or a point is impossible.
         """
         if not all(isinstance(side, int) and 0 < side <= _MAX_SIDE for side in size):
-            raise ReplayError(f"a picture can't have {size[0]} x {size[1]} pixels; take 1 to {_MAX_SIDE} a side")
+            raise ReplayError(f"a picture can't have {size[0]} x {size[1]} pixels; use 1 to {_MAX_SIDE} per side")
         if camera is not None:
             return self._draw(CutawayView(self._robot_camera(camera, size)), size)
         subject, point = self._subject(target)
@@ -148,7 +172,7 @@ class DrawnWorld:
     def subjects(self, why: Why) -> list[str] | None:
         """Return the robot and the objects of a failed task, as targets of a picture; None if there are none.
 
-        Of furniture these are the links that the task names, as a drawer's handle.
+        For furniture, the targets are the links that the task names, as a drawer's handle.
         """
         named = why.task.motion.parameters.values() if why.task is not None else ()
         targets: list[str] = []
@@ -188,7 +212,7 @@ class DrawnWorld:
         return PictureSubject(tuple(group for group in groups if group), every=False), point
 
     def _parts_of(self, name: str) -> tuple[int, ...]:
-        """Return the numbers of the drawn links of a body or of a link ``BODY.LINK``; without shape, its body's."""
+        """Return the numbers of the drawn links of a body or of a link ``BODY.LINK``; without a shape, of its body."""
         drawn = self._bodies.get(name)
         if drawn is not None:
             return tuple(drawn.parts.values())
@@ -231,9 +255,9 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
         about = scene.subjects(why)
         files.append(folder / f"step_{why.step}_side.png")
         scene.picture(target=about).save(files[-1])
-        if about and len(about) > 1:  # the robot is there too, and large: each thing comes nearer
+        if about and len(about) > 1:  # closer pictures than the one with the large robot
             for name in about[1:]:
-                part = re.sub(r"[^\w.-]", "_", name)  # of a file's name on any system
+                part = re.sub(r"[^\w.-]", "_", name)  # valid in names of files on any system
                 files.append(folder / f"step_{why.step}_{part}.png")
                 scene.picture(target=name).save(files[-1])
     except OSError as error:
@@ -258,38 +282,12 @@ def _vector(values: Sequence[float] | NDArray[np.float64]) -> Vector:
     return x, y, z
 
 
-#: Directions from what is looked at to the viewpoint, in the robot's frame, for each side that can be asked for.
-SIDES: Final[dict[str, tuple[Vector, ...]]] = {
-    "behind": ((-0.85, 0.0, 0.5), (-0.95, 0.0, 0.2), (-0.6, 0.0, 0.8)),
-    "right": ((0.0, -0.85, 0.5), (0.0, -0.95, 0.2), (0.0, -0.6, 0.8)),
-    "left": ((0.0, 0.85, 0.5), (0.0, 0.95, 0.2), (0.0, 0.6, 0.8)),
-    "front": ((0.85, 0.0, 0.5), (0.95, 0.0, 0.2), (0.6, 0.0, 0.8)),
-    "above": ((-0.02, 0.0, 1.0),),
-}
-#: Those that are tried first otherwise: over the robot's shoulders, then from before it.
-_PREFERRED: Final = (
-    (-0.55, -0.65, 0.55),
-    (-0.55, 0.65, 0.55),
-    (0.55, -0.65, 0.55),
-    (0.55, 0.65, 0.55),
-    (-0.4, 0.0, 0.9),
-)
-_CLOSER: Final = 0.6  # of the distance, where nothing is seen from farther away: the walls of a room may be nearer
-_ENOUGH: Final = 0.7  # of the pixels: the first viewpoint that shows so many is taken
-_TOO_LITTLE: Final = 0.3  # of the pixels: where the best viewpoint shows fewer, what hides them is cut away
-_ROBOT_SHARE: Final = 0.4  # of a robot's pixels that are enough of it: what it works at hides the rest
-_GLANCE: Final = (40, 40)  # pixels of the window around a thing
-_MAX_CUTS: Final = 6  # layers of furniture and walls that are cut away
-_ROOM: Final = 1.5  # m: what is smaller in one direction is furniture, and nobody looks from the inside of that
-_CUT_GAP: Final = 0.02  # m before what is seen that a cut ends
-
-
 @dataclass(frozen=True, slots=True)
 class DrawnLink:
     """A link of a body, ready to be drawn."""
 
     drawable: Drawable  # the link alone
-    fixed: bool  # whether it is of furniture or of a wall, which may be cut away
+    fixed: bool  # whether it belongs to furniture or a wall, and may be cut away
 
     @property
     def corners(self) -> NDArray[np.float64]:
@@ -300,27 +298,24 @@ class DrawnLink:
         return corners
 
 
-_CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for number in range(8)])
-
-
 @dataclass(frozen=True, slots=True)
 class PictureSubject:
-    """The things that a picture is to show."""
+    """The objects and links that a picture shows."""
 
-    groups: tuple[tuple[int, ...], ...]  # numbers of the parts of each thing
-    every: bool  # whether every single one has to be seen; else most of them
+    groups: tuple[tuple[int, ...], ...]  # numbers of the parts of each object
+    every: bool  # whether every single one must be visible; else most of them
 
 
 @dataclass(frozen=True, slots=True)
 class CutawayView:
     """A camera, and the links that are cut away in front of it."""
 
-    camera: Camera  # the camera
-    cut: frozenset[int] = frozenset()  # numbers of the parts that are cut
-    depth: float = 0.0  # m along the camera's axis up to which they are
+    camera: Camera
+    cut: frozenset[int] = frozenset()  # numbers of the cut parts
+    depth: float = 0.0  # depth of the cut, m along the camera's axis
 
     def draw(self, parts: Sequence[DrawnLink], window: Window, size: tuple[int, int]) -> Rendering:
-        """Draw parts; the bodies of the rendering are their numbers."""
+        """Draw parts; the rendering's bodies are their numbers."""
         whole = [number for number in range(len(parts)) if number not in self.cut]
         shown = _draw(self.camera, parts, whole, window, size)
         if not self.cut:
@@ -339,15 +334,15 @@ def _draw(
 def bounds(parts: Sequence[DrawnLink], subject: PictureSubject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and highest corner of a subject, in m."""
     corners = [parts[number].corners for group in subject.groups for number in group]
-    if not corners:  # of what has no shape
+    if not corners:  # without shapes
         return np.zeros(3), np.ones(3)
     return np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
 
 
 def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | None = None) -> Iterator[Vector]:
-    """Yield points in the world, m, to look at another point from at a distance, the usual ones first.
+    """Yield viewpoints in the world, m, at a distance from the target ``aim``, the preferred ones first.
 
-    Sides are those of a robot with the orientation ``heading``, xyzw; with a ``side`` only its points are yielded.
+    Sides are those of a robot with the orientation ``heading``, xyzw; with a ``side``, only its points are yielded.
     """
     if side is not None:
         directions: Sequence[Sequence[float]] = SIDES[side]
@@ -363,7 +358,7 @@ def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | No
 
 
 def free_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Return the first camera that sees enough of a subject, else the best; if that sees too little, with a cut."""
+    """Return the first camera that sees enough of a subject, else the best one; with a cut if it sees too little."""
     cameras = [camera for camera in cameras if not _in_furniture(camera, parts)] or cameras
     best, most = cameras[0], -1.0
     for camera in cameras:
@@ -388,9 +383,9 @@ def _in_furniture(camera: Camera, parts: Sequence[DrawnLink]) -> bool:
 
 
 def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject, most: float = -1.0) -> float:
-    """Return the visible share of a subject, 0 to 1; of shares up to ``most`` the value may be inexact."""
+    """Return the visible share of a subject, 0 to 1; shares up to ``most`` may be inexact."""
     shares = []
-    for group in sorted(subject.groups, key=lambda group: parts[group[0]].drawable.is_robot):  # these cost the most
+    for group in sorted(subject.groups, key=lambda group: parts[group[0]].drawable.is_robot):  # robots last: slow
         share = _Glance(view, parts, group).share
         shares.append(min(1.0, share / _ROBOT_SHARE) if parts[group[0]].drawable.is_robot else share)
         if subject.every and shares[-1] <= most:
@@ -399,7 +394,7 @@ def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject
 
 
 class _Glance:
-    """The visible share of one thing, drawn alone and among all others, in the window just around it."""
+    """The visible share of one object, drawn alone and among all others, in the window just around it."""
 
     def __init__(self, view: CutawayView, parts: Sequence[DrawnLink], group: tuple[int, ...]) -> None:
         window = _window(view.camera, np.concatenate([parts[number].corners for number in group]))
@@ -407,17 +402,17 @@ class _Glance:
         among = view.draw(parts, window, _GLANCE).bodies
         there = alone.bodies >= 0
         hidden = there & ~np.isin(among, group)
-        self.share = 1.0 - float(hidden.sum() / there.sum()) if there.any() else 0.0  # of its pixels that are seen
-        # numbers of the parts of furniture and walls that hide others of them
+        self.share = 1.0 - float(hidden.sum() / there.sum()) if there.any() else 0.0  # visible share of its pixels
+        # numbers of the parts of furniture and walls that hide its other pixels
         self.hiding = frozenset(
             int(number) for number in np.unique(among[hidden]) if number >= 0 and parts[number].fixed
         )
-        # m along the camera's axis at which the nearest hidden one is
+        # depth of the nearest hidden pixel, m along the camera's axis
         self.depth = float(alone.depth[hidden].min(initial=np.inf))
 
 
 def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
-    """Return the part of the picture that can show points."""
+    """Return the window of the picture that contains points."""
     x, y, z = camera.to_frame(corners).T
     if (z < camera.near).any():
         return camera.window
@@ -429,7 +424,7 @@ def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
 
 
 def _cut_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Return the first view that shows enough after fixed links in front of the subject are cut away; else the best."""
+    """Return the first view that shows enough after cutting fixed links in front of the subject; else the best one."""
     best, most = CutawayView(cameras[0]), -1.0
     for camera in cameras:
         view = CutawayView(camera)

@@ -161,7 +161,7 @@ def test_a_record_of_an_unknown_kind_keeps_its_step(tmp_path: Path, capsys: pyte
     file = forge(tmp_path / "future.mcap", thinking)
     assert main(["log", str(file), "--json"]) == 0
     output = capsys.readouterr()
-    assert "of 1 kind of records only the envelope is read (Thought)" in output.err
+    assert "for 1 kind of records only the envelope is read (Thought)" in output.err
     lines = [json.loads(line) for line in output.out.splitlines()]
     assert [line["step"] for line in lines] == list(range(146))
     assert (lines[step]["kind"], lines[step]["text"]) == (
