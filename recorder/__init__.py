@@ -1,4 +1,4 @@
-"""Records everything that happens to worlds and plans as typed records in one MCAP file.
+"""Record everything that happens to worlds and plans as typed records in one MCAP file.
 
 Importing this package costs nothing: the file format and the viewer are loaded by :func:`record`.
 """
@@ -13,8 +13,8 @@ from recorder.errors import RecordingError
 if TYPE_CHECKING:
     from recorder.recording import Recording, record
 
-# Before numpy is loaded, and unless it is set. Matrices here are small: threads save nothing on them, but spin for some
-# 20 ms after each product that they share, which took a third of the processor time of a plan that thinks.
+# Must be set before numpy is loaded. Our matrices are small: threads save no time on them, but spin for some 20 ms
+# after each shared product. That took a third of the processor time of a plan that reasons.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __all__ = ["Recording", "RecordingError", "record"]
@@ -22,7 +22,7 @@ __all__ = ["Recording", "RecordingError", "record"]
 
 def __getattr__(name: str) -> object:
     if name in ("record", "Recording"):
-        from recorder import recording  # noqa: PLC0415  heavy: only when somebody records
+        from recorder import recording  # noqa: PLC0415  loads the file format and the viewer
 
         return getattr(recording, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

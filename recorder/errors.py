@@ -21,10 +21,10 @@ _MAX_LISTED: Final = 25  # the joints of a kitchen
 
 
 class PortableError(Exception):
-    """An error that pickles and copies with its fields: its message alone isn't what its class makes one of."""
+    """An error that pickles and copies with its fields; by default, Python would call its class with the message."""
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Return what makes it again, as another process does."""
+        """Return the function that restores the error, for example in another process, and its arguments."""
         return _restored, (type(self), self.args, dict(vars(self)))
 
 
@@ -45,7 +45,7 @@ class RecordingError(PortableError, OSError):
 
 
 def nearest(name: object, known: Iterable[str]) -> list[str]:
-    """Return up to 3 known names that are similar to a given one, the most similar first; else such that contain it."""
+    """Return up to 3 known names that are similar to a given name, best first; without any, names that contain it."""
     import difflib  # noqa: PLC0415  most processes suggest nothing
 
     names, given = list(known), str(name)
@@ -54,13 +54,13 @@ def nearest(name: object, known: Iterable[str]) -> list[str]:
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the end of a message that suggests the nearest known names: "; did you mean ...?"; "" without any."""
+    """Return the end of a message, "; did you mean ...?" with the nearest known names; "" without similar names."""
     near = nearest(name, known)
     return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def suggestion(name: object, known: Iterable[str]) -> str:
-    """Return a hint for an unknown name: the nearest known ones, else all if they are few, else their number."""
+    """Return a hint for an unknown name: the nearest known names, else all names if they are few, else their number."""
     names = sorted(set(known))
     if near := did_you_mean(name, names):
         return near.removeprefix("; ")

@@ -2,9 +2,9 @@
 
 A pose is ``(position, orientation)``: xyz in metres and a unit quaternion in the order xyzw. ``a_T_b`` is the pose of
 frame b in frame a, so that ``multiply(a_T_b, b_T_c)`` is ``a_T_c``. Single poses are tuples of floats, where plain
-arithmetic is several times faster than arrays of 3; for thousands, use arrays of matrices.
+arithmetic is several times faster than with arrays of 3. For thousands of poses, use arrays of matrices.
 
-Quaternions are taken to be of unit length. A quaternion and its negative are the same rotation.
+Quaternions must have unit length. A quaternion and its negative are the same rotation.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 Vector: TypeAlias = tuple[float, float, float]
-"""xyz, in m where it is a position."""
+"""xyz; positions are in m."""
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
 """A rotation, xyzw."""
@@ -47,9 +47,9 @@ IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 _DECIMALS: Final = 6  # to which points of the plane are the same
 _TINY = 1e-12
-_VERTICAL = 1e-9  # of a unit axis that is level: with less, roll and yaw turn about the same axis
+_VERTICAL = 1e-9  # level part of a unit axis, below which roll and yaw turn about the same axis
 
-# A rotation's matrix minus identity, row by row, as a linear map of the products of the quaternion's components.
+# The matrix of a rotation minus identity, row by row, is linear in the products of the quaternion's components.
 _FIRST, _SECOND = np.array([[0, 0, 0, 0, 1, 1, 1, 2, 2], [0, 1, 2, 3, 1, 2, 3, 2, 3]])
 _PRODUCTS = 2.0 * np.array(
     [
@@ -67,7 +67,7 @@ _PRODUCTS = 2.0 * np.array(
 
 
 def product(a: Numbers, b: Numbers) -> Quaternion:
-    """The rotation (xyzw) by b, then a: its matrix is that of a times that of b."""
+    """Return the rotation by b, then by a; its matrix is the matrix of a times the matrix of b."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -79,13 +79,13 @@ def product(a: Numbers, b: Numbers) -> Quaternion:
 
 
 def conjugate(rotation: Numbers) -> Quaternion:
-    """The inverse rotation."""
+    """Return the inverse rotation."""
     x, y, z, w = rotation
     return -x, -y, -z, w
 
 
 def rotate(rotation: Numbers, vector: Numbers) -> Vector:
-    """A vector after a rotation."""
+    """Return the rotated vector."""
     x, y, z, w = rotation
     a, b, c = vector
     tx = 2.0 * (y * c - z * b)
@@ -99,7 +99,7 @@ def rotate(rotation: Numbers, vector: Numbers) -> Vector:
 
 
 def multiply(a_T_b: PoseLike, b_T_c: PoseLike) -> Pose:
-    """The pose of c in a."""
+    """Return the pose of c in a."""
     (x, y, z), outer = a_T_b
     position, inner = b_T_c
     dx, dy, dz = rotate(outer, position)
@@ -107,7 +107,7 @@ def multiply(a_T_b: PoseLike, b_T_c: PoseLike) -> Pose:
 
 
 def invert(a_T_b: PoseLike) -> Pose:
-    """The pose of a in b."""
+    """Return the pose of a in b."""
     position, orientation = a_T_b
     inverse = conjugate(orientation)
     x, y, z = rotate(inverse, position)
@@ -115,26 +115,26 @@ def invert(a_T_b: PoseLike) -> Pose:
 
 
 def transform(a_T_b: PoseLike, point: Numbers) -> Vector:
-    """A point of frame b (xyz in m) in frame a."""
+    """Return in frame a a point that is given in frame b (xyz in m)."""
     (x, y, z), orientation = a_T_b
     dx, dy, dz = rotate(orientation, point)
     return x + dx, y + dy, z + dz
 
 
 def angle(a: Numbers, b: Numbers) -> float:
-    """The angle between two rotations in rad, 0..pi; exact also where it is tiny."""
+    """Return the angle between two rotations in rad, 0..pi; exact also for tiny angles."""
     x, y, z, w = product(conjugate(a), b)
     return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
 
 
 def lean(a: Numbers, b: Numbers) -> float:
-    """The angle between the z axes of two rotations in rad, 0..pi."""
+    """Return the angle between the z axes of two rotations in rad, 0..pi."""
     up, other_up = rotate(a, (0.0, 0.0, 1.0)), rotate(b, (0.0, 0.0, 1.0))
     return math.acos(max(-1.0, min(1.0, sum(x * y for x, y in zip(up, other_up, strict=True)))))
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """The rotation of URDF's roll, pitch, yaw: about the fixed axes x, then y, then z, in rad."""
+    """Return the rotation for URDF's roll, pitch, yaw: about the fixed axes x, then y, then z, in rad."""
     sr, cr = math.sin(roll / 2.0), math.cos(roll / 2.0)
     sp, cp = math.sin(pitch / 2.0), math.cos(pitch / 2.0)
     sy, cy = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
@@ -147,7 +147,7 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 def to_rpy(rotation: Numbers) -> Vector:
-    """URDF's roll, pitch, yaw of a rotation, rad; see :func:`from_rpy`. Straight up or down, yaw is 0."""
+    """Return URDF's roll, pitch, yaw in rad; see :func:`from_rpy`. If the pitch is straight up or down, yaw is 0."""
     m = to_matrix(rotation).tolist()
     level = math.hypot(m[0][0], m[1][0])
     pitch = math.atan2(-m[2][0], level)
@@ -157,7 +157,7 @@ def to_rpy(rotation: Numbers) -> Vector:
 
 
 def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
-    """The rotation as a 3 x 3 matrix, whose columns are the rotated axes."""
+    """Return the rotation as a 3 x 3 matrix, whose columns are the rotated axes."""
     matrix: NDArray[np.float64] = to_matrices(np.array([rotation]))[0]
     return matrix
 
@@ -170,7 +170,7 @@ def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
-    """The pose as a homogeneous 4 x 4 matrix."""
+    """Return the pose as a homogeneous 4 x 4 matrix."""
     matrix = np.eye(4)
     matrix[:3, :3] = to_matrix(a_T_b[1])
     matrix[:3, 3] = a_T_b[0]
@@ -178,10 +178,10 @@ def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
 
 
 def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
-    """A 3 x 3 rotation matrix as a unit quaternion xyzw with w >= 0."""
+    """Return a 3 x 3 rotation matrix as a unit quaternion xyzw with w >= 0."""
     (a, d, e), (f, b, g), (h, k, c) = matrix.tolist()
-    # Four times the outer product of the quaternion with itself: its row with the largest diagonal is q up to a
-    # factor, and dividing by it is stable for every rotation.
+    # Four times the outer product of the quaternion with itself. Each row is a multiple of the quaternion; normalizing
+    # the row with the largest diagonal element is stable for every rotation.
     outer = (
         (1.0 + a - b - c, d + f, e + h, k - g),
         (d + f, 1.0 - a + b - c, g + k, e - h),
@@ -197,7 +197,7 @@ def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
 def look_at(eye: Numbers, target: Numbers, up: Numbers = (0.0, 0.0, 1.0)) -> Quaternion:
     """Return the orientation of an optical frame (z forward, x right, y down) that looks from one point at another.
 
-    Points are xyz in m; ``up`` is up in the picture (any perpendicular is, where it is parallel to the view).
+    Points are xyz in m. ``up`` is up in the picture; if it is parallel to the view, a perpendicular is used.
 
     Raises:
         ValueError: eye and target coincide.
@@ -245,7 +245,10 @@ def polygon_intersection(polygon: Polygon, other: Polygon) -> Polygon:
 
 
 def margin_in_polygon(polygon: Polygon, point: Sequence[float]) -> float:
-    """Return how far a point lies within a convex polygon, m; less than 0 outside, minus infinity without area."""
+    """Return the distance of a point inside a convex polygon to its boundary, m.
+
+    The distance is negative for points outside, and minus infinity for a polygon without area.
+    """
     if len(polygon) < 3:
         return -math.inf
     x, y = point
@@ -254,7 +257,7 @@ def margin_in_polygon(polygon: Polygon, point: Sequence[float]) -> float:
 
 
 def narrowest_width(polygon: Polygon) -> tuple[float, float]:
-    """Return the width of a convex polygon where that is least, m, and the direction of the side along it, rad."""
+    """Return the least width of a convex polygon, m, and the direction of the side along it, rad."""
     sides = itertools.pairwise([*polygon, polygon[0]])
     return min(
         (max(_side(a, b, corner) for corner in polygon) / math.dist(a, b), math.atan2(b[1] - a[1], b[0] - a[0]))

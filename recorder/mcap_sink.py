@@ -1,9 +1,9 @@
-"""Writes records into an MCAP file that survives the death of its process.
+"""Write records into an MCAP file that survives the death of its process.
 
 A killed process loses what isn't in a closed and flushed chunk. So a chunk is closed after 50 records, 50 ms after its
-first record, immediately after a failure and the start or end of the run, and before a call that keeps every other
-thread from running (:meth:`McapSink.flush`). Chunks are handed to the operating system unbuffered. After that, only a
-failure of the computer can lose them, and not even that if each is synced.
+first record, immediately after a failure and after the start or end of the run, and before native code that blocks all
+threads (:meth:`McapSink.flush`). Chunks are handed to the operating system unbuffered. After that, only a failure of
+the computer can lose them; with ``durable``, not even that.
 """
 
 from __future__ import annotations
@@ -45,29 +45,31 @@ if TYPE_CHECKING:
 _MAX_RECORDS: Final = 50  # of a chunk
 _MAX_BYTES: Final = 1 << 20  # of a chunk
 _FLUSH_PERIOD: Final = 0.05  # s
-_Key: TypeAlias = tuple[str, str, int]  # of a channel: topic, world and its lifetime; "" and 0 where shared
-#: A buffered message: its channel, the record's number and time, its bytes; and the record, if its line is made later
-#: with all others.
+_Key: TypeAlias = tuple[
+    str, str, int
+]  # of a channel: topic, world and the world's lifetime; "" and 0 for a channel of all worlds
+#: A buffered message: its channel, the record's number and time, the bytes; and the record, if its log line is made
+#: when the chunk is closed.
 _Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Record | None]"
 _LINES: Final = ("/log", "", 0)
 _TRANSFORMS: Final = ("/tf", "", 0)
 _FAILURES: Final = frozenset({Task.FAILED, Task.CANCELLED})
 _PER_WORLD: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
-_MAX_CHANNELS: Final = 1000  # from then on worlds share channels; MCAP has room for 65,535
+_MAX_CHANNELS: Final = 1000  # then further worlds share channels; MCAP allows 65,535
 
 
 class McapSink:
     """A sink that is one MCAP file.
 
     Args:
-        path: an MCAP file that is there is replaced, anything else is not.
+        path: an existing MCAP file is replaced, any other file isn't.
         metadata: of the run.
-        final_metadata: gives more when the file ends.
-        models: files beside this one that it refers to instead of holding their content.
-        durable: each chunk waits until it is on the disk.
+        final_metadata: returns more metadata when the file ends.
+        models: a file of shared models; its models aren't attached again.
+        durable: wait for the disk after each chunk.
 
     Raises:
-        RecordingError: it can't be written.
+        RecordingError: the file can't be written.
     """
 
     def __init__(
@@ -90,17 +92,17 @@ class McapSink:
         self._pending = 0  # records in the buffer
         self._count = 0
         self._now = 0
-        self._failed: tuple[str, str] | None = None  # why, and what to do
+        self._failed: tuple[str, str] | None = None  # the cause, and a hint
         self._closed = False
         self._schemas: dict[str, int] = {}
         self._channels: dict[_Key, int] = {}
-        self._lifetimes: dict[str, int] = {}  # number of worlds of a name so far
+        self._lifetimes: dict[str, int] = {}  # number of worlds so far, by name
         self._frames = FrameTree()
         self._wake = threading.Event()
         self._ended = threading.Event()
-        # a daemon, so that a plan which never closes its recording can end
+        # a daemon, so that a program can exit without closing its recording
         self._timer = own(threading.Thread(target=self._flush_periodically, name=f"flush {path.name}", daemon=True))
-        start = io.BytesIO()  # made before there is a file: a process that is killed meanwhile leaves no empty one
+        start = io.BytesIO()  # prepared in memory: a process that is killed meanwhile leaves no empty file
         self._begin(start, metadata)
         raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
@@ -132,14 +134,14 @@ class McapSink:
             self._writer.flush()
 
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:
-        """Adds a channel; where it names its world, the file's index has the chunks of that world."""
+        """Add a channel. If it names a world, the file's index lists the chunks of that world."""
         metadata = {"world": world, "life": str(lifetime)} if lifetime else {}
         channel = self._writer.add_channel(topic, "protobuf", self._schemas[topic], metadata)
         self._channels[topic, world, lifetime] = channel
         return channel
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Takes a record; see :class:`recorder.tracing.journal.Sink`."""
+        """Buffer a record; see :class:`recorder.tracing.journal.Sink`."""
         seq, now = record.seq, record.wall_time_ns
         with self._lock:
             self._check()
@@ -150,11 +152,11 @@ class McapSink:
                 self._add_foxglove(record)
                 at_once = False
             else:
-                # queries have their world's channel: looks among them teach robots what they believe
+                # queries are on their world's channel: readers need the looks among them for beliefs
                 of_world = isinstance(record, Query) and record.world in self._lifetimes
                 key = (topic, record.world, self._lifetime(record)) if of_world else (topic, "", 0)
                 self._buffer.append((key, seq, now, payload, record))
-                # no file opens without the start of the run
+                # readers can't open a file without the start of the run
                 at_once = record.status in _FAILURES if isinstance(record, Task) else isinstance(record, Run)
             self._count += 1
             self._pending += 1
@@ -165,7 +167,7 @@ class McapSink:
                 self._wake.set()
 
     def _lifetime(self, record: Record) -> int:
-        """Number of its world among those of the same name, from 1: a name is free again when its world has ended."""
+        """Return the number of the record's world among worlds of its name, from 1; closed worlds free their names."""
         lifetime = self._lifetimes.get(record.world, 0)
         if not lifetime or (isinstance(record, Mutation) and record.HasField("open_world")):
             lifetime = self._lifetimes[record.world] = lifetime + 1
@@ -181,7 +183,7 @@ class McapSink:
             self._buffer.append((_LINES, record.seq, self._now, line, None))
 
     def _flush(self) -> None:
-        """Packs the buffer, and hands it to the operating system: all at once, which is faster than one by one."""
+        """Write the buffer as one chunk, which is faster than record by record, and hand it to the operating system."""
         self._watched.check(self._writer.size)
         buffered, self._buffer = self._buffer, []
         self._pending = self._size = 0
@@ -192,14 +194,14 @@ class McapSink:
             self._watched.sync()
 
     def flush(self) -> None:
-        """Hands on what waits; see :class:`recorder.tracing.journal.Sink`."""
+        """Write the buffered records; see :class:`recorder.tracing.journal.Sink`."""
         with self._lock:
             if self._pending and not self._closed:
                 with self._guarded():
                     self._flush()
 
     def _messages(self, buffered: list[_Buffered]) -> Iterator[tuple[int, int, int, bytes]]:
-        """Buffered messages as the file has them, each line after its record."""
+        """Yield buffered messages as the writer takes them, each log line after its record."""
         lines, channels, log = self._lines, self._channels, self._channels[_LINES]
         for key, seq, time_ns, payload, record in buffered:
             yield channels.get(key) or self._channel(key), seq, time_ns, payload
@@ -214,7 +216,7 @@ class McapSink:
         return self._register(*key) if channel is None else channel
 
     def attach(self, asset: AssetFile) -> None:
-        """Takes a file; see :class:`recorder.tracing.journal.Sink`."""
+        """Attach a file; see :class:`recorder.tracing.journal.Sink`."""
         with self._lock, self._guarded():
             if self._models is None or asset.key not in self._models.keys:
                 self._flush()
@@ -224,7 +226,7 @@ class McapSink:
                 self._frames.add_urdf(asset.sha256, asset.content)
 
     def close(self) -> None:
-        """Ends the file; see :class:`recorder.tracing.journal.Sink`."""
+        """Complete the file; see :class:`recorder.tracing.journal.Sink`."""
         with self._lock:
             if self._closed:
                 return
@@ -245,7 +247,7 @@ class McapSink:
                 self._close_file()
 
     def _close_file(self) -> None:
-        """Closes the file; what a full disk didn't take is dropped rather than tried again."""
+        """Close the file; after an error such as a full disk, buffered bytes are dropped and not written again."""
         raw = self._file.raw
         with contextlib.suppress(OSError, ValueError):
             self._file.close()
@@ -253,27 +255,27 @@ class McapSink:
 
     @property
     def lock(self) -> threading.Lock:
-        """Held while anything changes in it; for a fork, see :mod:`recorder.tracing.forking`."""
+        """The lock that is held during every change; a fork takes it (:mod:`recorder.tracing.forking`)."""
         return self._lock
 
     @property
     def lost(self) -> str:
-        """Why records could not be kept; "" if all were."""
+        """Why records could not be written; "" if all were written."""
         return "" if self._failed is None else self._failed[0]
 
     def abandon(self) -> None:
-        """Stops writing, for a forked child: the file is its parent's."""
+        """Stop writing, in a forked child: the file belongs to its parent."""
         self._closed = True
         self._failed = "this recording belongs to the parent process", ""
 
     def _flush_periodically(self) -> None:
-        """The timer's thread: flushes records within the period."""
+        """Flush records within the period; runs in the timer's thread."""
         while not self._closed:
             self._wake.wait()
             self._wake.clear()
             if self._ended.wait(_FLUSH_PERIOD):
                 return
-            with unrecorded(), self._lock:  # what a finalizer prints in this thread would wait for its own lock
+            with unrecorded(), self._lock:  # if a finalizer prints in this thread, its record would wait for this lock
                 if self._pending and self._failed is None and not self._closed:
                     with contextlib.suppress(RecordingError), self._guarded():  # the next write and close() raise it
                         self._flush()
@@ -284,7 +286,7 @@ class McapSink:
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Raises an error of the file as a RecordingError, now and at each later use."""
+        """Raise an error of the file as a RecordingError, now and at each later use."""
         self._check()
         try:
             yield
@@ -297,9 +299,9 @@ class McapSink:
 
 
 def _descriptors(message: type[Message]) -> bytes:
-    """A message's definition, with all that it consists of and nothing else; files that are imported come first."""
+    """Return a message's definition with the definitions that it uses, and no others; imported files come first."""
     needed = [message.DESCRIPTOR]
-    for descriptor in needed:  # which grows
+    for descriptor in needed:  # the loop appends to it
         parts = (field.message_type for field in descriptor.fields)
         needed += [part for part in parts if part is not None and part not in needed]
     names = {descriptor.full_name for descriptor in needed}
@@ -322,41 +324,41 @@ def _descriptors(message: type[Message]) -> bytes:
 
 
 HINT: Final = "free space or choose another path, and run again"
-CHANGED_HINT: Final = "leave it alone while a plan is recorded, and run again"
-_WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of file systems that have none
+CHANGED_HINT: Final = "don't change it while a plan is recorded, and run again"
+_WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of file systems without locks
 
 
 def free_path(path: Path) -> Path:
-    """Returns a path that no recording has: this one, else RUN.2.mcap or a later number, which is printed on stderr.
+    """Return the path if there is no recording, else RUN.2.mcap or a later number, and print that on stderr.
 
-    Whatever else there is at the path, a device or an empty file, can be written to, or is refused when it is opened.
+    A path with any other file is returned, too: a device or an empty file can be written; opening refuses the rest.
     """
     try:
-        if not path.is_file():  # a pipe would wait
+        if not path.is_file():  # opening a pipe would block
             return path
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 return path
-    except OSError:  # opening it says what is wrong
+    except OSError:  # reported when the file is opened
         return path
     pattern = re.compile(rf"{re.escape(path.stem)}\.(\d+){re.escape(path.suffix)}")
     numbers = [int(match[1]) for each in path.parent.iterdir() if (match := pattern.fullmatch(each.name))]
     free = path.with_name(f"{path.stem}.{max(numbers, default=1) + 1}{path.suffix}")
-    print(f"recorder: {path} is there already; recording to {free}", file=sys.stderr, flush=True)
+    print(f"recorder: {path} exists already; recording to {free}", file=sys.stderr, flush=True)
     return free
 
 
 def open_output(path: Path) -> io.FileIO:
-    """Open and lock a new file, or an older recording, which is emptied, or a pipe that has a reader.
+    """Open and lock a new file, an older recording, which is emptied, or a pipe with a reader.
 
     Raises:
-        RecordingError: it can't be written, another recording is writing it, or it is something else.
+        RecordingError: the file can't be written, another recording is writing it, or it isn't a recording.
     """
     try:
         file = _open(path)
     except OSError as error:
         if error.errno == errno.ENXIO:
-            raise RecordingError(path, "it is a pipe that nobody reads", "start its reader first") from error
+            raise RecordingError(path, "it is a pipe without a reader", "start its reader first") from error
         hint = "make the folder first" if not path.parent.exists() else "choose a path that you may write to"
         raise RecordingError(path, reason(error), hint) from error
     with contextlib.ExitStack() as undoing:
@@ -372,7 +374,7 @@ def open_output(path: Path) -> io.FileIO:
             start = file.read(len(MAGIC)) or b""
             if start and start != MAGIC:
                 raise RecordingError(
-                    path, "there is a file that is no recording", "move it away or choose another path"
+                    path, "there is a file that isn't a recording", "move it away or choose another path"
                 )
             file.seek(0)
             file.truncate()
@@ -387,17 +389,17 @@ def _open(path: Path) -> io.FileIO:
         is_pipe = False
     if not is_pipe:
         return io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666), "r+")
-    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # else it would wait for a reader
+    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a blocking open would wait for a reader
     os.set_blocking(pipe, True)
     return io.FileIO(pipe, "w")
 
 
 class Changed(OSError):
-    """Others have deleted, replaced or changed a file while it was written."""
+    """Another program has deleted, replaced or changed a file while it was written."""
 
 
 class WatchedFile:
-    """A file that nobody but this process may change; pipes and devices have no content that could change."""
+    """A file that only this process may change; pipes and devices have no content to check."""
 
     def __init__(self, path: Path, file: io.FileIO) -> None:
         self._path = path.absolute()  # a plan may change the working directory
@@ -405,7 +407,7 @@ class WatchedFile:
         self.is_regular = stat.S_ISREG(os.fstat(self._number).st_mode)
 
     def check(self, size: int) -> None:
-        """Raise :class:`Changed` if the file was moved or replaced, or its size isn't that of what was written."""
+        """Raise :class:`Changed` if the file was moved or replaced, or its size isn't the number of written bytes."""
         if not self.is_regular:
             return
         ours = os.fstat(self._number)
@@ -413,20 +415,20 @@ class WatchedFile:
             there = self._path.stat()
         except OSError as error:
             done = "moved the file away" if ours.st_nlink else "deleted the file"
-            raise Changed(f"somebody has {done} ({reason(error)})") from error
+            raise Changed(f"another program has {done} ({reason(error)})") from error
         if (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
-            raise Changed("somebody has replaced the file")
+            raise Changed("another program has replaced the file")
         if ours.st_size != size:
             done = "truncated the file" if ours.st_size < size else "written to the file"
-            raise Changed(f"somebody has {done}: it has {ours.st_size} bytes instead of {size}")
+            raise Changed(f"another program has {done}: it has {ours.st_size} bytes instead of {size}")
 
     def sync(self) -> None:
-        """Waits until all that was written is on the disk."""
+        """Wait until all written bytes are on the disk."""
         if self.is_regular:
             getattr(os, "fdatasync", os.fsync)(self._number)
 
     def sync_name(self) -> None:
-        """Waits until its folder is on the disk, so that a new file is found in it."""
+        """Wait until the folder is on the disk, so that it lists the new file after a power loss."""
         if self.is_regular:
             folder = os.open(self._path.parent, os.O_RDONLY | os.O_CLOEXEC)
             try:
@@ -436,5 +438,5 @@ class WatchedFile:
 
 
 def reason(error: OSError) -> str:
-    """The system's message."""
+    """Return the operating system's message."""
     return error.strerror or str(error)

@@ -1,12 +1,12 @@
-"""Writes the MCAP container: chunks of messages with their indexes, attachments, metadata, and the summary at the end.
+"""Write the MCAP container: chunks of messages with their indexes, attachments, metadata, and the summary at the end.
 
-The container's records are those of the ``mcap`` package; only messages are packed here, each in one step. The
-package's own writer takes an object and a dozen calls for each message, three times as long, and one of our records
+The ``mcap`` package serializes the container's records, except messages, which are packed here in one step. The
+package's own writer needs an object and a dozen calls for each message, and three times as long. Each of our records
 makes two or three messages.
 
 Every message is in a chunk. Every chunk is compressed with Zstandard and has a CRC and message indexes. The summary
-indexes everything, and all bytes before it have a CRC too. Chunks of identical records would inflate to so much more
-than the file that readers would take it for a bomb: some of these aren't compressed.
+indexes everything, and all bytes before it have a CRC, too. Highly compressible records could inflate to so much more
+than the file that readers would reject it as a decompression bomb, so some of their chunks aren't compressed.
 
 Several recordings can share the models of their robots and objects: :class:`SharedModels`.
 """
@@ -49,15 +49,15 @@ if TYPE_CHECKING:
 
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-#: Bytes of all chunks to those of the file: no recording has more, and nobody reads more. Usually it is 3 to 13.
+#: Largest ratio of the inflated chunks to the file, for writers and readers. Usually it is 3 to 13.
 MAX_RATIO: Final = 32
-FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
-_MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length of what follows, channel, sequence, log and publish time
+FREE: Final = 4 << 20  # bytes of inflated chunks that are allowed for any file
+_MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length of the rest, channel, sequence, log and publish time
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE_HEAD: Final = 9  # opcode and length
 _MESSAGE_FIELDS: Final = _MESSAGE.size - _MESSAGE_HEAD
 _INDEX: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
-_FOOTER_START: Final = struct.Struct("<BQQQ")  # as far as the summary's CRC covers it
+_FOOTER_START: Final = struct.Struct("<BQQQ")  # the part that the summary's CRC covers
 
 #: Name of the metadata in which a recording has the ``file`` of its shared models and the ``sha256`` of its content.
 MODELS_METADATA: Final = "pycram.models"
@@ -67,12 +67,12 @@ _SOURCE: Final = ".py"  # of the plan: each recording keeps that
 
 
 class McapWriter:
-    """Writes one MCAP file from its start; for one thread at a time. ``library`` names the writing software."""
+    """Writes one MCAP file; for one thread at a time. ``library`` names the writing software."""
 
     def __init__(self, file: BinaryIO, library: str) -> None:
         self._file = file
         self._at = 0
-        self._crc = 0  # of all that was written
+        self._crc = 0  # of all written bytes
         self._compressor = zstandard.ZstdCompressor(level=1)  # chunks are small: higher levels only take longer
         self._chunk: list[bytes] = []
         self._chunk_size = 0
@@ -89,7 +89,7 @@ class McapWriter:
         self._write(_packed(Header(profile="", library=library)))
 
     def move(self, file: BinaryIO, start: bytes) -> None:
-        """Goes on in a file, which begins with what was written to another one."""
+        """Continue in another file, into which ``start``, the content so far, is copied."""
         file.write(start)
         file.flush()
         self._file = file
@@ -100,13 +100,13 @@ class McapWriter:
         return self._at
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Adds the definition of a message type, and returns its id."""
+        """Add the definition of a message type, and return its id."""
         self._schemas.append(Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data))
         self._append(_packed(self._schemas[-1]))
         return len(self._schemas)
 
     def add_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str] | None = None) -> int:
-        """Adds a channel for messages of one type (schema id), and returns its id."""
+        """Add a channel for messages of one type (schema id), and return its id."""
         self._channels.append(
             Channel(
                 id=len(self._channels) + 1,
@@ -123,8 +123,8 @@ class McapWriter:
         """Add messages to the chunk.
 
         Args:
-            messages: (channel id, number, time in ns since the Unix epoch, bytes) of each. The lowest 32 bits of the
-                number are kept; the time never decreases within a chunk.
+            messages: a tuple each: channel id, number, time in ns since the Unix epoch, bytes. The lowest 32 bits of
+                the number are kept. Times must not decrease within a chunk.
         """
         pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size
         for channel, sequence, time_ns, payload in messages:
@@ -138,7 +138,7 @@ class McapWriter:
         self._chunk_size = size
 
     def add_attachment(self, time_ns: int, name: str, media_type: str, data: bytes) -> None:
-        """Writes a file at once, behind the chunk; the time is in ns since the Unix epoch."""
+        """Close the chunk and write a file; the time is in ns since the Unix epoch."""
         self.flush()
         file = Attachment(create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data)
         at, packed = self._at, _packed(file)
@@ -156,14 +156,14 @@ class McapWriter:
         )
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Writes named texts about the file at once, behind the chunk."""
+        """Close the chunk and write metadata about the file."""
         self.flush()
         at, packed = self._at, _packed(Metadata(name=name, metadata=dict(data)))
         self._write(packed)
         self._metadata.append(MetadataIndex(offset=at, length=len(packed), name=name))
 
     def flush(self) -> None:
-        """Ends the chunk, and passes all to the operating system."""
+        """Close the chunk, and hand all bytes to the operating system."""
         if self._chunk:
             self._end_chunk()
         self._file.flush()
@@ -213,7 +213,7 @@ class McapWriter:
         self._entries.clear()
 
     def finish(self) -> None:
-        """Writes the summary; nothing can be added then."""
+        """Write the summary; nothing can be added after that."""
         self.flush()
         self._write(_packed(DataEnd(data_section_crc=self._crc)))
         summary_start = self._at

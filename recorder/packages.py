@@ -1,7 +1,7 @@
-"""Required packages: their versions, the extra of pyproject.toml that brings each, and how to install it.
+"""Required packages: their versions, the extra of pyproject.toml that installs each, and how to install it.
 
-Reading recordings needs the base dependencies only. The engine, the viewer and pictures are extras; without one,
-commands end with one line that says so. The line speaks of a checkout, as PyPI's project of this name is another's.
+Reading recordings needs the base dependencies only. The engine, the viewer and pictures are extras. Without a needed
+extra, commands print one line and exit. The line mentions a checkout, as the PyPI project of this name isn't ours.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-#: Extras by the modules that they bring. trimesh is in two: whoever needs it for pictures alone names the extra.
+#: Extras by the modules that they install. trimesh is in two extras: rendering names its extra explicitly.
 _EXTRAS: Final = {
     module: extra
     for extra, modules in {
@@ -41,7 +41,7 @@ _RECORDED: Final = (
 
 
 class NotInstalled(ModuleNotFoundError):
-    """Something isn't installed that one of the extras brings."""
+    """A package of an extra isn't installed."""
 
     def __init__(self, name: str, extra: str) -> None:
         super().__init__(f"{name} isn't installed; {hint(extra)}", name=name)
@@ -49,17 +49,17 @@ class NotInstalled(ModuleNotFoundError):
 
 
 def hint(extra: str) -> str:
-    """Return what to type to install an extra of pyproject.toml."""
+    """Return the command that installs an extra of pyproject.toml."""
     return f"in a checkout of PyCRAM: pip install '.[{extra}]'"
 
 
 @contextlib.contextmanager
 def needed(extra: str | None = None) -> Iterator[None]:
-    """Import a module that may not be installed in this block; the default extra is the first that brings it.
+    """In the block, import a module that may not be installed; the default extra is the first that installs it.
 
     Raises:
-        NotInstalled: an extra brings it.
-        ModuleNotFoundError: no extra brings it.
+        NotInstalled: an extra installs the missing module.
+        ModuleNotFoundError: no extra installs it.
     """
     try:
         yield
@@ -96,7 +96,7 @@ class LazyModule:
 
 @cache
 def _installed() -> dict[str, str]:
-    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import, and readers need none
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import, and readers don't need it
 
     installed = {}
     for package in _RECORDED:
@@ -108,8 +108,8 @@ def _installed() -> dict[str, str]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what a recording depends on, the platform and the arguments of the process."""
-    from recorder.records.values import without_secrets  # noqa: PLC0415  heavy, and help texts need none
+    """Return the versions of the packages that a recording depends on, the platform, and the process's arguments."""
+    from recorder.records.values import without_secrets  # noqa: PLC0415  heavy, and help texts don't need it
 
     return _installed() | {
         "python": platform.python_version(),
@@ -120,7 +120,7 @@ def versions() -> dict[str, str]:
 
 
 def other_versions(then: Mapping[str, str], *names: str) -> tuple[str, ...]:
-    """What of the given names is another version now than in a recording's metadata, in words."""
+    """Return which of the named packages have another version than in a recording's metadata, in words."""
     now = versions()
     return tuple(
         f"{name} {now[name]} instead of {then[name]}" for name in names if then.get(name, now[name]) != now[name]

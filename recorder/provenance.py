@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 _TIMEOUT: Final = 2.0  # s for git
-_PACKAGES: Final = ("pycram", "recorder")  # folders that make PyCRAM; reading has no part in a run
+_PACKAGES: Final = ("pycram", "recorder")  # the packages that run plans; replay only reads
 
 
 def describe(
@@ -35,9 +35,9 @@ def describe(
     order: str,
     parameters: Mapping[str, Any],
 ) -> None:
-    """Add to the record of a run's start what the run is given: arguments, plan, seed, order and named parameters.
+    """Complete the record of a run's start with its inputs: arguments, plan, seed, order and named parameters.
 
-    A seed is given if it is known, an order of branches if it isn't drawn from the seed.
+    ``seed`` is None if it is unknown; ``order`` is "" if the order of branches is drawn from the seed.
     """
     run.arguments.extend(without_secrets([escaped(str(text)) for text in arguments]))
     for name, value in parameters.items():
@@ -74,12 +74,12 @@ def look_up_revisions(plan: Path | None = None) -> None:
 
 
 def metadata(run: Run) -> dict[str, str]:
-    """Return the metadata of a file for a run that begins now, for programs that don't know its records."""
+    """Return a file's metadata for a run that begins now, for programs that can't read our records."""
     return {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}
 
 
 def hash_seed() -> str:
-    """The seed of the order of sets of texts: a number, or "random"."""
+    """Return the seed of Python's hashes of texts, which decides the order of sets: a number, or "random"."""
     seed = os.environ.get("PYTHONHASHSEED", "")
     if not sys.flags.hash_randomization:
         return "0"
@@ -98,13 +98,13 @@ def _cpu() -> str:
 
 @functools.lru_cache(maxsize=64)
 def _plan_revision(program: Path) -> Revision:
-    """The revision of the repository that a plan is in, as this process began to run it."""
+    """Return the revision of a plan and its repository when this process first looked."""
     return _revision(program, sha256(program.read_bytes()).hexdigest())
 
 
 @functools.cache
 def pycram_revision() -> Revision:
-    """The revision of the executor and the recorder; the hash is that of their Python files."""
+    """Return the revision of the executor and the recorder, with a hash of their Python files."""
     root = Path(__file__).resolve().parent.parent
     digest = sha256()
     for package in _PACKAGES:
@@ -114,11 +114,11 @@ def pycram_revision() -> Revision:
 
 
 def _revision(file: Path, digest: str) -> Revision:
-    """Return the commit of a file that is in git, and the hash of the content."""
+    """Return the commit of the file's repository, if git tracks the file, and the given hash."""
     status = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
     tracked = _git(file, "ls-files", "--error-unmatch", "--", file.name)
     states, names = (_answer(process) for process in (status, tracked))
-    if not names:  # a folder of installed packages may lie in a repository of somebody's
+    if not names:  # an installed package may be in a folder of an unrelated repository
         return Revision(sha256=digest)
     head = [line.removeprefix("# branch.oid ") for line in states if line.startswith("# branch.oid ")]
     commit = head[0] if head and head[0] != "(initial)" else ""
@@ -126,10 +126,10 @@ def _revision(file: Path, digest: str) -> Revision:
 
 
 def _git(file: Path, *words: str) -> subprocess.Popen[str] | None:
-    """Starts git in the folder of a file; it writes nothing."""
+    """Start git, read-only, in the folder of a file; return None if git isn't installed."""
     try:
         return subprocess.Popen(  # noqa: S603  no text of users is a command
-            ["git", "-C", str(file.parent), *words],  # noqa: S607  whichever the user has
+            ["git", "-C", str(file.parent), *words],  # noqa: S607  the git on the path
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -137,12 +137,12 @@ def _git(file: Path, *words: str) -> subprocess.Popen[str] | None:
             text=True,
             errors="replace",
         )
-    except OSError:  # there is none
+    except OSError:
         return None
 
 
 def _answer(process: subprocess.Popen[str] | None) -> list[str]:
-    """Return the lines of its output; none if it failed, or takes too long."""
+    """Return the lines of git's output; none if git failed or took too long."""
     if process is None:
         return []
     with process:

@@ -1,4 +1,4 @@
-"""``record``: records everything that happens inside of its block, and closes the file however the block ends."""
+"""``record``: record everything that happens inside of a block, and close the file however the block ends."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ if TYPE_CHECKING:
 
     from recorder.tracing.journal import Sink
 
-_MAX_ERRORS: Final = 1000  # in the traceback of what ends the plan or a thread: where what led to it stands together
+_MAX_ERRORS: Final = 1000  # in the traceback of the error that ends a plan or thread; tasks record fewer of its causes
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A recording while it is made."""
+    """A recording in progress."""
 
     path: Path
-    journal: Journal  # its numbering
+    journal: Journal  # numbers its records
     viewer: RerunSink | None = None  # the viewer that shows it live
 
     @property
     def length(self) -> int:
-        """Number of records; the next one's step number."""
+        """Number of records so far: the step number of the next record."""
         return self.journal.length
 
 
@@ -71,33 +71,33 @@ def record(
 ) -> Iterator[Recording]:
     """Record all worlds and plans of this process while the block runs.
 
-    Worlds that exist already are recorded from a keyframe on. Tasks that run already, such as the motion in which
-    the recording begins, come first in it; tasks that still run when it ends come last.
+    The recording of an existing world begins with a keyframe. Running tasks, such as the motion in which the recording
+    begins, are its first records. Tasks that still run when the recording ends are its last ones.
 
     Args:
-        path: the MCAP file to write. A recording that is there stays: RUN.mcap is followed by RUN.2.mcap, a line on
-            stderr says so, and :attr:`Recording.path` is the file that was taken.
-        live: how to show it live in Rerun. "spawn" opens the viewer, or uses an open one. "connect" and
-            "connect:rerun+http://HOST:PORT/proxy" use a viewer that somebody starts, now or later. "serve" serves a
-            page for browsers on this machine until this process ends, and prints its address. A viewer that is slow,
-            stalls, dies or never comes costs the plan nothing.
-        name: of the plan; by default that of the program.
-        arguments: of the plan, for the record; by default the program's.
-        source: the plan's file, which is attached; by default the program's, if it has one.
-        seed: of random numbers, for the record; it seeds nothing.
-        order: of branches, for the record, if it isn't drawn from the seed.
-        environment: execution environment of the plan, for the record, if one was requested.
+        path: the MCAP file to write. An existing recording is kept: if RUN.mcap exists, RUN.2.mcap is written and
+            named on stderr. :attr:`Recording.path` is the file that is written.
+        live: how to show the recording live in Rerun. "spawn" opens the viewer, or uses an open one. "connect" and
+            "connect:rerun+http://HOST:PORT/proxy" use a viewer that is started separately, now or later. "serve"
+            serves a page for browsers on this machine until this process ends, and prints its address. A viewer that
+            is slow, stalls, dies or is missing doesn't delay the plan.
+        name: of the plan, by default that of the program.
+        arguments: of the plan, by default the program's; only recorded.
+        source: the plan's file, which is attached; by default the program's file, if it has one.
+        seed: of random numbers; only recorded.
+        order: of branches, if it isn't drawn from the seed; only recorded.
+        environment: execution environment of the plan, if one was requested; only recorded.
         output: record printed and logged lines, too.
-        locals: failures hold the local variables of the plan's functions.
-        overwrite: replace a recording that is there.
-        durable: each chunk of the file waits for the disk, so that records survive a power loss, too.
-        parameters: of the plan by name, for the record.
+        locals: record the local variables of the plan's functions with failures.
+        overwrite: replace an existing recording.
+        durable: write each chunk of the file to the disk, so that records survive a power loss, too.
+        parameters: of the plan by name; only recorded.
 
     Raises:
-        RecordingError: the file can't be written, at the start or later, or others have deleted, replaced or changed
-            it: a plan never runs unrecorded in silence. Also if there is no such source, or an argument is invalid,
-            but not if no viewer comes.
-        Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does, and the program has no handler for it.
+        RecordingError: the file can't be written, at the start or later, or another program has deleted, replaced or
+            changed it, so a plan never runs unrecorded unnoticed. Also for a missing source or an invalid argument,
+            but not for a missing viewer.
+        Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does, and the program doesn't handle it.
     """
     given = sys.argv[1:] if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
@@ -120,7 +120,7 @@ def record(
         log, owner = recording.journal, process()
 
         def end(_: object, error: BaseException | None, __: object) -> None:
-            if process() != owner:  # a forked child has nothing to close: the file is its parent's
+            if process() != owner:  # a forked child: the file belongs to its parent
                 return
             try:
                 _finish(log, title, start, error)
@@ -128,7 +128,7 @@ def record(
                 if error is None:
                     raise
                 failed.__context__, error.__context__ = error.__context__, failed
-                if not isinstance(error, RecordingError):  # a plan that failed is no reason to hide it
+                if not isinstance(error, RecordingError):  # the plan's own error is raised, so this one is printed
                     print(f"recorder: {failed}", file=sys.stderr)
 
         with ExitStack() as ending:
@@ -151,9 +151,9 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
         raise RecordingError(path, f"there is no source {source!r} to attach")
 
 
-#: How many recordings of a name this process has begun.
+#: Number of recordings of each name that this process has begun.
 _numbers: Final[Counter[str]] = Counter()
-#: Gives recordings another sink than a file; see :func:`redirected`.
+#: Returns the sink of a recording in place of a file; see :func:`redirected`.
 _redirect: Callable[[Run], Sink | None] | None = None
 
 
@@ -161,11 +161,12 @@ _redirect: Callable[[Run], Sink | None] | None = None
 def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
     """Redirect recordings that begin in the block from files and viewers to other sinks.
 
-    A program runs there from its start: its recordings are numbered from 1, whatever this process recorded before.
-    Recordings of forked processes, such as projections, aren't redirected.
+    The block runs a program from its start, so its recordings are numbered from 1. Recordings of forked processes, such
+    as projections, aren't redirected.
 
     Args:
-        sink_of: gives the sink by the record of a run's start, to which it may add; None for an ordinary recording.
+        sink_of: returns the sink for the record of a run's start, which it may complete; None for an ordinary
+            recording.
     """
     global _redirect  # noqa: PLW0603  recordings are the process's
     owner = process()
@@ -190,7 +191,7 @@ def _begin(
     local_variables: bool,
     durable: bool,
 ) -> Recording:
-    """Open the file and the viewer, and record the existing worlds; if that fails, nothing stays open."""
+    """Open the file and the viewer, and record the existing worlds; after an error, nothing stays open."""
     with ExitStack() as undoing:
         viewer = sink = None
         if other is None:
@@ -233,12 +234,12 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
         yield
     finally:
         ended = True
-        if threading.excepthook is hook:  # else it stays in the chain of who came later
+        if threading.excepthook is hook:  # otherwise a later hook calls it
             threading.excepthook = before
 
 
 def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:
-    with Uninterrupted(), ExitStack() as ending:  # a second Ctrl-C ends the plan, and loses no end of a recording
+    with Uninterrupted(), ExitStack() as ending:  # a second Ctrl-C must not lose the end of the recording
         if isinstance(error, KeyboardInterrupt):
             ending.callback(drop_pending)
         ending.callback(journal.close_journal, log)
@@ -261,11 +262,11 @@ def _finish(log: Journal, title: str, start: int, error: BaseException | None) -
                     setattr(left, field, getattr(began, field))
                 log.append(left)
             log.append(end)
-            journal.forget_journal(log)  # tasks that end now are in it no more
+            journal.forget_journal(log)  # tasks that end from now on aren't recorded
 
 
 def _leave_to_parent(sink: McapSink | None, log: Journal) -> None:
-    """Keeps forked children from writing into this file."""
+    """Keep forked children from writing into this file."""
     sink_reference = (lambda: None) if sink is None else weakref.ref(sink)
     log_reference = weakref.ref(log)
     owner = process()

@@ -2,8 +2,8 @@
 
 Pure arithmetic without any physics engine. Lengths are metres, angles radians, velocities per second; poses are
 ``(position, quaternion xyzw)`` of the link's frame in the frame of the root link. A joint without a given value is at
-0, or where the joint that it mimics has it. Elements of other namespaces and of Gazebo are not part of the robot: only
-a document's own children are read.
+0, or follows the joint that it mimics. Only direct children of the document are read, so elements of other namespaces
+and of Gazebo are not part of the robot.
 
 Shapes are read from canonical models (see ``docs/architecture.md``): every shape has its sizes, every mesh is STL or
 OBJ. A link has any number of "visual" and "collision" shapes. No mesh is read.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 
-_CACHED: Final = 32  # documents: a model's is read when it is loaded, and again when it is recorded
+_CACHED: Final = 32  # documents: each model is parsed when it is loaded, and again when it is recorded
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,15 @@ class Urdf:
 
         Args:
             text: the document.
-            chains: accept planar and floating joints. They have no kinematics; loaded models have chains of others.
+            chains: accept planar and floating joints. They have no kinematics: loading replaces them.
 
         Raises:
-            UrdfError: it isn't XML, or not one tree of named links with joints of known types.
+            UrdfError: the document isn't XML, or not one tree of named links with joints of known types.
         """
         return _parse(text, chains)
 
     def joint(self, name: str) -> Joint:
-        """Return a joint by its name; raise :class:`UrdfError` if there is none."""
+        """Return a joint by its name; raise :class:`UrdfError` if there is no such joint."""
         try:
             return self.joints[name]
         except KeyError:
@@ -67,7 +67,7 @@ class Urdf:
         return joint
 
     def chain(self, base_link: str, tip_link: str) -> tuple[Joint, ...]:
-        """Return the joints (fixed ones too) from a link to a descendant; raise :class:`UrdfError` if it is none."""
+        """Return all joints from a link to a descendant; raise :class:`UrdfError` if it isn't one."""
         self.parent_joint(base_link)
         self.parent_joint(tip_link)
         above, below = self._above[base_link], self._above[tip_link]
@@ -79,7 +79,7 @@ class Urdf:
         """Return the pose of a link in the root link, from joint values in rad or m by name (default 0)."""
         pose = IDENTITY
         for joint in self.chain(self.root, link):
-            fixed = joint.type == "fixed"  # most are
+            fixed = joint.type == "fixed"  # most joints are fixed
             at = joint.origin if fixed else joint.pose(self.value(joint.name, positions))
             pose = geometry.multiply(pose, at)
         return pose
@@ -93,7 +93,7 @@ class Urdf:
         return poses
 
     def followers(self, positions: Mapping[str, float]) -> dict[str, float]:
-        """Return the positions, within limits, of joints that mimic one of those given, by name, in rad or m."""
+        """Return the positions, within limits, of joints that mimic one of the given joints, by name, in rad or m."""
         return {
             name: self._following(name, mimic, positions[mimic.leader])
             for name, mimic in self.mimics.items()
@@ -101,12 +101,12 @@ class Urdf:
         }
 
     def _following(self, name: str, mimic: Mimic, leader: float) -> float:
-        """Return the position of a joint for that of its leader; it stops at its own limits."""
+        """Return the position of a mimicking joint, limited to its range, for the position of its leader."""
         joint = self.joints[name]
         return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
 
     def value(self, joint: str, positions: Mapping[str, float]) -> float:
-        """Return where a joint is, rad or m, from joint values by name: its own, its leader's, or 0."""
+        """Return a joint's position, rad or m, from positions by name: its own, derived from its leader's, or 0."""
         value = positions.get(joint)
         if value is not None:
             return value
@@ -117,9 +117,9 @@ class Urdf:
 
     @cached_property
     def mimics(self) -> Mapping[str, Mimic]:
-        """Which joint each mimicking joint follows, by its name; leaders follow none themselves.
+        """The leader of each mimicking joint, by the joint's name; leaders mimic no joint themselves.
 
-        A joint moves on its own if the one that it mimics doesn't exist, as in some published models.
+        A joint is independent if the joint that it mimics doesn't exist, as in some published models.
 
         Raises:
             UrdfError: a joint mimics itself.
@@ -196,7 +196,7 @@ def _unique(robot: str, kind: str, names: Iterable[str]) -> list[str]:
 
 
 def _ends(robot: str, links: list[str], joints: list[Joint]) -> tuple[dict[str, Joint], dict[str, list[str]]]:
-    """Return the joint above each link, and the links below it."""
+    """Return the parent joint of each link, and the child links of each link."""
     names = set(links)
     parents: dict[str, Joint] = {}
     children: dict[str, list[str]] = {}
@@ -213,11 +213,11 @@ def _ends(robot: str, links: list[str], joints: list[Joint]) -> tuple[dict[str, 
 
 
 _KINDS: Final = ("fixed", "revolute", "continuous", "prismatic")
-_CHAINS: Final = ("planar", "floating")  # which become chains of the others
+_CHAINS: Final = ("planar", "floating")  # loading replaces them by chains of the other types
 
 
 class UrdfError(ValueError):
-    """A URDF is no tree of links, or doesn't have a name."""
+    """A URDF isn't a tree of links, or has no element of a name."""
 
     def __init__(self, robot: str, reason: str) -> None:
         super().__init__(f"URDF {robot!r}: {reason}" if robot else f"URDF: {reason}")
@@ -226,9 +226,9 @@ class UrdfError(ValueError):
 
 
 class Mimic(NamedTuple):
-    """That a joint follows another: its value is ``multiplier * value of the leader + offset``."""
+    """The rule of a mimicking joint: its value is ``multiplier * value of the leader + offset``."""
 
-    leader: str  # name of the joint that it follows
+    leader: str  # name of the joint that is mimicked
     multiplier: float = 1.0  # without a unit, or m/rad or rad/m
     offset: float = 0.0  # in rad or m
 
@@ -247,15 +247,15 @@ class Joint:
     upper: float = 0.0  # upper limit in rad or m; inf if continuous, 0 if fixed
     effort: float = math.inf  # largest force or torque in N or Nm, inf if not given
     velocity: float = math.inf  # largest velocity in rad/s or m/s, inf if not given
-    mimic: Mimic | None = None  # what it follows, if anything
+    mimic: Mimic | None = None  # None for an independent joint
 
     @property
     def movable(self) -> bool:
-        """Whether it isn't fixed."""
+        """Whether the joint isn't fixed."""
         return self.type != "fixed"
 
     def pose(self, value: float) -> Pose:
-        """Pose of the child link in the parent link, for a joint value in rad or m."""
+        """Return the pose of the child link in the parent link, for a joint value in rad or m."""
         if self.type == "fixed":
             return self.origin
         if self.type == "prismatic":
@@ -271,7 +271,7 @@ def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> Join
     """Parse the element of a joint; with ``chains`` it may be planar or floating.
 
     Raises:
-        UrdfError: something is missing, or not a number.
+        UrdfError: an element or attribute is missing, or isn't a number.
     """
     name = element.get("name", "")
     kind = element.get("type", "")
@@ -346,10 +346,10 @@ def _number(robot: str, joint: str, what: str, text: str) -> float:
 
 
 def finite(text: str) -> float:
-    """Return the number that a text is for every reader; Python alone also accepts 1_0 and digits of other scripts.
+    """Return a text as a number; refuse 1_0 and digits of other scripts, which only Python accepts.
 
     Raises:
-        ValueError: it isn't one, or isn't finite.
+        ValueError: the text isn't a number, or the number isn't finite.
     """
     value = float(text)
     if not math.isfinite(value) or "_" in text or not text.isascii():
@@ -377,19 +377,19 @@ class Shape:
     """One shape of a link."""
 
     kind: str  # "box", "cylinder", "sphere", "capsule" or "mesh"
-    size: tuple[float, ...]  # edges of a box, radius and length of others in m; scale of a mesh
+    size: tuple[float, ...]  # in m: edges of a box, or radius and length; scale of a mesh
     mesh: str  # path of the mesh, as in the model; "" of other shapes
     pose: Pose  # in the link's frame
-    color: Color  # its own, or grey
+    color: Color  # grey if the model has none
 
 
 def read_shapes(model: str | bytes, role: str) -> dict[str, list[Shape]]:
-    """The "visual" or "collision" shapes of a URDF by link; only of links that have any."""
+    """Return the "visual" or "collision" shapes of a URDF by link; links without shapes are left out."""
     return shapes_in(ET.fromstring(model), role)  # noqa: S314  canonical: written by PyCRAM
 
 
 def shapes_in(root: ET.Element, role: str) -> dict[str, list[Shape]]:
-    """The same of a URDF that is parsed already."""
+    """Return the shapes of a parsed URDF, as :func:`read_shapes`."""
     palette = {str(element.get("name")): color for element in root.findall("material") if (color := _rgba(element))}
     by_link = {}
     for link in root.findall("link"):

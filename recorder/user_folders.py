@@ -1,4 +1,4 @@
-"""Folders of the user's own for what can be made again: nobody else may put anything there that would be believed."""
+"""The user's folder for caches. Files in it are trusted, so nobody else may be able to write there."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-_ROOT: Final = 0  # who may do anything anyway
+_ROOT: Final = 0  # the superuser can write anywhere
 
 
 def cache_folder() -> Path | None:
-    """The user's folder for caches: the environment's ``PYCRAM_CACHE``, else ``~/.cache/pycram``; it may not be there.
+    """Return the user's folder for caches, which may not exist: ``PYCRAM_CACHE`` or ``~/.cache/pycram``.
 
-    None if that variable is set to nothing, and if the folder isn't the user's own.
+    Return None if the variable is empty, or if the folder isn't the user's own.
     """
     named = os.environ.get("PYCRAM_CACHE")
     folder: Path | None = None
@@ -28,7 +28,7 @@ def cache_folder() -> Path | None:
 
 
 def is_own(folder: Path) -> bool:
-    """Whether nobody but this user, and the system's, can write into a folder; also if there is none."""
+    """Return whether only this user and the superuser can write into a folder; True for a missing folder."""
     try:
         of = folder.lstat()
         if stat.S_ISLNK(of.st_mode) and of.st_uid in (os.getuid(), _ROOT):

@@ -160,7 +160,7 @@ def check(url: str | None) -> None:
     try:
         viewer = Target.parse(f"{ViewerKind.CONNECT.value}:{url}").url
     except RecordingError as error:
-        raise ReplayError(f"{url} is no address of a viewer; one on this machine is {address(PORT)}") from error
+        raise ReplayError(f"{url} isn't the address of a viewer; on this machine, it is {address(PORT)}") from error
     if not answers(viewer):
         raise ReplayError(f"no viewer answers at {url}; start one: rerun")
 

@@ -150,9 +150,9 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "a colour is set": (lambda t: t.cup.set_color([1, 0, 0, 1]), "mutation", "set color cup"),
     "a robot is chosen": (Things.perform, "mutation", "set robot ur5"),
     "time passes": (lambda t: t.world.simulate(0.1), "mutation", "simulate 24 steps"),
-    "things come to rest": (Things.settle_down, "mutation", "simulate 12 steps; not all is at rest yet"),
+    "things come to rest": (Things.settle_down, "mutation", "simulate 12 steps; not everything is at rest yet"),
     "a world is reset": (lambda t: t.world.reset(), "mutation", "reset"),
-    "a state is restored": (lambda t: t.world.restore(t.saved), "mutation", "restore what was saved at 0.000 s"),
+    "a state is restored": (lambda t: t.world.restore(t.saved), "mutation", "restore the state of 0.000 s"),
     "objects differ from those of a saved state": (
         lambda t: [t.cup.remove(), t.world.restore(t.saved)],
         "refusal",

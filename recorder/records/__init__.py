@@ -106,13 +106,13 @@ TOPICS: Mapping[type[Record], str] = {
     Keyframe: "/keyframe",
     Output: "/output",
 }
-"""The MCAP topic of each record type; one type each."""
+"""The MCAP topic of each record type."""
 
 UNKNOWN: Final = "/unknown"
-"""In place of the topic of records of a kind that a newer release has added."""
+"""Stands for the topic of records of a kind that a newer release has added."""
 
 STEPS_PER_SECOND: Final = 240
-"""Of simulated time, which a record's ``sim_step`` counts; every world is simulated at this pace."""
+"""Steps of simulated time, counted by a record's ``sim_step``; the same in every world."""
 
 PACKAGE: Final = log_pb2.DESCRIPTOR.package
 """Of the definitions, in the schemas of recordings."""

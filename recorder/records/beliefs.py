@@ -1,8 +1,9 @@
-"""What robots believe of objects: a fold of the records of their world.
+"""The beliefs of robots about objects: a fold of the records of their world.
 
-A robot believes that an object is where its latest look showed it. It believes that what it takes is in its hand, and
-that what it puts down is where it let go. It doesn't notice other movements until it looks again. Of objects that it
-has neither seen nor held it believes nothing. A reset clears its beliefs; a saved state restores those of its time.
+A robot believes that an object is where its latest look showed it. It believes that an object that it takes is in its
+hand, and that an object that it puts down is where it let go. It doesn't notice other movements until it looks again.
+It has no beliefs about objects that it has neither seen nor held. A reset clears its beliefs; restoring a saved state
+restores the beliefs of that time.
 
 The running plan and readers of recordings fold with the same functions.
 """
@@ -21,32 +22,32 @@ if TYPE_CHECKING:
 
 #: A robot and an object, by their names.
 Key: TypeAlias = tuple[str, str]
-#: What is believed; what was learned last comes last.
+#: Beliefs, the latest last.
 Beliefs: TypeAlias = dict[Key, Belief]
 
 ROBOT: Final = "robot"
-"""Name of the evidence of a look that says whose it was."""
+"""Name of the evidence of a look that names the robot."""
 SOURCES: Final[Mapping[str, Belief.Source]] = {"seen": Belief.SEEN, "told": Belief.TOLD}
-"""What a look teaches, by the name of its evidence: poses of objects, by their names."""
+"""Sources of beliefs, by the name of a look's evidence; the evidence holds the poses of objects by name."""
 _NAMES: Final = tuple(name.encode() for name in SOURCES)
 _WORDS: Final = {source: name.lower() for name, source in Belief.Source.items() if source}
 _FORGETTING: Final = frozenset({"reset", "close_world"})
-_FAR: Final = 1e9  # m, beyond which nothing is
+_FAR: Final = 1e9  # m, largest coordinate
 _MIN_SQUARE, _MAX_SQUARE = 0.99, 1.01  # squared lengths of a unit quaternion
 
 
 def is_look(query: Query) -> bool:
-    """Return whether a query taught a robot where objects are."""
+    """Return whether a query told a robot where objects are."""
     return any(fact.name in SOURCES for fact in query.evidence)
 
 
 def may_be_look(payload: bytes) -> bool:
-    """Return whether a serialized query may be such a one: most needn't be read to know that they aren't."""
+    """Return whether a serialized query may be a look: most queries needn't be parsed to rule that out."""
     return any(name in payload for name in _NAMES)
 
 
 def word(source: int) -> str:
-    """Return what a belief rests on, as a word: "seen", "told", "held", "placed"; of a newer release's, its number."""
+    """Return a belief's source as a word: "seen", "told", "held" or "placed"; a newer release's source as a number."""
     return _WORDS.get(source, str(source))
 
 
@@ -54,7 +55,7 @@ def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[st
     """Return the evidence of a look.
 
     Args:
-        robot: which looked.
+        robot: name of the robot that looked.
         source: "seen" or "told".
         poses: of objects in the world, by their names: xyz in m, xyzw.
     """
@@ -66,10 +67,10 @@ def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[st
 
 
 def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: int = -1) -> list[Key]:
-    """Fold the evidence of a query; return the keys of new beliefs. A look changes nothing for what the robot holds.
+    """Fold the evidence of a query; return the keys of new beliefs. A look doesn't change beliefs about held objects.
 
     Raises:
-        ValueError: the evidence makes no sense.
+        ValueError: the evidence is malformed.
     """
     learned = []
     for fact, source in SOURCES.items():
@@ -104,13 +105,13 @@ def follow(
 
     Args:
         beliefs: before the change.
-        record: the change, with its command at least.
-        sim_step: of the world after it.
-        step: its number.
-        removed: names of bodies that it removed.
-        carriers: the carrier of each carried body after it, by names; None if no attachment changes.
-        robots: names of the robots after it.
-        pose_of: returns the pose of a body after it, by name.
+        record: the change; only its command is needed.
+        sim_step: of the world after the change.
+        step: number of the record.
+        removed: names of removed bodies.
+        carriers: the carrier of each carried body after the change, by names; None if no attachment changes.
+        robots: names of the robots after the change.
+        pose_of: returns the pose of a body after the change, by name.
     """
     command = record.WhichOneof("command")
     if command in _FORGETTING:
@@ -140,7 +141,7 @@ def follow(
 
 
 def restore(beliefs: Beliefs, recorded: Iterable[Belief]) -> None:
-    """Replace all beliefs with recorded ones; raise ValueError if one makes no sense."""
+    """Replace all beliefs with recorded beliefs; raise ValueError if a belief is malformed."""
     beliefs.clear()
     for belief in recorded:
         if belief.source != Belief.HELD:
@@ -156,20 +157,20 @@ def _learn(beliefs: Beliefs, key: Key, belief: Belief, sim_step: int, step: int)
 
 
 def _holder(body: str, carriers: Mapping[str, str], robots: Collection[str]) -> str:
-    """Return the robot that holds a body, or what it stands on that is attached to it; "" if none does."""
+    """Return the robot that carries a body, directly or through other bodies; "" if no robot does."""
     seen = {body}
     while body in carriers:
         body = carriers[body]
         if body in robots:
             return body
-        if body in seen:  # of a recording that makes no sense
+        if body in seen:  # a circle, in a malformed recording
             break
         seen.add(body)
     return ""
 
 
 def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
-    """Return position and orientation of a recorded pose; raise ValueError if it is none."""
+    """Return position and orientation of a recorded pose; raise ValueError if it isn't a pose."""
     numbers = []
     for part, count in (("position", 3), ("orientation", 4)):
         values = pose.get(part) if isinstance(pose, dict) else None

@@ -1,11 +1,12 @@
-"""What moves, known from records alone: frames of bodies and links, and progress on trajectories.
+"""Motion, computed from records alone: frames of bodies and links, and progress on trajectories.
 
 Frames of a record are also ``foxglove.FrameTransforms`` on /tf. They are named ``BODY`` for a body's base and
 ``BODY/LINK`` for its other links, with ``WORLD//`` before them in all worlds but the first. The root is ``world``. No
-two frames share a name, however worlds, bodies and links are called: ambiguous characters are percent-encoded (``/`` as
-``%2F``). A transform's timestamp is simulated time, so that a simulation can be watched although it is one record.
+two frames share a name: ambiguous characters in names of worlds, bodies and links are percent-encoded (``/`` as
+``%2F``). A transform's timestamp is simulated time, so that the steps of a simulation, which is one record, can be
+watched.
 
-This runs for every change while a plan runs. So lists of records are copied (``[:]``) for iteration: protobuf's own
+This code runs for every change of a plan. So lists of records are copied (``[:]``) for iteration: protobuf's own
 iterators take three times as long.
 """
 
@@ -27,21 +28,21 @@ if TYPE_CHECKING:
 
 ROOT: Final = "world"
 _FIRST_WORLD: Final = "world_1"
-_RERUN_PREFIX: Final = "tf#/"  # of the names that Rerun gives frames itself
+_RERUN_PREFIX: Final = "tf#/"  # of Rerun's own frames
 _NS: Final = 1_000_000_000
 
 
 class Frame(NamedTuple):
     """The frame of a body or link."""
 
-    parent: str  # name of the frame that its pose is in
+    parent: str  # name of the parent frame
     child: str
     body: str
-    link: str  # its link; "" for the base
+    link: str  # "" for the base
 
 
 def frame_name(world: str, body: str, link: str = "") -> str:
-    """Name of the frame of a body's link; "" for its base."""
+    """Return the name of a link's frame; without a link, of the base's frame."""
     name = _escaped(body) if world == _FIRST_WORLD else f"{_escaped(world)}//{_escaped(body)}"
     name = f"{name}/{_escaped(link)}" if link else name
     reserved = name == ROOT or name.startswith(_RERUN_PREFIX)
@@ -53,16 +54,16 @@ def _escaped(name: str) -> str:
 
 
 class BodyMotion(NamedTuple):
-    """State delta of a body in a simulated step."""
+    """The change of a body in a simulated step."""
 
     sim_step: int
     body: str
-    frames: list[tuple[Frame, Pose]]  # those of its frames that changed, with their poses in their parents
-    joints: dict[str, float]  # positions in rad or m by name, of those that changed
+    frames: list[tuple[Frame, Pose]]  # the changed frames, with their poses in their parents
+    joints: dict[str, float]  # positions of the changed joints in rad or m, by name
 
 
 class _Body:
-    """Names of a body's frames, and its model, if that is known."""
+    """The names of a body's frames, and its model, if known."""
 
     def __init__(self, world: str, name: str, model: Urdf | None) -> None:
         self.model = model
@@ -71,7 +72,7 @@ class _Body:
         self._links: dict[str, tuple[Joint, Frame]] = {}  # by joint
 
     def links(self, model: Urdf, joints: Iterable[str]) -> Iterator[tuple[Joint, Frame]]:
-        """The joints of these names, with the frames of their child links."""
+        """Yield the joints of these names, with the frames of their child links."""
         for name in joints:
             link = self._links.get(name)
             if link is None:
@@ -83,25 +84,25 @@ class _Body:
 
 
 class FrameTree:
-    """Models and frames of all bodies, taken from the records themselves."""
+    """The models and frames of all bodies, from the records."""
 
     def __init__(self) -> None:
         self._models: dict[str, Urdf] = {}
         self._bodies: dict[tuple[str, str], _Body] = {}
 
     def add_urdf(self, sha256: str, content: bytes) -> None:
-        """Takes a model, before the records that use it."""
+        """Add a model, before the records that use it."""
         from recorder.urdf import Urdf  # noqa: PLC0415  loads NumPy
 
         self._models[sha256] = Urdf.parse(content)
 
     def model(self, world: str, body: str) -> Urdf | None:
-        """The model of a body that was loaded; None if it is not known."""
+        """Return the model of a loaded body; None if it is unknown."""
         loaded = self._bodies.get((world, body))
         return loaded.model if loaded is not None else None
 
     def motions(self, record: Record) -> list[BodyMotion]:
-        """The bodies that a record moved, in the order of simulated time, with their frames that changed."""
+        """Return the moved bodies of a record, in the order of simulated time, with their changed frames."""
         world = record.world
         return [
             self._motion(world, sim_step, state, whole=whole)
@@ -110,7 +111,7 @@ class FrameTree:
         ]
 
     def transforms(self, record: Record) -> Iterator[FrameTransforms]:
-        """The frames that a record changed: a message for each simulated step in which something moved."""
+        """Yield a message of the changed frames for each simulated step of a record with motion."""
         for sim_step, states, whole in self._states(record):
             motions = [self._motion(record.world, sim_step, state, whole=whole) for state in states]
             frames = [frame for motion in motions for frame in motion.frames]
@@ -127,7 +128,7 @@ class FrameTree:
             yield message
 
     def _states(self, record: Record) -> list[tuple[int, Sequence[BodyState], bool]]:
-        """The simulated steps of a record: number, states of bodies, and whether these are complete."""
+        """Return the simulated steps of a record: number, states of bodies, and whether the states are complete."""
         if isinstance(record, Mutation):
             loading = record.HasField("load_body")
             if loading:
@@ -167,14 +168,14 @@ class FrameTree:
 
 
 BASE_COORDINATES: Final = ("x", "y", "yaw")
-"""Of the trajectory of a base: m, m and rad in the world frame."""
+"""The coordinates of a base's trajectory: m, m and rad in the world frame."""
 
 STOPPING_STEPS: Final = 36
-"""In which a stopped trajectory slows down, 0.15 s; recordings are executed again with it, so it never changes."""
+"""Simulated steps, 0.15 s, in which a stopped trajectory slows down. Never changes: recordings are executed again."""
 
 
 def time_of(following: Following, sim_step: int) -> float:
-    """Return the trajectory's own time in s at a simulated step; it slows down evenly when it is stopped."""
+    """Return the time on a trajectory in s at a simulated step; a stopped trajectory decelerates evenly."""
     if not following.stopped or sim_step <= following.stopped:
         return (sim_step - following.began) / STEPS_PER_SECOND
     slowing = min(sim_step - following.stopped, STOPPING_STEPS)
@@ -183,7 +184,7 @@ def time_of(following: Following, sim_step: int) -> float:
 
 
 def has_ended(following: Following, sim_step: int) -> bool:
-    """Return whether a trajectory has come to its end by a simulated step, or stands since it was stopped."""
+    """Return whether a trajectory has been completed, or has stopped, by a simulated step."""
     if following.stopped and sim_step >= following.stopped + STOPPING_STEPS:
         return True
     times = following.begin.trajectory.times

@@ -1,7 +1,7 @@
 """Records in words: one line for each record, also for other tools (``foxglove.Log`` on /log).
 
-From top to bottom: lines of records, what a mutation did, how a motion was decided, which candidates a query rejected
-and why, what became of the places that it considered, what a projection predicted, values.
+In this order: lines of records, changes of mutations, decisions of motions, rejected candidates of queries, the results
+of considered places, outcomes of projections, values.
 
 Lists of records are copied (``[:]``) for iteration: protobuf's own iterators take three times as long.
 """
@@ -46,21 +46,21 @@ _ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT  # looked up once
 _SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
-_LEVELS: Final = {  # by the names of logging's levels
+_LEVELS: Final = {  # by the names of Python's levels
     "DEBUG": _DEBUG,
     "INFO": _INFO,
     "WARNING": _WARNING,
     "ERROR": _ERROR,
     "CRITICAL": _ERROR,
 }
-_NOTABLE_ERROR: Final = 0.01  # rad or m: less is the lag of motors
-_THREE: Final = "[%.3f, %.3f, %.3f]"  # for most values, and faster than a format for any number of them
+_NOTABLE_ERROR: Final = 0.01  # rad or m; smaller errors are the usual lag of motors
+_THREE: Final = "[%.3f, %.3f, %.3f]"  # fast path for three numbers
 
 
 class Lines:
-    """Makes the lines of a few records in one message, which takes half as long as a message each.
+    """Makes the lines of a few records with one message object, which takes half as long as an object for each line.
 
-    The message keeps the memory of all its texts, so it must not be used for many records.
+    The object keeps the memory of all its texts, so it must not be used for many records.
     """
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class Lines:
         self._moment = self._line.timestamp
 
     def of(self, record: Record, time_ns: int) -> bytes | None:
-        """Return the serialized line of a record, at a time in ns since the Unix epoch; None if it has none."""
+        """Return the serialized line of a record; the time is in ns since the Unix epoch. None if it has no line."""
         if not has_line(record):
             return None
         kind, line, moment = type(record), self._line, self._moment
@@ -80,13 +80,13 @@ class Lines:
 
 def has_line(record: Record) -> bool:
     """Return whether a record has a line: keyframes and requests for tasks have none."""
-    if type(record) is Task:  # isinstance takes five times as long where it is none
+    if type(record) is Task:  # isinstance takes five times as long for other types
         return record.phase != _ASKED
     return type(record) is not Keyframe
 
 
 def text_of(record: Record) -> Line:
-    """Return a record as text, with its level."""
+    """Return the line of a record, with its level."""
     return _TEXTS[type(record)](record)
 
 
@@ -103,17 +103,17 @@ def _run(record: Run) -> Line:
 def _task(record: Task) -> Line:
     name, phase = f"{record.kind} {record.name}", record.phase
     if phase == _STARTED:
-        return f"{name}({values(record.parameters)}){', which runs already' if record.began_ns else ''}", _INFO
+        return f"{name}({values(record.parameters)}){', already running' if record.began_ns else ''}", _INFO
     if phase == _ASKED:
-        return f"{name} asked for", _DEBUG
+        return f"{name} requested", _DEBUG
     if phase == _LEFT:
-        return f"{name} goes on when the recording ends", _INFO
+        return f"{name} still runs when the recording ends", _INFO
     took, status = f"{record.duration_ns / 1e6:.1f} ms", record.status
     if status == _CANCELLED:
         return f"{name} was cancelled after {took}", _WARNING
     decided = ""
     if record.kind == "motion" and record.HasField("decision") and (text := decision_text(record.decision)):
-        decided = f", {text}"  # its process module has the same
+        decided = f", {text}"  # the record of its process module has the same decision
     if status == _SUCCEEDED:
         return f"{name} succeeded in {took}{decided}" + (f": {text}" if (text := foreseen(record)) else ""), _INFO
     return f"{name} failed after {took}{decided}: {format_failure(record.failure)}", _ERROR
@@ -170,7 +170,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
 
 
 def mutation_text(record: Mutation) -> str:
-    """Return what a mutation did, in a few words."""
+    """Return the change of a mutation, in a few words."""
     name = str(record.WhichOneof("command") or "change")
     command = getattr(record, name, None)
     details = _DETAILS.get(name)
@@ -197,7 +197,7 @@ def _simulated(command: Simulate) -> str:
         text += f" ({driven.joint} {driven.error:.3f} off)" if driven.error > _NOTABLE_ERROR else ""
     if command.driven or not command.HasField("settled"):
         return text
-    return f"{text} until all was at rest" if command.settled else f"{text}; not all is at rest yet"
+    return f"{text} until everything was at rest" if command.settled else f"{text}; not everything is at rest yet"
 
 
 def _began(command: BeginTrajectory) -> str:
@@ -212,7 +212,7 @@ def _began(command: BeginTrajectory) -> str:
     return f"{text}, {'along a given path' if search.planner == 'given' else search.planner}{checks}"
 
 
-_DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others have none
+_DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; other commands have no details
     "open_world": lambda command: str(command.mode),
     "load_body": lambda command: (
         f"{command.body} {_numbers(command.position)}"
@@ -237,7 +237,7 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others ha
     "simulate": _simulated,
     "begin_trajectory": _began,
     "stop_trajectory": lambda command: f"{command.number} of {command.body}",
-    "restore": lambda command: f"what was saved at {command.sim_step / STEPS_PER_SECOND:.3f} s",
+    "restore": lambda command: f"the state of {command.sim_step / STEPS_PER_SECOND:.3f} s",
 }
 
 
@@ -248,12 +248,7 @@ _OWN_ENVIRONMENT: Final = "simulated"
 
 
 def decision_text(decision: Decision, *, full: bool = False) -> str:
-    """Return how a motion was decided, in words.
-
-    Args:
-        decision: the decision.
-        full: include the defaults, which nobody chose.
-    """
+    """Return the decision of a motion in words; with ``full``, including defaults, which nobody chose."""
     parts = []
     if full or decision.solution or decision.known > 1 or decision.resolver not in ("", _OWN_RESOLVER):
         which = f"solution {decision.solution + 1} of {decision.known}{'' if decision.complete else ' or more'}"
@@ -271,27 +266,27 @@ def decision_text(decision: Decision, *, full: bool = False) -> str:
 
 # Candidates of queries
 
-_ANSWERS: Final = ("true", "false", "[")  # of queries, as JSON: yes, no, or a list
+_ANSWERS: Final = ("true", "false", "[")  # yes, no and lists, as JSON
 
 
 def is_choice(query: Query) -> bool:
-    """Return whether a process module chose something with a query; queries of plans, too, may have candidates."""
+    """Return whether a process module chose a candidate with the query; plans' queries may have candidates, too."""
     return query.HasField("chosen") and not query.answer_json.startswith(_ANSWERS)
 
 
 def chosen_name(query: Query) -> str:
-    """Return the name of the candidate that a query chose; empty if none."""
+    """Return the name of the chosen candidate of a query; empty without one."""
     known = query.HasField("chosen") and 0 <= query.chosen < len(query.candidates)
     return ", ".join(query.candidates[query.chosen].names) if known else ""
 
 
 def rejections(query: Query) -> str:
-    """Return why candidates of a query were rejected, in a line; empty if none was. Places are only counted."""
+    """Return the reasons for a query's rejected candidates in a line; empty without any. Places are only counted."""
     return fates_text(query) if query.grid.spots else "; ".join(rejection_lines(query))
 
 
 def rejection_lines(query: Query) -> Iterator[str]:
-    """Yield why candidates of a query were rejected: a line for all with the same reason."""
+    """Yield a line for each reason, with the candidates of a query that were rejected for it."""
     if query.grid.spots:
         yield fates_text(query)
     chosen = query.chosen if query.HasField("chosen") else -1
@@ -309,12 +304,12 @@ def _named(candidate: Candidate) -> str:
 
 
 def reason_text(candidate: Candidate) -> str:
-    """Return why a candidate was rejected, in words; for reasons of users their type and values."""
+    """Return the reason for a rejection in words; for a user's own reason, its type and values."""
     data: Mapping[str, Any] = argument_values(candidate.data)
     phrase = _REASONS.get(candidate.reason)
     try:
         text = phrase(data) if phrase is not None else ""
-    except (KeyError, TypeError, ValueError, AttributeError):  # of another release, or damaged
+    except (KeyError, TypeError, ValueError, AttributeError):  # data of another release, or damaged
         text = ""
     several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
     return text + several or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
@@ -324,8 +319,8 @@ def pair_text(pair: Mapping[str, object]) -> str:
     """Return a recorded collision pair as text, as "milk in the left gripper would touch sink_area_surface of kitchen".
 
     Args:
-        pair: ``mover`` and its ``link``, the ``body`` that it would touch and its ``body_link``, and the ``gripper``
-            that holds the mover; links that are the only ones, and no gripper, are "".
+        pair: ``mover`` and its ``link``, the touched ``body`` and its ``body_link``, and the ``gripper`` that holds
+            the mover. A body's only link and a missing gripper are "".
     """
     mover, link, body, body_link = (str(pair.get(key) or "") for key in ("mover", "link", "body", "body_link"))
     moved = f"{mover} in the {pair['gripper']} gripper" if pair.get("gripper") else link or mover
@@ -386,7 +381,7 @@ TAKEN: Final = "taken"
 NOT_TRIED: Final = "not tried"
 _OUT_OF_REACH: Final = "is out of reach|are out of reach"
 _NO_GRASP: Final = "offers no grasp|offer no grasp"
-#: What becomes of a place for a reason, by its type; of one place, and of several.
+#: The result of a place by the type of its rejection: words for one place, and for several.
 _FATES: Final = {
     "": NOT_TRIED,
     "Untried": NOT_TRIED,
@@ -404,9 +399,9 @@ _MAX_FATES: Final = 4  # in a line
 
 
 def fates(query: Query) -> Iterator[str]:
-    """Yield what became of each place that a query considered, in their order.
+    """Yield the result of each place that a query considered, in order: taken, or why not.
 
-    Where the words differ for one place and for several, they are separated by "|".
+    If the words differ for one place and for several, both are given, separated by "|".
     """
     names = [_fate(candidate) for candidate in query.candidates]
     if query.HasField("chosen") and 0 <= query.chosen < len(names):
@@ -416,7 +411,7 @@ def fates(query: Query) -> Iterator[str]:
 
 
 def fates_text(query: Query) -> str:
-    """Return what became of the places, those alike as one; empty for a query that considered none.
+    """Return the numbers of a query's places by result; empty if it considered no places.
 
     As in "of 60 places 41 collide with the kitchen, 17 are out of reach, 1 was taken".
     """
@@ -430,7 +425,7 @@ def fates_text(query: Query) -> str:
         one, _, several = fate.partition("|")
         parts.append(f"{count} {one if count == 1 or not several else several}")
     rest = counts.total() - sum(count for _, count in most)
-    parts += [f"{rest} won't do for other reasons"] if rest else []
+    parts += [f"{rest} are rejected for other reasons"] if rest else []
     parts += [f"{taken} {'was' if taken == 1 else 'were'} taken"] if taken else ["none was taken"]
     parts += [f"{untried} {'was' if untried == 1 else 'were'} not tried"] if untried else []
     total = len(query.grid.spots)
@@ -448,14 +443,14 @@ def _fate(candidate: Candidate) -> str:
     why = f": {text}" if isinstance(text, str) and len(text) <= _MAX_LETTERS else ""
     if reason == "NoRoom":
         return f"has no room{why}|have no room{why}"
-    return _FATES.get(reason, "won't do" + (why or f": {reason}"))
+    return _FATES.get(reason, f"is rejected{why or f': {reason}'}|are rejected{why or f': {reason}'}")
 
 
 # Projections
 
 
 def foreseen(record: Task) -> str:
-    """Return how a projection would end, and where it is recorded; empty for other tasks and without an end."""
+    """Return the outcome of a projection, and its recording; empty for other tasks and without an outcome."""
     outcome = _outcome(record)
     if "succeeded" not in outcome:
         return ""
@@ -466,9 +461,9 @@ def foreseen(record: Task) -> str:
 
 
 def recording_name(record: Task) -> str:
-    """Return the name of the file with all that a projection did, which lies beside the run's; empty if there is none.
+    """Return the file name of a projection's recording, which is in the folder of the run's recording; "" without one.
 
-    Of a path only the name counts: recordings are moved together, and a stranger's must not name another folder.
+    Folders are ignored: recordings are moved together, and a stranger's recording must not name another folder.
     """
     recording = _outcome(record).get("recording")
     return PurePath(recording).name if isinstance(recording, str) else ""
@@ -485,7 +480,7 @@ def _outcome(record: Task) -> dict[str, Any]:
 
 
 def timeout_text(name: str, clock: object) -> str:
-    """Return a timeout in words; its name is its limit."""
+    """Return a timeout in words; ``name`` is the limit."""
     return f"timeout of {name}{' of simulated time' if clock == 'simulated' else ''}"
 
 
@@ -493,10 +488,10 @@ _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|
 
 
 def values(arguments: Sequence[Argument]) -> str:
-    """Return recorded values in a line, objects by their names."""
+    """Return recorded values in a line, with objects by name."""
     return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]]) if arguments else ""
 
 
 def by_name(text: str) -> str:
-    """Return a recorded value (JSON) with objects by their names."""
+    """Return a recorded value (JSON), with objects by name."""
     return _OBJECT.sub(r"\1", text) if '{"object":' in text else text

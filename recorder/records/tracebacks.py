@@ -1,7 +1,7 @@
-"""Tracebacks as text, word for word as Python prints them; text that is too long is left out and counted.
+"""Tracebacks as text, exactly as Python prints them; the middle of a long traceback is replaced by a count.
 
-All tasks that an error ends record it with its causes. So each place in the code is formatted once, and the texts of
-all errors and records are put together from these parts.
+Each task that an error ends records the error with its causes. So each line of code is formatted once, and the texts
+of all errors and records are composed of these cached parts.
 """
 
 from __future__ import annotations
@@ -18,20 +18,22 @@ if TYPE_CHECKING:
     from types import CodeType, TracebackType
 
 MAX_FRAMES: Final = 32
-"""Innermost frames of each error in a text; a longer traceback is an error's that came through many blocks."""
+"""Innermost frames of each error in a text; longer tracebacks come from errors that passed many blocks."""
 MAX_ERRORS: Final = 16
-"""The first and last errors in a text; a longer chain of causes is that of nested tasks, which have the others."""
+"""First and last errors in a text; longer chains of causes come from nested tasks, whose records have the others."""
 
-_FIRST: Final = 4  # of those: the causes of all
-_MAX_EXPLORED: Final = 64  # errors in each other, or that led to one, that Python looks at all to print one of them
-_REPEATED: Final = 3  # times that Python prints the same line; then it counts
+_FIRST: Final = 4  # errors at the beginning of a long chain: the root causes
+_MAX_EXPLORED: Final = 64  # related errors that Python would visit to print one error
+_REPEATED: Final = 3  # times that Python prints the same line before it counts
 _MAX_CACHED: Final = 4096  # texts of frames
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
 _CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
 _PLACE: Final = attrgetter("co_filename", "co_name")
-_SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)  # to their messages Python adds something
+_SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)  # Python adds details to their messages
 
-_texts: Final[dict[tuple[int, int, int], tuple[CodeType, str]]] = {}  # with the code, as its address is in the key
+_texts: Final[
+    dict[tuple[int, int, int], tuple[CodeType, str]]
+] = {}  # values keep the code alive, as its address is in the key
 
 
 def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: int = MAX_ERRORS) -> str:
@@ -49,7 +51,7 @@ def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: 
 
 
 def _chain(error: BaseException) -> list[tuple[str, BaseException]]:
-    """An error after those that led to it, each with how it came of the one before; a small group has its own."""
+    """Return the chain of causes and the error, each with the text that links it; a group prints its own causes."""
     chain: list[tuple[str, BaseException]] = []
     seen = {id(error)}
     while not _is_small_group(error):
@@ -81,7 +83,7 @@ def _is_small_group(error: BaseException) -> bool:
 
 
 def _is_quickly_printed(error: BaseException) -> bool:
-    """Whether Python would look at few errors to print one: for groups in each other it takes the square of them."""
+    """Return whether Python would visit few errors to print one: with nested groups, it visits quadratically many."""
     errors = [error]
     for each in errors:
         members = each.exceptions if isinstance(each, BaseExceptionGroup) else ()
@@ -113,7 +115,7 @@ def _stack(trace: TracebackType | None) -> Iterator[str]:
 
 
 def _frame(entry: TracebackType) -> str:
-    """One frame of a traceback: where, and the line. Looking that up and parsing it takes 100 times as long as this."""
+    """Return a frame of a traceback as text, cached: looking up and parsing its line takes 100 times as long."""
     code = entry.tb_frame.f_code
     key = id(code), entry.tb_lasti, entry.tb_lineno
     known = _texts.get(key)

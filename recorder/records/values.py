@@ -1,9 +1,9 @@
-"""How values of users (slots, answers, results) and errors stand in records: as one line of JSON, as a ``Failure``.
+"""Values of users (slots, answers, results) as one line of JSON, and errors as ``Failure``, for records.
 
-An object with a method ``__record__`` chooses its form with it: the method returns None, a bool, number, string, list
-or dict. Values whose names say that they are secret are left out of recordings.
+A method ``__record__`` of an object decides how the object is recorded. It returns None, a bool, number, string, list
+or dict. Values with secret names, such as ``password``, are left out of recordings.
 
-:class:`AssetFile` is a file that a recording carries so that it is self-contained: a model, a mesh, the plan's source.
+:class:`AssetFile` is a file that makes a recording self-contained: a model, a mesh, the plan's source.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ if TYPE_CHECKING:
 
 
 MAX_NESTING: Final = 100
-"""Levels of lists and dictionaries in each other, in a recorded value; what is deeper is recorded as its text."""
+"""Levels of nested lists and dictionaries; readers give a deeper value as text."""
 MAX_CHARACTERS: Final = 8 << 20
-"""Of a value; a longer one isn't recorded, as readers take a record of many MiB for damaged."""
+"""Length of a value as JSON; a longer value isn't recorded, as readers reject a record of many MiB as damaged."""
 MAX_DIGITS: Final = 300
-"""Of a whole number, which a float still holds then; what has longer ones is recorded as its text."""
-_BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')  # a text that has no end takes all
+"""Of a whole number that still fits a float; readers give a value with longer numbers as text."""
+_BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')  # a string without end extends to the end
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
-"""What JSON holds."""
+"""A value of JSON."""
 
 
 def _plain(value: object) -> object:
     exact = _EXACT.get(type(value))
     if exact is not None:
         return exact(value)
-    record = getattr(type(value), "__record__", None)  # of its real type: a lazy result imitates another
+    record = getattr(type(value), "__record__", None)  # of the real type: a lazy result imitates its value's type
     if record is not None:
         return _plain(record(value))
     for kinds, plain in _PLAIN:
         if isinstance(value, kinds):
             return plain(value)
-    to_list = getattr(type(value), "tolist", None)  # NumPy's; whoever only reads records need not import numpy
+    to_list = getattr(type(value), "tolist", None)  # an array of NumPy, which isn't imported here
     if to_list is not None:
         return _plain(to_list(value))
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
@@ -67,7 +67,7 @@ def _sequence(value: Iterable[object]) -> object:
     return [_plain(item) for item in value]
 
 
-# Python's own types, which most values have
+# fast path for Python's own types
 _EXACT: Mapping[type, Callable[[Any], object]] = {
     type(None): lambda value: value,
     bool: bool,
@@ -92,30 +92,30 @@ _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
 def to_json(value: object) -> str:
     """Return any value as one line of JSON; floats keep all their bits.
 
-    Arrays become lists, recordable objects the result of their ``__record__``, unknown objects ``{"repr": ...}``. A
-    value that raises errors or is too long becomes ``{"untold": type, "because": ...}``: recording never breaks a plan.
+    Arrays become lists, objects with ``__record__`` its result, other objects ``{"repr": ...}``. A value that raises
+    errors or is too long becomes ``{"untold": type, "because": ...}``: recording never breaks a plan.
     """
     try:
         text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
         if len(text) > MAX_CHARACTERS:
-            raise ValueError(f"it has {len(text)} characters")  # noqa: TRY301  refused as any other
-        text.encode()  # a lone surrogate can't be
+            raise ValueError(f"it has {len(text)} characters")  # noqa: TRY301  handled below, as all errors
+        text.encode()  # raises for a lone surrogate
     except UnicodeEncodeError:
         return json.dumps(_plain(value), separators=(",", ":"))
-    except Exception as error:  # noqa: BLE001  the user's own __repr__ and __record__, and lists that hold themselves
+    except Exception as error:  # noqa: BLE001  users' __repr__ and __record__ may raise anything, and lists may contain themselves
         return json.dumps({"untold": type(value).__qualname__, "because": format_error(error)})
     return text
 
 
 def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> list[Argument]:
-    """Named values as a record carries them, in the given order; without those that are named like secrets."""
+    """Return named values for a record, in the given order; the values of secret names are left out."""
     pairs = values.items() if isinstance(values, Mapping) else values
     named = [(str(name), value) for name, value in pairs]
     return [Argument(name=name, json=to_json(LEFT_OUT if is_secret(name) else value)) for name, value in named]
 
 
 def from_json(text: str) -> Plain:
-    """Return a value that a record has as JSON; what isn't JSON (another program's, or damaged) as it is."""
+    """Return the value of recorded JSON; return other text, of another program or damaged, unchanged."""
     try:
         return _loaded(text)
     except ValueError:
@@ -145,12 +145,12 @@ def _refuse(text: str) -> float:
 
 
 _DECODER: Final = json.JSONDecoder(parse_constant=_refuse)
-_WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)  # calls Python for each number
+_WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)  # slow: calls Python code for each number
 _LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
 
 
 def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> dict[str, Plain]:
-    """Return the named values that a record carries; if strict, raise ValueError for one that isn't JSON."""
+    """Return the named values of a record; if strict, raise ValueError for a value that isn't JSON."""
     return {argument.name: _loaded(argument.json) if strict else from_json(argument.json) for argument in arguments}
 
 
@@ -159,17 +159,17 @@ def _message(error: BaseException) -> str:
 
 
 def format_error(error: BaseException) -> str:
-    """An exception by its type, and its message if it has one."""
+    """Return an exception's type, and its message if it has one."""
     text = _message(error)
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def failure(error: BaseException, *, trace: bool = True, errors: int = MAX_ERRORS) -> Failure:
-    """An exception as a record carries it: type, message, its ``data`` if any, and traceback with so many errors."""
+    """Return an exception for a record: type, message, ``data`` if any, and a traceback of that many errors."""
     data = getattr(error, "data", None)
     text = ""
     if trace:
-        with suppress(Exception):  # of the error's own methods
+        with suppress(Exception):  # the error's own methods may raise anything
             text = format_traceback(error, errors=errors)
     return Failure(
         type=escaped(type(error).__qualname__),
@@ -180,22 +180,19 @@ def failure(error: BaseException, *, trace: bool = True, errors: int = MAX_ERROR
 
 
 def format_failure(failure: Failure) -> str:
-    """A recorded failure by its type, and its message if it has one."""
+    """Return a recorded failure's type, and its message if it has one."""
     return f"{failure.type}: {failure.message}" if failure.message else failure.type
 
 
 def without_addresses(text: str) -> str:
-    """Return a text without the addresses that Python gives objects in it which have no text of their own.
-
-    They are others in each process.
-    """
+    """Return a text without the addresses in Python's default texts of objects, which differ in each process."""
     return _ADDRESS.sub("", text)
 
 
 def escaped(text: str) -> str:
-    """A text with lone surrogates as escapes, which a file can hold.
+    """Return a text with lone surrogates replaced by escapes, so that it can be written.
 
-    Python has them for the bytes of names of files, threads and the like that aren't UTF-8.
+    Python uses lone surrogates for bytes that aren't UTF-8, for example in names of files and threads.
     """
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
@@ -212,12 +209,12 @@ _WORDS: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 @lru_cache(maxsize=4096)
 def is_secret(name: str) -> bool:
-    """Whether a word of a name (``api_key``, ``apiKey``, ``API-KEY``) says that its value is secret."""
+    """Return whether a word of a name (``api_key``, ``apiKey``, ``API-KEY``) means that its value is secret."""
     return any(word.lower() in _SECRET for word in _WORDS.findall(name))
 
 
 def without_secrets(arguments: Sequence[str]) -> list[str]:
-    """A command line without the values of options that are named like secrets: ``--token X``, ``--token=X``."""
+    """Return a command line without the values of options with secret names: ``--token X``, ``--token=X``."""
     kept: list[str] = []
     secret = False
     for text in arguments:
@@ -234,7 +231,7 @@ def without_secrets(arguments: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class AssetFile:
-    """One file, identified by its content; its name has no folders."""
+    """A file, identified by its content; its name has no folders."""
 
     name: str
     content: bytes

@@ -1,8 +1,8 @@
 """The task tree as lines of text, as data for JSON, as a graph for Graphviz, and as an SVG with its times.
 
-In the text, ``+`` succeeded, ``X`` failed, ``-`` was cancelled, ``?`` hasn't ended, ``.`` hasn't begun; ``>`` leads to
-the failure. The SVG has the same lines without the plan's output, and wall time to their right; parallel tasks lie one
-above the other. Hovering over a task shows all of it.
+In the text, ``+`` succeeded, ``X`` failed, ``-`` was cancelled, ``?`` hasn't ended, ``.`` hasn't begun; ``>`` marks the
+path to the failure. The SVG has the same lines without the plan's output, and bars of wall time on the right. Hovering
+over a task shows its details.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _MARKS: Final[Mapping[int, str]] = {
     Task.RUNNING: "?",
     Task.CREATED: ".",
 }
-_MAX_ALIKE: Final = 6  # siblings that are shown one by one
+_MAX_ALIKE: Final = 6  # similar siblings that aren't folded
 _MAX_WIDTH: Final = 100  # characters of parameters
-#: Kinds whose parameters nothing else shows.
+#: Kinds of tasks that are shown with their parameters.
 _WITH_PARAMETERS: Final = frozenset({"action", "projection", "motion", "attempt", "failure-handling", "handler"})
 _WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")  # whose names imply it
 
@@ -45,15 +45,15 @@ class TreeRow:
     """A line of a tree."""
 
     depth: int  # from 0
-    node: Node | None  # None for a remark
+    node: Node | None  # None for a line of details or output
     text: str  # without indentation and marks
     failing: bool = False  # whether it is on the path down to the failure
 
 
 def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: bool = True) -> Iterator[TreeRow]:
-    """Yield all tasks down to a depth, each before its children; siblings alike are folded unless ``whole``.
+    """Yield all tasks down to a depth, each before its children; similar siblings are folded unless ``whole``.
 
-    Lines that the plan printed or logged stand among the children, unless they are left out.
+    With ``output``, lines that the plan printed or logged are among the children.
     """
     failing = {node.id for node in tree.failure_path()}
     said = tree.output if output else {}
@@ -86,7 +86,7 @@ def lines(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Itera
 
 
 def label(node: Node) -> str:
-    """Name, parameters and kind of a task in a line."""
+    """Return the name, parameters and kind of a task in a line."""
     if node.kind == "timeout":
         return timeout_text(node.name, node.parameters.get("clock"))
     parameters = values(node.started.parameters)
@@ -132,7 +132,7 @@ def facts(tree: Tree, max_depth: int | None = None) -> Iterator[dict[str, object
 
 
 def _choice_lines(query: Query) -> Iterator[str]:
-    """A choice: what was asked and chosen, then why others were rejected, indented."""
+    """Yield a choice: the query with the chosen candidate, then the rejected candidates with reasons, indented."""
     yield f"{query.name}({values(query.arguments)}): {chosen_name(query) or 'none'}"
     yield from (f"    {line}" for line in rejection_lines(query))
 
@@ -144,15 +144,15 @@ def _extent(node: Node) -> str:
         took = f"{(node.seconds or 0.0) * 1e3:.1f} ms" if node.start is not None else "never begun"
     if node.started.began_ns:
         took += ", began before the recording"
-    if not node.started.seq:  # not recorded
+    if not node.started.seq:  # no recording
         return took
     return f"{node.started.seq}-{node.finished.seq if node.finished is not None else ''}, {took}"
 
 
 def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> list[Node | str]:
-    """Siblings, folded, and between them the lines of their parent's output, which are folded likewise."""
+    """Return siblings with the output lines of their parent between them, both folded."""
     shown: list[Node | str] = []
-    printed = 0  # lines that are shown
+    printed = 0  # lines so far
     for item in _folded(nodes if whole else _lifted(nodes), whole=whole):
         if not isinstance(item, str) and printed < len(output):
             before = bisect_left(output, (item.asked or item.started).seq, printed, key=attrgetter("seq"))
@@ -163,7 +163,7 @@ def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> l
 
 
 def _lifted(nodes: Sequence[Node]) -> list[Node]:
-    """Siblings, with an action's attempts in place of what counts them; of the only one, its parts in place of it."""
+    """Return siblings with attempts in place of an action's failure handling; a single attempt becomes its parts."""
     shown: list[Node] = []
     for node in nodes:
         tries = node.children if node.kind == "failure-handling" and "action" in node.parameters else []
@@ -184,7 +184,7 @@ def _said(output: Sequence[Output], *, whole: bool) -> list[Node | str]:
 
 
 def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
-    """Siblings, with one line for those of a longer run that succeeded and differ in their parameters only."""
+    """Return siblings; in a long run of tasks that all succeeded with one name, a line replaces the middle."""
     shown: list[Node | str] = []
     for (_, name, status), run in groupby(nodes, lambda node: (node.kind, node.name, node.status)):
         alike = list(run)
@@ -197,7 +197,7 @@ def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
 
 
 COLORS: Final[Mapping[int, str]] = defaultdict(
-    lambda: "#707070",  # of what a newer release knows
+    lambda: "#707070",  # of statuses of a newer release
     {
         Task.SUCCEEDED: "#2e9e5b",
         Task.FAILED: "#d0342c",
@@ -254,7 +254,7 @@ def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
 
 
 def _axis(seconds: float, height: int) -> Iterator[str]:
-    units = (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)  # times are 64 bits of nanoseconds: 9e9 s
+    units = (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)  # times are nanoseconds in 64 bits, at most 9e9 s
     steps = (size * unit for unit in units for size in (1, 2, 5, 10, 20, 50, 100, 200, 500))
     step = next(length for length in steps if seconds / length <= 6)
     yield f'<text x="12" y="24" fill="#555">task</text><text x="{_NAMES}" y="16" fill="#555">time by the clock</text>'

@@ -1,8 +1,7 @@
 """The tree of tasks: which task was part of which, how each ended, and the path down to the one that failed.
 
-A tree is the fold of task records, and nothing else. A running plan folds its records as they are made, a reader those
-of a log, with the same class. So the tree of a running plan is that of its log. The children of a task are in the order
-in which they were requested, which is that of their ids.
+A tree is the fold of task records, and nothing else. A running plan and a reader of its recording fold the records with
+the same class, so their trees are equal. The children of a task are in the order of their requests, and of their ids.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ class State(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> State | None:
-        """Return the status of a number that only a newer release knows: called by that number."""
+        """Return a status that only a newer release knows, with its number as its name."""
         if not isinstance(value, int):
             return None
         unknown = int.__new__(cls, value)
@@ -49,13 +48,13 @@ class State(IntEnum):
 
     @property
     def word(self) -> str:
-        """As a word: "created", "running", "succeeded", "failed" or "cancelled"; of a newer release's, its number."""
+        """The status as a word: "created", "running", "succeeded", "failed" or "cancelled"; if unknown, a number."""
         return self.name.lower()
 
     def __str__(self) -> str:
         return f"State.{self.name}"
 
-    __format__ = Enum.__format__  # else it would be a number there
+    __format__ = Enum.__format__  # IntEnum formats as a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +63,8 @@ class Moment:
 
     wall_ns: int  # nanoseconds since the Unix epoch
     sim_step: int = 0  # steps of 1/240 s that the world had simulated
-    world: str = ""  # the world that was current, "" if there was none
-    #: Nanoseconds since the recording began, by a clock that nobody sets; 0 where that isn't recorded.
+    world: str = ""  # the current world, "" for none
+    #: Nanoseconds since the recording began, by a steady clock; 0 if that isn't recorded.
     monotonic_ns: int = 0
 
     @property
@@ -75,7 +74,7 @@ class Moment:
 
 
 def _moment(record: Task) -> Moment:
-    if record.began_ns:  # before the recording, whose clock it doesn't have
+    if record.began_ns:  # the task began before the recording and its clock
         return Moment(record.began_ns, record.sim_step, record.world)
     return Moment(record.wall_time_ns, record.sim_step, record.world, record.monotonic_ns)
 
@@ -84,15 +83,15 @@ def _moment(record: Task) -> Moment:
 class Node:
     """A task."""
 
-    #: The record of its start; if it never started, that of its being asked for; if both are lost, that of its end.
+    #: The record of its start; without one, of its request; if both are lost, of its end.
     started: Task
-    parent: Node | None = None  # the task that it is part of; None for an outermost one
-    asked: Task | None = None  # the record of its being asked for; None if it started at once
+    parent: Node | None = None  # None for an outermost task
+    asked: Task | None = None  # the record of its request; None if it started immediately
     finished: Task | None = None  # the record of its end; None if it has not ended
-    forgotten: int = 0  # number of its children that the tree of a long-running plan has dropped
-    #: With which it chose what to do; only of a recording, on the path to the failure.
+    forgotten: int = 0  # number of children that the tree of a long-running plan has dropped
+    #: Queries with which the task chose its actions; only for recorded tasks on the path to the failure.
     choices: list[Query] = field(default_factory=list)
-    size: int = 0  # bytes of its own records, where the tree has a limit for these
+    size: int = 0  # bytes of its own records, if the tree limits bytes
     parts: dict[int, Node] = field(default_factory=dict)  # its children, by their ids
 
     @property
@@ -102,65 +101,65 @@ class Node:
 
     @property
     def kind(self) -> str:
-        """Such as motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ..."""
+        """For example motion, process-module, block, branch, failure-handling, attempt, timeout or cleanup."""
         return self.started.kind
 
     @property
     def name(self) -> str:
-        """What people call it."""
+        """Its name, for people."""
         return self.started.name
 
     @property
     def attempt(self) -> int:
-        """Number of the attempt, from 1; 0 if it is none."""
+        """Number of the attempt, from 1; 0 if the task isn't an attempt."""
         return self.started.attempt
 
     @property
     def parameters(self) -> dict[str, Plain]:
-        """What it was given, by name, as recorded."""
+        """Its recorded parameters, by name."""
         return argument_values(self.started.parameters)
 
     @property
     def solution(self) -> dict[str, Plain]:
-        """How that was resolved; empty unless it was recorded."""
+        """The recorded solution of its designator, by name; empty without one."""
         return argument_values(self.finished.solution if self.finished is not None else ())
 
     @property
     def decision(self) -> Decision | None:
-        """How it was decided, if it is a motion or a process module and that was recorded."""
+        """The recorded decision of a motion or a process module."""
         records = (each for each in (self.finished, self.started) if each is not None and each.HasField("decision"))
         return next((record.decision for record in records), None)
 
     @property
     def status(self) -> State:
-        """Its status; RUNNING if the recording ends before it does."""
+        """Its status; RUNNING if the recording ends before the task."""
         if self.finished is not None:
             return State(self.finished.status)
         return State.CREATED if self.started.phase == Task.ASKED else State.RUNNING
 
     @property
     def failed(self) -> bool:
-        """Whether it failed."""
+        """Whether the task failed."""
         return self.finished is not None and self.finished.status == Task.FAILED
 
     @property
     def is_origin(self) -> bool:
-        """Whether a failure began in it: it failed, and none of its children did."""
+        """Whether a failure began in this task: it failed, and none of its children did."""
         return self.failed and not any(child.failed for child in self.children)
 
     @property
     def failure(self) -> Failure | None:
-        """What it failed with: type, message, data and, if it was recorded, the traceback."""
+        """Its failure: type, message, data and, if recorded, the traceback."""
         return self.finished.failure if self.finished is not None and self.finished.HasField("failure") else None
 
     @property
     def error(self) -> tuple[str, str] | None:
-        """Type and message of what it failed with; None if it didn't fail."""
+        """Type and message of its failure; None if it didn't fail."""
         return (self.finished.failure.type, self.finished.failure.message) if self.finished and self.failed else None
 
     @property
     def origin(self) -> Node:
-        """The task in which its failure began: down the children with the same error, else the last that failed."""
+        """The task in which its failure began: descend to the last failed child, if possible with the same error."""
         node = self
         while failed := [child for child in node.children if child.failed]:
             node = next((child for child in reversed(failed) if child.error == node.error), failed[-1])
@@ -168,7 +167,7 @@ class Node:
 
     @property
     def outermost_failed(self) -> Node:
-        """The outermost task around it that failed too, without one between them that didn't."""
+        """The outermost of the failed tasks directly around it."""
         node = self
         while node.parent is not None and node.parent.failed:
             node = node.parent
@@ -176,53 +175,53 @@ class Node:
 
     @property
     def motion(self) -> Node:
-        """The motion that it is part of, or is; itself if there is none."""
+        """The innermost motion around the task or the task itself, if it is a motion; else the task."""
         return next((node for node in self.around() if node.kind == "motion"), self)
 
     @property
     def last_step(self) -> int:
-        """The step of its end; of its start if it has not ended."""
+        """The step of its end, or of its start if it has not ended."""
         return (self.finished or self.started).seq
 
     @property
     def created(self) -> Moment:
-        """When it was asked for."""
+        """The moment of its request."""
         return _moment(self.asked or self.started)
 
     @property
     def start(self) -> Moment | None:
-        """When it began; None if it has not."""
+        """The moment of its start; None if it has not started."""
         return None if self.started.phase == Task.ASKED else _moment(self.started)
 
     @property
     def end(self) -> Moment | None:
-        """When it ended; None if it has not."""
+        """The moment of its end; None if it has not ended."""
         return _moment(self.finished) if self.finished is not None else None
 
     @property
     def seconds(self) -> float | None:
-        """How long it took by the clock, in s; None if it has not ended."""
+        """Its duration by the clock, in s; None if it has not ended."""
         return self.finished.duration_ns / 1e9 if self.finished is not None else None
 
     @property
     def source(self) -> str:
-        """The plan's line that asked for it, "file:line", "" if that isn't known."""
+        """The plan's line that requested it, "file:line"; "" if unknown."""
         record = self.asked or self.started
         return f"{record.source_file}:{record.source_line}" if record.source_file else ""
 
     @property
     def children(self) -> list[Node]:
-        """Its direct children, in the order in which they were asked for."""
+        """Its direct children, in the order of their requests."""
         return [child for _, child in sorted(self.parts.items())]
 
     @property
     def attempts(self) -> list[Node]:
-        """Its children that are attempts."""
+        """The attempts among its children."""
         return [child for child in self.children if child.attempt]
 
     @property
     def dealt_with(self) -> bool:
-        """Whether a task around it ended without failing: then its failure decided nothing."""
+        """Whether a task around it ended without a failure, so that its own failure decided nothing."""
         return any(node.finished is not None and not node.failed for node in self.around())
 
     @property
@@ -231,14 +230,14 @@ class Node:
         return "/".join(reversed([node.name for node in self.around()]))
 
     def around(self) -> Iterator[Node]:
-        """The task itself and those that it is part of, outwards."""
+        """Yield the task and the tasks around it, from the inside out."""
         node: Node | None = self
         while node is not None:
             yield node
             node = node.parent
 
     def walk(self) -> Iterator[tuple[int, Node]]:
-        """This task and all below it with their depth from 0, each before its children."""
+        """Yield the task and all tasks below with their depth from 0, each before its children."""
         stack = [(0, self)]
         while stack:
             depth, node = stack.pop()
@@ -250,30 +249,30 @@ class Node:
 
 
 def decisive(origins: Sequence[Node]) -> Node | None:
-    """The task whose failure decides a plan, of those in which failures began, in the order of their ends.
+    """Return the task whose failure decides a plan, of the origins of failures in the order of their ends.
 
-    It is the last that nothing around it dealt with, else the last.
+    It is the last origin that no task around it dealt with; if there is none, the last origin.
     """
     return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
 
 
 def walk(roots: Iterable[Node]) -> Iterator[tuple[int, Node]]:
-    """Trees with their depth from 0, each task before its children."""
+    """Yield all tasks of trees with their depth from 0, each before its children."""
     for root in roots:
         yield from root.walk()
 
 
-_parsed = lru_cache(64)(Task.FromString)  # who looks at a task asks for several of its fields
+_parsed = lru_cache(64)(Task.FromString)  # callers read several fields of a task
 
 
 class PackedTask:
-    """A record of a task as its bytes, which take a fifth of the memory; it has the attributes of :class:`Task`.
+    """A serialized task record, with the attributes of :class:`Task`; it takes a fifth of the memory.
 
-    It is parsed whenever somebody looks at it. Later changes of the packed record are not seen.
+    Each access parses it. It has a copy of the record, so later changes of the record have no effect.
     """
 
     __slots__ = ("_payload",)
-    __hash__ = None  # type: ignore[assignment]  # as records
+    __hash__ = None  # type: ignore[assignment]  # like a record
 
     def __init__(self, record: Task) -> None:
         self._payload = record.SerializeToString()
@@ -286,23 +285,21 @@ class PackedTask:
 
 
 class Tree:
-    """All tasks of a plan or recording; trees of the same records are equal.
-
-    Any thread may use all methods while others add to it.
+    """All tasks of a plan or recording; trees of the same records are equal. All methods are thread-safe.
 
     Args:
-        limit: number of tasks; beyond it those that ended first are forgotten, children before parents. None for all.
-        size: bytes of records; likewise.
-        unpacked: number of tasks whose records stay parsed; further records are packed: less memory, more time.
+        limit: largest number of tasks; tasks that ended first are dropped, children before parents. None for all.
+        size: largest number of bytes of records, likewise.
+        unpacked: number of tasks whose records stay parsed; further records are packed (:class:`PackedTask`).
     """
 
-    __hash__ = None  # type: ignore[assignment]  # it grows
+    __hash__ = None  # type: ignore[assignment]  # mutable
 
     def __init__(self, limit: int | None = None, size: int | None = None, unpacked: float = math.inf) -> None:
-        #: Id of the task in which the plan's failure began, where it is known from elsewhere; 0 if it began in none;
-        #: None to go by the tasks.
+        #: Id of the task in which the plan's failure began, if the caller knows it; 0 if it began outside of tasks;
+        #: None to find it from the tasks.
         self.began: int | None = None
-        #: Lines that the plan printed or logged, by the id of the task, where they are known: a running plan's are not.
+        #: Lines that the plan printed or logged, by the id of the task; empty for a running plan.
         self.output: dict[int, list[Output]] = {}
         self._limit = math.inf if limit is None else limit
         self._size_limit = math.inf if size is None else size
@@ -320,7 +317,7 @@ class Tree:
         return tuple(sorted(self._roots.values(), key=attrgetter("id")))
 
     def apply(self, record: Task, size: int = 0) -> Node:
-        """Adds the next record, which is kept, and returns its task; ``size`` is its bytes, where they are known."""
+        """Add the next record, which is kept, and return its task; ``size`` is the record's bytes, if known."""
         number, phase, above = record.task, record.phase, record.parent
         if self._weighs and not size:
             size = record.ByteSize()
@@ -344,7 +341,7 @@ class Tree:
             return node
 
     def forget(self) -> None:
-        """Drops all that has ended and isn't part of a task that still runs."""
+        """Drop all trees whose outermost task has ended."""
         with self._lock:
             self._roots = {number: node for number, node in self._roots.items() if node.finished is None}
             self.nodes = {node.id: node for root in self._roots.values() for _, node in root.walk()}
@@ -363,11 +360,11 @@ class Tree:
             node.parent.forgotten += 1
 
     def walk(self) -> Iterator[tuple[int, Node]]:
-        """All tasks with their depth from 0, each before its children."""
+        """Yield all tasks with their depth from 0, each before its children."""
         return walk(self.roots)
 
     def find(self, *, kind: str | None = None, name: str | None = None, status: State | None = None) -> list[Node]:
-        """The tasks of a kind, name and status (None for any), each before its children."""
+        """Return the tasks of a kind, name and status (None for any), each before its children."""
         return [
             node
             for _, node in self.walk()
@@ -375,7 +372,7 @@ class Tree:
         ]
 
     def failure_path(self) -> list[Node]:
-        """From the outermost task down to that in which the decisive failure began; empty if nothing failed."""
+        """Return the tasks from the outermost one to the origin of the decisive failure; empty without a failure."""
         if self.began is not None:
             began = self.nodes.get(self.began)
         else:
@@ -385,27 +382,27 @@ class Tree:
         return list(began.around())[::-1] if began is not None else []
 
     def lines(self, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
-        """Lines of text; see :func:`recorder.tasks.rendering.rows`."""
+        """Yield lines of text; see :func:`recorder.tasks.rendering.rows`."""
         return rendering.lines(self, depth, whole=whole)
 
     def text(self, depth: int | None = None, *, whole: bool = False) -> str:
-        """The same in one string."""
+        """Return the lines in one string."""
         return "\n".join(self.lines(depth, whole=whole))
 
     def facts(self, depth: int | None = None) -> Iterator[dict[str, object]]:
-        """All tasks down to a depth as data for JSON, each before its children."""
+        """Yield all tasks down to a depth as data for JSON, each before its children."""
         return rendering.facts(self, depth)
 
     def to_json(self) -> str:
-        """The same as JSON."""
+        """Return the facts as JSON."""
         return json.dumps(list(self.facts()), ensure_ascii=False)
 
     def to_dot(self) -> str:
-        """A graph for Graphviz."""
+        """Return a graph for Graphviz."""
         return rendering.dot(self)
 
     def to_svg(self, depth: int | None = None, *, whole: bool = False) -> str:
-        """A picture of the tree with its times, as an SVG document; see :func:`recorder.tasks.rendering.rows`."""
+        """Return a picture of the tree with its times, as SVG; see :func:`recorder.tasks.rendering.rows`."""
         return rendering.svg(self, depth, whole=whole)
 
     def __str__(self) -> str:

@@ -1,11 +1,11 @@
-"""The plan's frames: call stacks of tasks, and local variables where an error was raised.
+"""The plan's frames: call stacks of tasks, and the local variables of raised errors.
 
-A call stack has the plan's lines that called one another, outermost first. A thread that runs part of a task has a
-stack of its own: its call stack continues that of the code which requested the task. So each call stack begins where
-the plan does, in whatever thread it ends.
+A call stack has the plan's lines that called one another, outermost first. In a thread that runs part of a task, the
+call stack continues the call stack of the code that requested the task. So every call stack begins where the plan
+begins.
 
-Local variables are described without calling code of users: values of Python's own types are written out, an object of
-a world by its name, any other by the name of its type.
+Local variables are described without calling users' code: values of Python's own types are written out, objects of a
+world are named, and for other values the type is named.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 
 CallSite: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
 
-#: A longer call stack is truncated in the middle.
+#: The middle of a longer call stack is left out.
 MAX_LINES: Final = 32
 #: Frames of these packages are left out: the plan's lines are outside of them.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "contextlib", "threading", "concurrent", "contextvars"})
-#: Modules that run a plan as a program: their callers are left out, too.
+#: Modules that run a plan as a program; their callers are left out, too.
 _RUNNERS: Final = frozenset({"pycram.cli", "pycram.running", "replay.cli.restore", "replay.retrace.guided_run"})
-#: Python's own files, installed packages and their commands: they may call plans, but are none.
+#: Python's own files, installed packages and their commands; they aren't part of a plan.
 _FOREIGN: Final = re.compile(
     r"^<frozen|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]|[/\\](?:bin|Scripts)[/\\][^/\\.]+$"
 )
@@ -51,26 +51,28 @@ _RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 
 
 class CallStack(NamedTuple):
-    """The plan's lines that led to a task; there is one for each task, so it is the cheapest type of object."""
+    """The plan's lines that led to a task. Every task has one, so it is a named tuple, which is cheap."""
 
-    #: Outermost first; those of a recursion stand once. Where nothing is recorded only the innermost.
+    #: Outermost first; a recursive line is listed once. Without a recording, only the innermost line.
     lines: tuple[CallSite, ...]
-    #: Those of them that another thread's call stack ends with, which this one continues.
+    #: The lines of another thread's call stack that this one continues.
     inherited: tuple[CallSite, ...]
-    thread: int  # identifies the thread that it ends in
+    thread: int  # ident of the thread or branch in which it ends
     callers: tuple[SourceLine, ...] = ()  # all lines but the innermost, as records hold them
-    recording: int = 0  # number of the recording that it was made for; 0 where nothing was recorded
+    recording: int = 0  # number of the recording for which it was made; 0 for none
 
     @property
     def line(self) -> CallSite:
-        """The innermost line; ("", 0) if none is known."""
+        """The innermost line; ("", 0) if there is none."""
         return self.lines[-1] if self.lines else ("", 0)
 
     def at_line(self, number: int) -> CallStack | None:
-        """The same call stack with another line of its innermost function; None if the stack must be walked again."""
+        """Return the call stack for another line of its innermost function; None if the stack must be walked again."""
         lines, inherited, thread, callers, recording = self
         file, latest = lines[-1]
-        if recording != journal.recording_number() or lines[-2:-1] == ((file, number),):  # which would stand once
+        if recording != journal.recording_number() or lines[-2:-1] == (
+            (file, number),
+        ):  # a recursive line is listed once
             return None
         if number == latest:
             return self
@@ -78,13 +80,13 @@ class CallStack(NamedTuple):
 
 
 def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallStack, FrameType | None]:
-    """Return the call stack of some code, and the plan's innermost frame or None.
+    """Return the call stack of running code, and the plan's innermost frame or None.
 
-    The frame is given if :meth:`CallStack.at_line` gives the call stacks of its other lines as long as it runs.
+    The frame is returned if :meth:`CallStack.at_line` can derive the call stacks of its other lines while it runs.
 
     Args:
-        frame: of the code, or of what it has called.
-        outer: call stack of the task that the code is part of.
+        frame: of the code, or of a function that it has called.
+        outer: call stack of the current task.
     """
     frame, line = _innermost(frame)
     recording = journal.recording_number() if journal.recording() else 0
@@ -97,7 +99,7 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
         return CallStack(innermost or inherited[-1:], inherited[-1:], thread), None
     own = _lines_from(frame.f_back) if frame is not None else ()
     around = (*inherited, *(own[1:] if own[:1] == inherited[-1:] else own))
-    repeated = around[-1:] == innermost  # a lambda begins where it was asked for
+    repeated = around[-1:] == innermost  # a lambda is defined in the requesting line
     lines = around if repeated else (*around, *innermost)
     if len(lines) > MAX_LINES:
         lines = (*lines[: MAX_LINES // 2], *lines[-MAX_LINES // 2 :])
@@ -106,17 +108,17 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
 
 
 def is_resumable(frame: FrameType) -> bool:
-    """Whether it is the frame of a generator or coroutine, which others may resume."""
+    """Return whether a frame is of a generator or coroutine, which another function can resume."""
     return bool(frame.f_code.co_flags & _RESUMABLE)
 
 
 def call_site() -> CallSite:
-    """The innermost line of the plan that led here; ("", 0) if there is none."""
+    """Return the innermost line of the plan that led here; ("", 0) if there is none."""
     return _innermost(sys._getframe(1))[1] or ("", 0)  # noqa: SLF001  as inspect.currentframe() has it
 
 
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
-    """The plan's innermost frame and its line; without any, None and the line of the innermost foreign frame."""
+    """Return the plan's innermost frame and its line; without one, None and the line of the innermost foreign frame."""
     frame, foreign = plan_frame(frame)
     innermost = frame or foreign
     return frame, _site(innermost)[1] if innermost is not None else None
@@ -140,9 +142,12 @@ def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
 
 
 def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
-    """Whose code a frame runs, at which line: cached, as frames decode lines from their whole tables."""
+    """Return the origin of a frame's code and its line; cached, as decoding the line is slow."""
     code = frame.f_code
-    key = id(code), frame.f_lasti  # its hash would be that of all its instructions; it is kept, and so its id
+    key = (
+        id(code),
+        frame.f_lasti,
+    )  # hashing the code itself is slow; the value keeps the code alive, and so its id unique
     site = _sites.get(key)
     if site is None:
         file = code.co_filename
@@ -157,7 +162,7 @@ def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
-    """The plan's innermost frame from this one on outwards; and the first foreign one up to there."""
+    """Return the plan's innermost frame among a frame and its callers, and the first foreign frame before it."""
     foreign = None
     known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER  # for speed
     while frame is not None:
@@ -174,14 +179,14 @@ def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | N
 
 
 def plan_frames(frame: FrameType | None) -> Iterator[FrameType]:
-    """The plan's frames from this one on outwards."""
+    """Yield the plan's frames among a frame and its callers, from the inside out."""
     while (frame := plan_frame(frame)[0]) is not None:
         yield frame
         frame = frame.f_back
 
 
 def is_plan(frame: FrameType) -> bool:
-    """Whether a frame is the plan's."""
+    """Return whether a frame runs the plan's own code."""
     file = frame.f_code.co_filename
     return (_origins.get(file) or _origin(file, str(frame.f_globals.get("__name__", "")))) is _Origin.PLAN
 
@@ -194,26 +199,26 @@ class _Origin(Enum):
 
 
 _origins: Final[dict[str, _Origin]] = {}  # by file
-_unescaped: Final[dict[str, str]] = {}  # files whose names aren't UTF-8, by these as they are recorded
+_unescaped: Final[dict[str, str]] = {}  # files whose names aren't UTF-8, by their recorded names
 _sites: Final[dict[tuple[int, int], tuple[_Origin, CallSite, CodeType]]] = {}  # by a code's id and its instruction
 
 
 def _origin(file: str, module: str) -> _Origin:
     if module in _RUNNERS:
         origin = _Origin.RUNNER
-    elif module.startswith("namedtuple_"):  # generated by collections for a type of ours or of the plan's
+    elif module.startswith("namedtuple_"):  # generated by collections for a named tuple
         origin = _Origin.FOREIGN
     elif module.partition(".")[0] in _MACHINERY and Path(file).parent.name != "demos":
         origin = _Origin.MACHINERY
     else:
         origin = _Origin.FOREIGN if _FOREIGN.search(file) else _Origin.PLAN
-    if file.startswith("<frozen") or not file.startswith("<"):  # many modules share "<string>" and the like
+    if file.startswith("<frozen") or not file.startswith("<"):  # many modules share names such as "<string>"
         _origins[file] = origin
     return origin
 
 
 class _Callers:
-    """Callers as records hold them, cached; attaches each file of a plan once to a recording."""
+    """A cache of callers as record fields; attaches each file of a plan once to a recording."""
 
     def __init__(self) -> None:
         self._cache: dict[tuple[CallSite, ...], tuple[SourceLine, ...]] = {}
@@ -230,7 +235,7 @@ class _Callers:
             for file in sorted({file for file, _ in lines} - self._attached):
                 self._attached.add(file)
                 source = Path(_unescaped.get(file, file))
-                with suppress(OSError):  # typed at a prompt, or gone
+                with suppress(OSError):  # typed at a prompt, or deleted
                     journal.attach([AssetFile(source.name, source.read_bytes(), "text/x-python")])
             innermost = lines[-1][0] if lines else ""
             callers = tuple([SourceLine(file=file if file != innermost else "", line=at) for file, at in lines[:-1]])
@@ -243,7 +248,7 @@ class _Callers:
 _callers: Final = _Callers()
 
 
-MAX_FRAMES: Final = 16  # innermost ones
+MAX_FRAMES: Final = 16  # innermost frames of an error
 MAX_VARIABLES: Final = 20  # of a frame
 MAX_CHARACTERS: Final = 80  # of a value
 
@@ -251,7 +256,7 @@ _MAX_ITEMS: Final = 6  # of a list
 _MAX_DEPTH: Final = 3  # of lists within lists
 _MAX_BITS: Final = 256  # of an integer
 _ELLIPSIS: Final = "..."
-_MARK: Final = "_pycram_frames"  # an error's attribute: the recording and the frames that its records hold already
+_MARK: Final = "_pycram_frames"  # an error's attribute: the recording, and the frames that are recorded already
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # a module's imports and definitions
 _TYPE_ALONE: Final = re.compile(r"<[\w.]+>")
 _EXACT: Final = frozenset({type(None), bool, int, float, complex, range, type(Path()), PurePosixPath})
@@ -265,16 +270,16 @@ _BRACKETS: Final[Mapping[type, tuple[str, str]]] = {
 
 
 def failure_with_frames(error: BaseException, *, errors: int = MAX_ERRORS) -> Failure:
-    """An error as :func:`failure` has it, with the plan's frames if they are recorded."""
+    """Return an error as :func:`failure` does, with the plan's frames if they are recorded."""
     record = failure(error, errors=errors)
     if journal.keeps_local_variables():
-        with suppress(Exception):  # of an error's own methods
+        with suppress(Exception):  # an error's own methods may raise anything
             record.frames.extend(_new_frames(error))
     return record
 
 
 def _new_frames(error: BaseException) -> list[StackFrame]:
-    """The plan's frames that led to an error, outermost first, without those that an earlier record of it holds."""
+    """Return the plan's frames that led to an error, outermost first, without frames of its earlier records."""
     recording, known = vars(error).get(_MARK, (0, frozenset()))
     if recording != journal.recording_number():
         known = frozenset()
@@ -292,7 +297,7 @@ def _new_frames(error: BaseException) -> list[StackFrame]:
 
 
 def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
-    """The plan's frames of the traceback, and those that were running around them, with their lines."""
+    """Return the plan's frames of the traceback and the frames that called them, with their lines."""
     trace = error.__traceback__
     outer: list[tuple[FrameType, int]] = []
     around = trace.tb_frame.f_back if trace is not None else None
@@ -308,9 +313,9 @@ def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
 
 
 def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
-    """Names and values, in the order of their first assignment.
+    """Yield names and values, in the order of their first assignment.
 
-    Of a module, that has many and imports some, the last ones that have more to show than their type.
+    A module has many variables, some of them imported: only its last ones with more than a type to show are kept.
     """
     try:
         values = {
@@ -328,7 +333,7 @@ def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
 
 
 def described(value: Any, depth: int = 0) -> str:
-    """A value in a few words, without calling any code but Python's and PyCRAM's own."""
+    """Return a short text of a value, without calling users' code."""
     kind = type(value)
     if kind is str or kind is bytes:
         return repr(value[: MAX_CHARACTERS + 1])
@@ -376,7 +381,7 @@ def _collection(value: Any, depth: int) -> str:
 
 
 def _of_numpy(value: Any, name: str) -> str:
-    """A number or a small array of NumPy's by its values, a larger array by its shape."""
+    """Return a number or small array of NumPy as its values, a larger array as its shape."""
     dtype = getattr(value, "dtype", None)
     if dtype is None or dtype.kind not in "biuf":
         return f"<{name}>"

@@ -1,13 +1,13 @@
 """The context of running code: its branch or thread, the current world, and the room on its stack.
 
 A branch of a plan shares its thread with other branches. It has a call stack, a context and a name of its own; records
-have that name in place of the thread's.
+have this name in place of the thread's name.
 
-The world that was opened, or made current, last is current; when it ends, the one before it is current again. A thread
-chooses for itself and its branches, and for all threads that haven't chosen themselves. A branch chooses for itself and
-its own branches, not for the rest of its thread.
+The current world is the one that was opened or made current last; when it closes, the previous world becomes current
+again. A thread's choice holds for itself, its branches, and all threads without a choice of their own. A branch's
+choice holds for itself and its own branches only.
 
-A record that has to be complete isn't begun where a RecursionError would break it off.
+Before a record is made, the stack is checked, so that no RecursionError interrupts the record.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 class BranchIdentity(NamedTuple):
     """Identity of a branch of a plan."""
 
-    thread: int  # ident of the thread that it runs in; a thread that it starts may inherit its context
-    ident: int  # negative, as those of threads are positive
+    thread: int  # ident of its thread; a thread that it starts may inherit its context
+    ident: int  # negative; idents of threads are positive
     name: str  # in records
 
 
@@ -43,17 +43,17 @@ def new_branch(name: str) -> BranchIdentity:
 
 
 def current_branch() -> BranchIdentity | None:
-    """Return the branch whose context this is; None outside of branches."""
+    """Return the branch of the current context; None outside of branches."""
     return _branch.get()
 
 
 def enter_branch(branch: BranchIdentity | None) -> None:
-    """Make this context that of a branch, for good; None for outside of branches."""
+    """Mark the current context as a branch's; None marks it as outside of branches."""
     _branch.set(branch)
 
 
 def current_name() -> str:
-    """Return the name of the running branch; outside of branches that of the thread."""
+    """Return the name of the running branch; outside of branches, of the thread."""
     branch = _branch.get()
     if branch is None or branch.thread != threading.get_ident():
         return escaped(threading.current_thread().name)
@@ -61,26 +61,26 @@ def current_name() -> str:
 
 
 def current_ident() -> int:
-    """Return the ident of the running branch; outside of branches the thread's."""
+    """Return the ident of the running branch; outside of branches, of the thread."""
     branch, thread = _branch.get(), threading.get_ident()
     return thread if branch is None or branch.thread != thread else branch.ident
 
 
 class KnownWorld(Protocol):
-    """A world, as far as records name it."""
+    """A world: its name and clock, as records have them."""
 
     name: str
     sim_step: int
 
 
 _lock = threading.Lock()
-# As they became current, each with the thread of the branch that made it so, or 0; replaced, never changed.
+# In the order in which they became current, each with the thread of the choosing branch, or 0; replaced, not mutated.
 _open: dict[KnownWorld, int] = {}
 _chosen: ContextVar[tuple[weakref.ref[KnownWorld], ...]] = ContextVar("pycram_world", default=())
 
 
 def make_current(world: KnownWorld) -> None:
-    """Make a world current, also one that has just been opened."""
+    """Make an open or newly opened world current."""
     global _open  # noqa: PLW0603  there is one process
     with _lock:
         earlier = [chosen for chosen in _chosen.get() if chosen() is not world and chosen() in _open]
@@ -89,7 +89,7 @@ def make_current(world: KnownWorld) -> None:
 
 
 def remove_world(world: KnownWorld) -> None:
-    """Remove a world that has ended."""
+    """Remove a closed world."""
     global _open  # noqa: PLW0603  there is one process
     with _lock:
         _open = _without(world)
@@ -100,12 +100,12 @@ def _without(world: KnownWorld) -> dict[KnownWorld, int]:
 
 
 def open_worlds() -> tuple[KnownWorld, ...]:
-    """The open worlds, the one that was made current last at the end."""
+    """Return the open worlds, in the order in which they became current."""
     return tuple(_open)
 
 
 def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | None:
-    """The current world of this branch or thread, of all or of some that are open; None if it has none."""
+    """Return the current world of this branch or thread, of all open worlds or of some; None if there is none."""
     known = _open
     for chosen in reversed(_chosen.get()):
         if (world := chosen()) in known and (among is None or world in among):
@@ -115,35 +115,35 @@ def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | N
     return next((world for world, thread in reversed(worlds.items()) if thread != this_thread), None)
 
 
-#: Frames that recording takes at most, down to the file's compression.
+#: Most stack frames that recording a record needs, down to the file's compression.
 FOR_RECORD: Final = 40
-#: Frames that a task takes for its records, its block and its end.
+#: Most stack frames that a task needs for its records, its block and its end.
 FOR_TASK: Final = 120
 
-_COUNTED: Final = 4  # what a frame may count in Python's limit, with the functions in C that called it
-_outside = 0  # most frames below the first one of a greenlet so far; Python counts them for the greenlet too
+_COUNTED: Final = 4  # a frame counts up to 4 in Python's limit, with the C functions that called it
+_outside = 0  # largest number of frames below a greenlet so far; Python counts them for the greenlet, too
 
 
 def require_stack_room(frames: int) -> None:
-    """Raise RecursionError unless there is room for that many frames.
+    """Raise RecursionError unless the stack has room for that many frames.
 
-    Where the stack is shallow, as it mostly is, it takes as long as 6 calls; elsewhere as long as calls that deep.
+    On a shallow stack, the usual case, the check takes as long as 6 calls; else as long as that many nested calls.
     """
     shallow = (sys.getrecursionlimit() - frames) // _COUNTED - _outside
     if shallow > 0:
         try:
             sys._getframe(shallow)  # noqa: SLF001  inspect.stack() reads source files
-        except ValueError:  # there are fewer
+        except ValueError:  # the stack has fewer frames
             return
     try:
         _call(frames)
     except RecursionError as error:
-        raise RecursionError(*error.args) from None  # without the frames that were tried
+        raise RecursionError(*error.args) from None  # without the frames of the check
 
 
 def greenlets_begin() -> None:
-    """Take note that greenlets begin here: Python counts the frames below for them, too, but doesn't show them."""
-    global _outside  # noqa: PLW0603  too many frames do no harm: other threads look closer then
+    """Note the depth at which greenlets begin: Python counts the frames below for them, but doesn't show them."""
+    global _outside  # noqa: PLW0603  a large number only makes other threads check nested calls
     below, frame = 0, sys._getframe()  # noqa: SLF001  as above
     while frame.f_back is not None:
         below, frame = below + 1, frame.f_back

@@ -1,10 +1,10 @@
 """Forks of a process that records: the only place where it forks.
 
-Only the forking thread lives on in the child. Our other threads (those that flush a file, or feed a viewer) belong to
-the parent's recordings, which the child leaves alone. So none of them may hold a lock at that moment.
+Only the forking thread exists in the child. Our other threads, which flush a file or feed a viewer, belong to the
+parent's recordings. The child doesn't touch these recordings, but no such thread may hold a lock during the fork.
 
-A forked child is another process, unless it continues its parent, which then only waits. So a recording belongs to its
-process and to the one that continues it, but not to other children.
+A forked child is a new process, unless it continues its parent, which then only waits. So a recording belongs to its
+process and to a child that continues it, but not to other children.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-#: They wait for the end of a fork: Python drops what a handler raises within the hooks that it calls there.
+#: Blocked during a fork: Python drops errors that signal handlers raise within the hooks of a fork.
 _INTERRUPTS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-_WARNS: Final = sys.version_info >= (3, 12)  # of a fork beside threads
+_WARNS: Final = sys.version_info >= (3, 12)  # if a process with threads forks
 
 _own: Final[weakref.WeakSet[threading.Thread]] = weakref.WeakSet()
 
 
 def own(thread: threading.Thread) -> threading.Thread:
-    """Mark a thread as ours: one that a forked child does without."""
+    """Mark a thread as ours: forked children don't need it."""
     _own.add(thread)
     return thread
 
 
 def others() -> list[threading.Thread]:
-    """All threads that a forked child would lack but ours."""
+    """Return the other threads of this process that aren't ours; a forked child would lack them."""
     return [
         thread for thread in threading.enumerate() if thread is not threading.current_thread() and thread not in _own
     ]
 
 
 def fork() -> int:
-    """Fork while our threads are parked; returns 0 in the child, where no journal is open any more."""
+    """Fork while our threads are paused; return 0 in the child, where no journal is open."""
     child = _fork(os.fork)
     if not child:
         journal.forget_all()
@@ -56,21 +56,21 @@ def fork() -> int:
 
 
 def fork_continuation() -> int:
-    """Fork a child that goes on as this process, with its open journals, while this one waits; returns 0 in the child.
+    """Fork a child that continues this process with its open journals while this process waits; return 0 in the child.
 
-    Sinks of such journals have no thread and no file that both would write to.
+    The sinks of these journals must not have threads, or files that both processes would write.
     """
-    dice = random.getstate()  # which Python seeds again in a child
+    state = random.getstate()  # Python seeds a child again
     child = _fork(_fork_continuing)
     if not child:
-        random.setstate(dice)
+        random.setstate(state)
     return child
 
 
 def _fork(fork: Callable[[], int]) -> int:
     with journal.still(), catch_warnings() if _WARNS else nullcontext():
         if _WARNS:
-            simplefilter("ignore", DeprecationWarning)  # of threads: ours are parked
+            simplefilter("ignore", DeprecationWarning)  # about threads: ours are paused
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
         try:
             child = fork()
@@ -81,8 +81,8 @@ def _fork(fork: Callable[[], int]) -> int:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_identity: int | None = None  # of a process that continues another one
-_continuing = False  # while one is forked
+_identity: int | None = None  # of a process that continues another process
+_continuing = False  # while a continuing child is forked
 
 
 def process() -> int:
@@ -91,7 +91,7 @@ def process() -> int:
 
 
 def _fork_continuing() -> int:
-    """Fork a child that continues this process, which must do nothing more that others see; return 0 in the child."""
+    """Fork a child that continues this process, which may only wait from now on; return 0 in the child."""
     global _identity, _continuing  # noqa: PLW0603  a process has one identity
     before, _identity, _continuing = _identity, process(), True
     child = -1
@@ -115,22 +115,23 @@ if hasattr(os, "register_at_fork"):
 
 
 _OPEN: Final = "/proc/self/fd"  # only Linux has it
-_OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # the links there are to be followed
+_OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # the links in this folder must be followed
 
 
 def _separate_file_positions() -> None:
-    """Give this process, a forked child, positions of its own in the files that are open for reading alone.
+    """Give this process, a forked child, its own positions in files that are open for reading only.
 
-    Else its parent would miss what it reads. Files that are written stay common, as logs are.
+    With shared positions, the parent would miss the content that the child reads. Files that are written, such as logs,
+    stay shared.
     """
     try:
-        descriptors = os.listdir(_OPEN)  # noqa: PTH208  as little as can be: each page that this writes to is a copy's own
+        descriptors = os.listdir(_OPEN)  # noqa: PTH208  few allocations: each written page is copied
     except OSError:
         return
     for descriptor in descriptors:
         try:
             _reopen(int(descriptor))
-        except OSError:  # it was closed meanwhile, or may not be opened any more
+        except OSError:  # closed meanwhile, or without permission to open it again
             continue
 
 

@@ -1,22 +1,22 @@
-"""Ctrl-C: raised immediately in the plan's own Python, and deferred where it would leave something half done.
+"""Ctrl-C: raised immediately in the plan's own Python, and deferred where an interrupt would leave a broken state.
 
-Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change it would leave a world
-that differs from its log, within a record a number without a record, within a block a branch that nothing waits for. So
-it is deferred
+Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change, the world would differ
+from its log; within a record, a number would have no record; within a block, a branch would run on alone. So Ctrl-C is
+deferred
 
 - in a section (:class:`Uninterrupted`), which is a change or a record, to the section's end;
-- where the :class:`Host`, which is the plan language, says so: in branches and in its own code, until it calls
-  :func:`raise_pending`, as it does at every checkpoint (:mod:`pycram.scheduling`).
+- in branches and in the code of the :class:`Host`, which is the plan language, until it calls :func:`raise_pending`, at
+  every checkpoint (:mod:`pycram.scheduling`).
 
 Our handler of SIGINT is installed only while a section or a scope of the plan language is open in the main thread. It
-calls the handler that was installed before, so a program's own handler is called at the same moments.
+calls the previously installed handler, so a program's own handler is deferred in the same way.
 
-In :func:`terminable`, SIGTERM and SIGHUP are such interrupts, too, and finally end the process.
+In :func:`terminable`, SIGTERM and SIGHUP interrupt the plan, too, and end the process after the block.
 """
 
 from __future__ import annotations
 
-import _signal  # type: ignore[import-not-found]  # without the enums of signal, which take as long as to keep a record
+import _signal  # type: ignore[import-not-found]  # the enums of signal take as long as keeping a record
 import os
 import signal
 import sys
@@ -34,7 +34,7 @@ _TERMINATING: Final = (int(signal.SIGTERM), int(signal.SIGHUP))
 
 
 class Terminated(SystemExit):
-    """A signal has asked the process to end; it ends with 128 and the signal's number, as shells tell it."""
+    """A signal has requested the end of the process; the exit code is 128 plus the signal's number, as in shells."""
 
     def __init__(self, number: int) -> None:
         super().__init__(128 + number)
@@ -42,28 +42,28 @@ class Terminated(SystemExit):
 
 
 class Host(Protocol):
-    """Runs code that must not be interrupted just anywhere; called in the main thread only."""
+    """Runs code that can be interrupted only at certain points; called in the main thread only."""
 
     @property
     def checkpoints(self) -> int:
-        """How many checkpoints there were in the main thread."""
+        """Number of checkpoints in the main thread so far."""
 
     def defers(self, frame: FrameType) -> bool:
-        """Whether a Ctrl-C that arrives in this frame has to wait until the host raises it."""
+        """Return whether a Ctrl-C that arrives in this frame must wait until the host raises it."""
 
     def interrupt(self) -> None:
-        """Take note of a deferred Ctrl-C; called by the signal handler, so between any two instructions."""
+        """Note a deferred Ctrl-C; called by the signal handler, between any two instructions."""
 
 
 _host: Host | None = None
-_handler: Callable[[int, FrameType | None], Any] = signal.default_int_handler  # the one installed before ours
-_holder = 0  # ident of the main thread; another one in a process that another thread has forked
-_open = 0  # number of open sections and scopes in the main thread; our handler is installed while there are any
+_handler: Callable[[int, FrameType | None], Any] = signal.default_int_handler  # the handler before ours
+_holder = 0  # ident of the main thread, which another thread becomes if it forks the process
+_open = 0  # number of open sections and scopes in the main thread; if there are any, our handler is installed
 _sections = 0  # number of sections among them
 _pending = False
-_terminated = 0  # the signal that the last interrupt was, unless that was a Ctrl-C
-_owner = 0  # the process that :func:`terminable` was called in; one that it forks has no recording
-_checkpoint = 0  # of the host, at which the last interrupt was raised
+_terminated = 0  # the signal of the last interrupt; 0 for Ctrl-C
+_owner = 0  # the process that called :func:`terminable`; its forked children have no recording
+_checkpoint = 0  # the host's checkpoint at which the last interrupt was raised
 
 
 def _on_sigint(number: int, frame: FrameType | None) -> None:
@@ -88,7 +88,7 @@ def _note_checkpoint() -> None:
 
 
 def interrupted_at() -> int:
-    """The checkpoint of the host at which the last interrupt was raised, from 1; 0: outside of all."""
+    """Return the host's checkpoint at which the last interrupt was raised, from 1; 0 outside of checkpoints."""
     return _checkpoint
 
 
@@ -97,9 +97,9 @@ def _defers(frame: FrameType) -> bool:
 
 
 def enter(host: Host | None = None) -> bool:
-    """Install our handler until :func:`leave`; return whether it is installed: signals raise in the main thread only.
+    """Install our handler until :func:`leave`; return whether it is installed: only the main thread can do so.
 
-    As long as it is installed, the host decides whether Ctrl-C is deferred.
+    While it is installed, the host decides whether Ctrl-C is deferred.
     """
     global _handler, _holder, _host, _open, _sections, _pending  # noqa: PLW0603  as above
     thread = threading.get_ident()
@@ -112,7 +112,7 @@ def enter(host: Host | None = None) -> bool:
     handler = _signal.getsignal(_SIGINT)
     if not callable(handler):
         return False
-    if handler is not _on_sigint:  # else it is inherited from the process that forked this one
+    if handler is not _on_sigint:  # otherwise inherited from a parent process
         _handler = handler
     _holder, _host, _sections, _pending = thread, host, 0, False
     _signal.signal(_SIGINT, _on_sigint)
@@ -121,7 +121,7 @@ def enter(host: Host | None = None) -> bool:
 
 
 def leave() -> None:
-    """Undo :func:`enter`; the last one raises a deferred Ctrl-C."""
+    """Undo :func:`enter`; the outermost call raises a deferred Ctrl-C."""
     global _open, _pending  # noqa: PLW0603  as above
     _open -= 1
     if not _open:
@@ -134,14 +134,13 @@ def leave() -> None:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP as Ctrl-C while the block runs, where they would end the process.
+    """Treat SIGTERM and SIGHUP as Ctrl-C while the block runs, unless the program handles them itself.
 
     So a plan that a supervisor stops, or whose terminal is closed, leaves a complete recording. The process ends after
-    the block, even if the plan has caught the interrupt. In other threads nothing changes, and a program's own handlers
-    stay.
+    the block, even if the plan has caught the interrupt. Only the main thread can do this.
 
     Raises:
-        Terminated: there was such a signal.
+        Terminated: such a signal has arrived.
     """
     taken = _take()
     try:
@@ -160,14 +159,14 @@ def terminable() -> Iterator[None]:
 
 
 def _take() -> list[tuple[int, signal.Handlers]]:
-    """Install handlers where the program has none of its own; return the signals, and what they did before."""
+    """Install handlers for signals that the program doesn't handle; return the signals with their previous handlers."""
     global _terminated, _owner
     if threading.current_thread() is not threading.main_thread():
         return []
     taken = [(number, signal.SIG_DFL) for number in _TERMINATING if signal.getsignal(number) is signal.SIG_DFL]
     if taken:
         _terminated, _owner = 0, os.getpid()
-        if signal.getsignal(_SIGINT) is signal.SIG_IGN:  # as in the background; sections need a handler
+        if signal.getsignal(_SIGINT) is signal.SIG_IGN:  # a background job; sections need a handler
             signal.signal(_SIGINT, _ignore)
             taken.append((_SIGINT, signal.SIG_IGN))
     for number, before in taken:
@@ -184,7 +183,7 @@ def _on_termination(number: int, frame: FrameType | None) -> None:
 
 
 def _in_child() -> None:
-    """Let a forked process die of such a signal, also where it waits in code that calls no handler, as pools' do."""
+    """Let these signals kill a forked process, even while it waits in native code, as in a process pool."""
     for number in _TERMINATING:
         if signal.getsignal(number) is _on_termination:
             signal.signal(number, signal.SIG_DFL)
@@ -195,28 +194,28 @@ if hasattr(os, "register_at_fork"):
 
 
 def _ignore(number: int, frame: FrameType | None) -> None:
-    """Ignores a Ctrl-C, but not the signals that are taken for one."""
+    """Ignore Ctrl-C, but not SIGTERM and SIGHUP."""
     if _terminated:
         signal.default_int_handler(number, frame)
 
 
 def interrupted_by() -> str:
-    """Name of the signal that an interrupt came from: "SIGINT", "SIGTERM" or "SIGHUP"."""
+    """Return the name of the signal that caused an interrupt: "SIGINT", "SIGTERM" or "SIGHUP"."""
     return signal.Signals(_terminated or _SIGINT).name
 
 
 def is_uninterrupted() -> bool:
-    """Whether the main thread is in a section."""
+    """Return whether the main thread is in a section."""
     return bool(_open and _sections)
 
 
 def is_pending() -> bool:
-    """Whether a Ctrl-C is deferred."""
+    """Return whether a Ctrl-C is deferred."""
     return _pending
 
 
 def raise_pending() -> None:
-    """Raise a deferred Ctrl-C, unless a section is open; for code of the main thread that may be interrupted here."""
+    """Raise a deferred Ctrl-C, unless a section is open; for interruptible code in the main thread."""
     if _pending and not _sections and threading.get_ident() == _holder:
         drop_pending()
         _note_checkpoint()
@@ -224,7 +223,7 @@ def raise_pending() -> None:
 
 
 def drop_pending() -> None:
-    """Drop a deferred Ctrl-C: the plan is being interrupted already."""
+    """Drop a deferred Ctrl-C, because the plan is being interrupted already."""
     global _pending  # noqa: PLW0603  as above
     _pending = False
 
@@ -233,16 +232,16 @@ _soon: Callable[[], bool] | None = None
 
 
 def call_soon(function: Callable[[], bool]) -> None:
-    """Call a function in the main thread when a section there has ended that is in no other one, until it returns True.
+    """Call a function after each outermost section of the main thread, until it returns True.
 
-    For what has to follow a record, and can't be done within it: a change that is to follow a certain step.
+    Use it for work that must follow a record and can't be done within it, such as a change after a certain step.
     """
     global _soon  # noqa: PLW0603  there is one main thread
     _soon = function
 
 
 def _call() -> None:
-    """Call what is to be called soon; sections that it opens itself don't."""
+    """Call the function of :func:`call_soon`; sections that it opens itself don't call it again."""
     global _soon  # noqa: PLW0603  as above
     if threading.get_ident() != threading.main_thread().ident:
         return
@@ -252,13 +251,13 @@ def _call() -> None:
 
 
 class Uninterrupted:
-    """A section that SIGINT doesn't interrupt; may nest. Does nothing outside of the main thread."""
+    """A section that SIGINT doesn't interrupt; may nest. Outside of the main thread, it has no effect."""
 
     __slots__ = ("_held",)
 
     def __enter__(self) -> Self:
         global _open, _sections  # noqa: PLW0603  as above
-        if _open and threading.get_ident() == _holder:  # as in enter(), whose call takes as long
+        if _open and threading.get_ident() == _holder:  # inlined from enter(), for speed
             _open += 1
             self._held = True
         else:
@@ -268,7 +267,7 @@ class Uninterrupted:
 
     @property
     def noted(self) -> bool:
-        """Whether a Ctrl-C waits for the end of this section; long sections poll this, and end early."""
+        """Whether a Ctrl-C waits for the end of this section; long sections poll this and end early."""
         return self._held and _pending and not _defers(sys._getframe(1))  # noqa: SLF001  as above
 
     def __exit__(self, *_: object) -> None:

@@ -1,8 +1,8 @@
-"""The journal: numbers records, keeps them in order, passes them to sinks.
+"""The journal: numbers records, orders them, and passes them to sinks.
 
-Lock order: a world's lock, then a journal's, never the other way round; a journal calls no user code and no world
-while it holds its lock. Whoever emits holds the lock of the world that changed, so the order in the log is the order
-in the world. If a sink can't keep a record or file, its RecordingError comes out of every function that appends.
+Lock order: a world's lock, then a journal's lock, never the other way round. A journal calls no user code and no world
+while it holds its lock. Callers of :func:`emit` hold the lock of the changed world, so changes have the same order in
+the log and in the world. If a sink can't keep a record or file, every function that appends raises its RecordingError.
 """
 
 from __future__ import annotations
@@ -27,52 +27,53 @@ if TYPE_CHECKING:
 
 
 class Sink(Protocol):
-    """Where records go. Called under the journal's lock, in order; must not call back, or keep mutations and keyframes.
+    """The destination of records. Called in order, under the journal's lock; must not call the journal.
 
-    Others may be kept: nothing changes in them any more but the number and time that another journal gives.
+    It must not keep references to mutations and keyframes. It may keep other records, in which only number and time
+    change, if another journal records them.
     """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Take a record and its serialized form; raise RecordingError if it can't be kept."""
 
     def attach(self, asset: AssetFile) -> None:
-        """Takes a file, once per content."""
+        """Take a file, once per content."""
 
     def flush(self) -> None:
-        """Make all records safe that were taken; raise RecordingError if they can't be kept."""
+        """Write all buffered records; raise RecordingError if that fails."""
 
     def close(self) -> None:
-        """Ends; all that was taken is safe afterwards."""
+        """Write all buffered records, and close."""
 
 
 class NullSink:
-    """Drops all records and files; a sink that inherits from it defines only what it doesn't drop."""
+    """A sink that drops all records and files; subclasses override some of its methods."""
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Drops a record."""
+        """Drop a record."""
 
     def attach(self, asset: AssetFile) -> None:
-        """Drops a file."""
+        """Drop a file."""
 
     def flush(self) -> None:
-        """Nothing waits."""
+        """Do nothing: no record is buffered."""
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""
 
 
 class RecordedWorld(KnownWorld, Protocol):
-    """A world as the journal sees it."""
+    """A world, as journals use it."""
 
     def record_keyframe(self, journal: Journal) -> None:
-        """Appends the whole state to the given journal, assets included."""
+        """Append the whole state to a journal, with its assets."""
 
 
 class Journal:
-    """One numbering of records, for several sinks.
+    """Numbers records for several sinks.
 
-    ``clock_ns`` gives ns since the Unix epoch, ``monotonic_ns`` those since any moment, by a clock that nobody sets.
-    With ``local_variables``, failures in the journal may hold the plan's local variables.
+    ``clock_ns`` returns ns since the Unix epoch, ``monotonic_ns`` the ns of a steady clock. With ``local_variables``,
+    failures in the journal may have the plan's local variables.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class Journal:
         self._began_ns = monotonic_ns()
         self._lock = threading.RLock()
         self._writing = self._resuming = False
-        self._interrupting: deque[Record | AssetFile] = deque()  # taken while this thread was writing
+        self._interrupting: deque[Record | AssetFile] = deque()  # arrived while this thread was writing
         self._strikes: list[Strike] = []  # since the latest record
         self._next = 0
         self._latest_ns = 0
@@ -98,30 +99,30 @@ class Journal:
 
     @property
     def length(self) -> int:
-        """Number of records; the next one's seq."""
+        """Number of records, which is the next record's ``seq``."""
         return self._next
 
     def add_sink(self, sink: Sink) -> None:
-        """Adds a sink; it gets the records from here on, and is closed with the others."""
+        """Add a sink; it gets the records from here on, and is closed with the others."""
         with self._lock:
             self._sinks = (*self._sinks, sink)
 
     def expect_keyframes(self, worlds: Iterable[str]) -> None:
-        """Skips mutations of these worlds until their keyframes, which include them."""
+        """Skip mutations of these worlds until their keyframes, which include the mutations."""
         with self._lock:
             self._expected.update(worlds)
 
     def append(self, record: Record) -> int:
-        """Number and keep a record, which has neither number nor times; return its size in bytes.
+        """Number and keep a record without number and times; return its size in bytes.
 
-        The size is 0 if the record is skipped, see :meth:`expect_keyframes`, or is kept after the one that this thread
-        is just writing: so are the words of signal handlers, finalizers and sinks.
+        The size is 0 if the record is skipped (:meth:`expect_keyframes`) or queued, as this thread is just writing
+        another record. Output of signal handlers, finalizers and sinks is queued.
         """
         record.cause = _cause.get().get(self, 0)
         return self._take(record)
 
     def strike(self, strike: Strike) -> None:
-        """Keeps a strike, with the next record."""
+        """Keep a strike, which is written with the next record."""
         with self._lock:
             self._strikes.append(strike)
 
@@ -133,7 +134,9 @@ class Journal:
     def _take(self, item: Record | AssetFile) -> int:
         with Uninterrupted(), self._lock:
             if self._writing:
-                if not (self._resuming and isinstance(item, Output)):  # else what a sink says would have no end
+                if not (
+                    self._resuming and isinstance(item, Output)
+                ):  # otherwise a sink that prints would print forever
                     self._interrupting.append(item)
                 return 0
             self._writing = True
@@ -158,7 +161,7 @@ class Journal:
                 return 0
             self._expected.remove(item.world)
         self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
-        del item.strikes[:]  # another journal's
+        del item.strikes[:]  # of another journal
         if self._strikes:
             item.strikes.extend(self._strikes)
             self._strikes.clear()
@@ -172,25 +175,25 @@ class Journal:
         return len(payload)
 
     def flush(self) -> None:
-        """Make all appended records safe, unless this thread is just appending."""
+        """Flush all sinks, unless this thread is just appending."""
         with Uninterrupted(), self._lock:
             if not self._writing:
                 for sink in self._sinks:
                     sink.flush()
 
     def locks(self) -> list[threading.RLock]:
-        """What keeps it and its sinks from moving while it is held, in the order in which it is taken."""
+        """Return the locks of the journal and its sinks, in the order in which they must be acquired."""
         return [self._lock, *filter(None, (getattr(sink, "lock", None) for sink in self._sinks))]
 
     def close(self) -> None:
-        """Closes every sink; the first error is raised when all are closed."""
+        """Close every sink; an error is raised after all are closed."""
         with Uninterrupted(), self._lock, ExitStack() as closing:
             for sink in reversed(self._sinks):
                 closing.callback(sink.close)
 
 
 class RunningTask(Protocol):
-    """A task as the journal sees it."""
+    """A task, as the journal uses it."""
 
     @property
     def id(self) -> int:
@@ -202,7 +205,7 @@ current_task: ContextVar[RunningTask | None] = ContextVar("pycram_task", default
 
 
 def task_id() -> int:
-    """Id of the task that runs in this context, 0 for none."""
+    """Return the id of the task that runs in this context, 0 for none."""
     task = current_task.get()
     return task.id if task is not None else 0
 
@@ -210,31 +213,31 @@ def task_id() -> int:
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # journals so far
-_sources: tuple[RecordedWorld, ...] = ()  # the worlds that are known; replaced, never changed
+_sources: tuple[RecordedWorld, ...] = ()  # the known worlds; replaced, not mutated
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
 def _listening() -> tuple[Journal, ...]:
-    """The journals that record this context."""
+    """Return the journals that record this context."""
     own = _isolated.get()
     return _open if own is None else own
 
 
 def recording() -> bool:
-    """Whether any journal records this context; without one nothing is read back or built."""
+    """Return whether any journal records this context; if not, callers needn't build records."""
     return bool(_listening())
 
 
 def is_unrecorded() -> bool:
-    """Whether this context is isolated from the plan's recordings; see :func:`unrecorded`."""
+    """Return whether this context is isolated from the plan's recordings; see :func:`unrecorded`."""
     return _isolated.get() is not None
 
 
 @contextmanager
 def unrecorded(*journals: Journal) -> Iterator[None]:
-    """Isolates its block from the plan's recordings; only these journals record it.
+    """Isolate the block from the plan's recordings; only these journals record it.
 
-    Worlds that are opened in it are unknown outside until they are announced.
+    Worlds that are opened in the block are unknown outside until they are announced.
     """
     token = _isolated.set(journals)
     try:
@@ -243,13 +246,13 @@ def unrecorded(*journals: Journal) -> Iterator[None]:
         _isolated.reset(token)
 
 
-#: The event whose handler runs in this context, by the step that it is in each journal.
+#: The step, in each journal, of the event whose handler runs in this context.
 _cause: ContextVar[Mapping[Journal, int]] = ContextVar("pycram_cause", default=MappingProxyType({}))
 
 
 @contextmanager
 def caused_by(event: Mapping[Journal, int]) -> Iterator[None]:
-    """Records all that its block does as caused by an event, given as :func:`emit` returned it."""
+    """Record the block's records as caused by an event, which is given as :func:`emit` returned it."""
     token = _cause.set(event)
     try:
         yield
@@ -269,13 +272,13 @@ def emit(
 
     Args:
         record: without its envelope.
-        world: name of the world that it is about.
+        world: name of the record's world, if any.
         sim_step: simulated steps of that world.
         task: id of its task; by default the current one.
-        number: called before each journal takes it: sets its references to other steps, which differ in each.
+        number: called before each journal takes the record; sets references to steps, which differ in each journal.
 
     Raises:
-        RecursionError: there is no room on the stack for it; it isn't numbered.
+        RecursionError: the stack has no room; the record isn't numbered.
     """
     context.require_stack_room(context.FOR_RECORD)
     record.world = world
@@ -292,7 +295,7 @@ def emit(
 
 
 def publish(record: Record) -> int:
-    """Append a record with its envelope to every open journal; return its size in bytes, 0 without any journal."""
+    """Append a record with its envelope to every open journal; return its size in bytes, 0 without a journal."""
     size = 0
     for journal in _listening():
         size = journal.append(record)
@@ -300,46 +303,46 @@ def publish(record: Record) -> int:
 
 
 def records_here(journal: Journal) -> bool:
-    """Whether a journal is open and records this context."""
+    """Return whether a journal is open and records this context."""
     return journal in _listening()
 
 
 def keeps_local_variables() -> bool:
-    """Whether all journals that record this context may hold local variables, and there is any."""
+    """Return whether this context is recorded, and all its journals may have local variables."""
     journals = _listening()
     return bool(journals) and all(journal.local_variables for journal in journals)
 
 
-#: Gives how often this thread has looked for strikes; the scheduler sets it, 0 without one.
+#: Returns how often this thread has polled for strikes; set by the scheduler, 0 without one.
 looks: Callable[[], int] = int
 
 
 def strike(look: int, which: Iterable[int]) -> None:
-    """Keep in every open journal what the clock and workers have decided in the main thread, whatever it does now.
+    """Keep a strike in every open journal: a decision by the clock or by workers in the main thread.
 
     Args:
-        look: the number of the poll that found it.
-        which: which of the polled items it is, from 0.
+        look: number of the poll that found it.
+        which: indices of the polled items, from 0.
     """
     for journal in _open:
         journal.strike(Strike(look=look, which=which))
 
 
 def attach(assets: Iterable[AssetFile]) -> None:
-    """Keeps files in every open journal."""
+    """Keep files in every open journal."""
     files = list(assets)
     for journal in _listening():
         journal.attach(files)
 
 
 def flush() -> None:
-    """Make all records of all open journals safe, before native code runs that lets no other thread run for long."""
+    """Flush all open journals, before native code that blocks all other threads for long."""
     for journal in _open:
         journal.flush()
 
 
 def register(source: RecordedWorld) -> None:
-    """Makes a world known to journals, until it is unregistered: one that is opened unrecorded isn't."""
+    """Make a world known to journals until it is unregistered; does nothing in an isolated context."""
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
         with _registry:
@@ -347,27 +350,27 @@ def register(source: RecordedWorld) -> None:
 
 
 def announce(source: RecordedWorld) -> None:
-    """Makes a world known that was opened unrecorded: open journals get its state now, others when they open."""
+    """Make a world known that was opened unrecorded: open journals get its state now, others when they open."""
     register(source)
     for journal in _listening():
         source.record_keyframe(journal)
 
 
 def unregister(source: RecordedWorld) -> None:
-    """Forgets a world that has ended."""
+    """Forget a closed world."""
     global _sources  # noqa: PLW0603  see open_journal
     with _registry:
         _sources = tuple(known for known in _sources if known is not source)
 
 
 def current_world() -> tuple[str, int]:
-    """Name and simulated steps of the known world that is current in this context; "", 0 if none is."""
+    """Return name and simulated steps of the known world that is current in this context; "", 0 for none."""
     world = context.current_world(_sources)
     return (world.name, world.sim_step) if world is not None else ("", 0)
 
 
 def recording_number() -> int:
-    """Number of the latest recording of this process, from 1; 0 before the first."""
+    """Return the number of the latest recording of this process, from 1; 0 before the first."""
     return _opened
 
 
@@ -375,17 +378,17 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
     """Begin recording to a journal; existing worlds give a keyframe first.
 
     Args:
-        journal: the journal; after an error nothing more is appended to it.
-        running: gives the records of the running tasks, which come first; none of them ends meanwhile.
+        journal: the journal; after an error, no further records are appended to it.
+        running: returns the records of the running tasks, which come first; keeps the tasks from ending meanwhile.
 
     Raises:
-        RecursionError: there is no room on the stack for the keyframes.
+        RecursionError: the stack has no room for the keyframes.
     """
     global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
     context.require_stack_room(context.FOR_TASK)
     with _registry, running or nullcontext(()) as tasks:
         _opened += 1
-        order = context.open_worlds()  # one that is only being opened isn't there yet
+        order = context.open_worlds()  # without a world that is being opened
         sources = sorted(_sources, key=lambda source: order.index(source) if source in order else len(order))
         for record in tasks:
             journal.append(record)
@@ -407,9 +410,9 @@ def close_journal(journal: Journal) -> None:
 
 @contextmanager
 def still() -> Iterator[None]:
-    """Keeps all open journals from moving while the block runs, for a fork (:mod:`recorder.tracing.forking`).
+    """Hold the locks of all open journals while the block runs, for a fork (:mod:`recorder.tracing.forking`).
 
-    It does little, as what it writes to is no longer shared by a copy that waits.
+    It writes little memory: a written page is no longer shared with a waiting copy.
     """
     held: list[threading.RLock] = []
     try:
@@ -425,18 +428,18 @@ def still() -> Iterator[None]:
 
 
 def paths() -> list[Path]:
-    """The files of the journals that record this context."""
+    """Return the files of the journals that record this context."""
     sinks = [sink for journal in _listening() for sink in journal._sinks]  # noqa: SLF001  same module
     return [sink.path for sink in sinks if hasattr(sink, "path")]
 
 
 def forget_all() -> None:
-    """Ends recording to all journals without touching their sinks: in a forked child, they are its parent's."""
+    """End recording to all journals without touching their sinks; in a forked child, the parent owns them."""
     global _open  # noqa: PLW0603  see open_journal
     _open = ()
 
 
 def forget_journal(journal: Journal) -> None:
-    """Ends recording to a journal without touching its sinks."""
+    """End recording to a journal without touching its sinks."""
     global _open  # noqa: PLW0603  see open_journal
     _open = tuple(each for each in _open if each is not journal)

@@ -1,8 +1,8 @@
-"""Printed and logged lines of a plan as records: one for each line, with the plan's line that began it.
+"""Printed and logged lines of a plan as records: a record for each line, with the plan's line that printed its start.
 
-Python's streams are replaced by ones that pass everything on immediately. Output of native code isn't seen. A line that
-is printed bit by bit is put together for each thread and branch; of a line that a progress bar overwrites, the last
-form is kept. Messages of ``logging`` are recorded as such, not as the lines that handlers make of them.
+Python's streams are replaced by streams that pass all text on immediately. Output of native code isn't recorded. A line
+that is printed in parts is assembled for each thread and branch. If a progress bar overwrites a line, its last form is
+recorded. Messages of ``logging`` are recorded directly, not as the lines that handlers print.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 
     from recorder.tracing.journal import Journal
 
-MAX_CHARACTERS: Final = 10_000  # of a record; a longer line takes several
+MAX_CHARACTERS: Final = 10_000  # of a record; a longer line is split
 
-_CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # colours and the like
-#: Set while handlers of logging print a message that has its record.
+_CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # escape sequences, for example colours
+#: True while handlers of logging print a message that is recorded already.
 _logging: ContextVar[bool] = ContextVar("pycram_logging", default=False)
 
 
 @contextmanager
 def recorded_output(log: Journal) -> Iterator[None]:
-    """Records what is printed and logged in its block."""
+    """Record the lines that are printed and logged in the block."""
     with ExitStack() as restoring:
         for name in ("stdout", "stderr"):
             if getattr(sys, name) is not None:
@@ -60,7 +60,7 @@ def _replaced(name: str, log: Journal) -> Iterator[None]:
 
 @contextmanager
 def _logged(log: Journal) -> Iterator[None]:
-    """Records what loggers give their handlers: a handler of ours would change what ``basicConfig`` does."""
+    """Record messages before the loggers call their handlers; an own handler would change ``basicConfig``."""
     before = logging.Logger.callHandlers
     ended = False
 
@@ -78,7 +78,7 @@ def _logged(log: Journal) -> Iterator[None]:
         yield
     finally:
         ended = True
-        if logging.Logger.callHandlers is call_handlers:  # else it stays in the chain of who came later
+        if logging.Logger.callHandlers is call_handlers:  # otherwise a later replacement calls it
             logging.Logger.callHandlers = before  # type: ignore[method-assign]
 
 
@@ -103,19 +103,19 @@ class _Origin(NamedTuple):
 
 
 class RecordedStream:
-    """A text stream that passes everything on to another one, and records the lines.
+    """A text stream that passes all text on to another stream, and records the lines.
 
-    All other attributes are those of the other stream. A plan doesn't end when its reader has gone, as after ``|
-    head``: from then on its lines are only recorded.
+    All other attributes are the other stream's. If the reader has gone, as after ``| head``, the plan continues, and
+    its lines are only recorded.
     """
 
     def __init__(self, stream: TextIO, name: str, log: Journal) -> None:
         self._stream, self._name, self._log = stream, name, log
-        self._begun: dict[int, tuple[str, _Origin]] = {}  # lines that have no end yet, by thread or branch
+        self._begun: dict[int, tuple[str, _Origin]] = {}  # incomplete lines, by thread or branch
         self._ended = False
 
     def write(self, text: str) -> int:
-        """Writes a text, and records the lines that it ends."""
+        """Write a text, and record the lines that it completes."""
         try:
             count = self._stream.write(text)
         except BrokenPipeError:
@@ -126,12 +126,12 @@ class RecordedStream:
         return count
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Writes texts one after the other."""
+        """Write several texts."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Passes on what waits in the other one."""
+        """Flush the other stream."""
         try:
             self._stream.flush()
         except BrokenPipeError:
@@ -148,7 +148,7 @@ class RecordedStream:
         return type(self._stream)
 
     def end(self) -> None:
-        """Records the lines that have no end; from now on it only passes on."""
+        """Record the incomplete lines; from now on, the stream only passes text on."""
         self._ended = True
         for text, origin in self._begun.values():
             self._record(text, origin)
@@ -178,7 +178,7 @@ class RecordedStream:
 
 
 def _visible(text: str) -> str:
-    """What a terminal shows of a line that returns to its beginning; it may go on after that."""
+    """Return the text that a terminal shows of a line with carriage returns; the line may continue."""
     if "\r" not in text:
         return text
     last = next((part for part in reversed(text.split("\r")) if part), "")

@@ -1,11 +1,11 @@
-"""The running task: spans, one per node of the task tree.
+"""The running task: a span for each node of the task tree.
 
-A span is opened around each designator execution, process module, language block, branch and attempt. The current one
-is carried by the context, so that records made inside know their cause. A plain thread starts with an empty context:
-whoever starts a thread for a task runs it with ``contextvars.copy_context().run``.
+A span is opened around each designator execution, process module, language block, branch and attempt. The context has
+the current span, so that records within it know their task. A plain thread starts with an empty context, so threads of
+a task must be run with ``contextvars.copy_context().run``.
 
 Every span makes its records, also without a recording: the tree of the running plan (:func:`tree`) is folded from them.
-Without a recording they hold no results and no tracebacks.
+Without a recording, they have no results and no tracebacks.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent  # with the plan's line
 
-#: A plan may run for days: its tree keeps the latest tasks, up to this number and these bytes of records.
+#: Limits of the tree, which keeps the latest tasks: number of tasks, and bytes of records. A plan may run for days.
 MAX_TASKS: Final = 20_000
 MAX_BYTES: Final = 100_000_000
 _MAX_CACHED: Final = 4096  # call stacks as records hold them
@@ -46,23 +46,23 @@ _STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # looked up once, as a messag
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
 _ids = itertools.count(1)
 _tree: Final = Tree(MAX_TASKS, MAX_BYTES)
-_tree_of = 0  # number of the recording whose tasks the tree has; 0 before the first
-_running: Final[dict[int, Task]] = {}  # how the tasks began that recordings may have and that have not ended
-_emitting: Final = threading.RLock()  # held from the record of a task's beginning or end to the change of these two
+_tree_of = 0  # number of the recording of the tree's tasks; 0 before the first
+_running: Final[dict[int, Task]] = {}  # the first records of running tasks that recordings may contain
+_emitting: Final = threading.RLock()  # held while a task's record is kept and these two change
 _current: Final = cast("ContextVar[Span | None]", journal.current_task)
 
 
 class Cancelled(BaseException):
-    """The task was cancelled, because the block around it is decided.
+    """The task was cancelled, because the outcome of the block around it is decided.
 
-    Not an Exception, so that a plan's ``except Exception`` doesn't swallow it.
+    It isn't an Exception, so that a plan's ``except Exception`` doesn't catch it.
     """
 
 
 def tree() -> Tree:
-    """Return the latest 20,000 tasks since the latest recording began; it grows as the process runs.
+    """Return the tree of the latest 20,000 tasks since the latest recording began, or without one, of all tasks.
 
-    Where nothing is recorded, it has the latest of all tasks.
+    The tree grows while the process runs.
     """
     return _tree
 
@@ -72,25 +72,25 @@ class Span:
     """A task while it runs; as a context manager, the task is the block."""
 
     kind: str  # motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
-    name: str  # what people call it
-    parent: int = field(default_factory=journal.task_id)  # id of the task that it is part of, 0 for none
+    name: str  # for people
+    parent: int = field(default_factory=journal.task_id)  # id of the task around it, 0 for none
     parameters: Mapping[str, object] = field(default_factory=dict)
-    attempt: int = 0  # number of the attempt, from 1; 0 if it is none
-    source: CallStack | None = None  # call stack of the code that asked for it; None to find it at the start
+    attempt: int = 0  # number of the attempt, from 1; 0 if it isn't an attempt
+    source: CallStack | None = None  # call stack of the requesting code; None to find it at the start
     id: int = field(default_factory=_ids.__next__)  # unique in this process, from 1
     solution: Mapping[str, object] = field(default_factory=dict)  # as resolved; set while it runs
-    result: object = None  # what it returned; set while it runs
-    error: BaseException | None = None  # what it failed with, where that isn't raised; set while it runs
+    result: object = None  # set while it runs
+    error: BaseException | None = None  # a failure that isn't raised; set while it runs
     decision: Decision | None = None  # how it was decided; set while it runs, or before
-    checkpoint: int = 0  # where the clock or a worker thread decided it, as records have it; set while it runs
+    checkpoint: int = 0  # at which the clock or a worker thread decided it; set while it runs
     _start_ns: int = 0
     _begun: bool = False
     _ended: bool = False
-    _frame: FrameType | None = field(default=None, init=False, repr=False)  # of the plan, that entered it
+    _frame: FrameType | None = field(default=None, init=False, repr=False)  # the plan's frame that entered the span
     _token: Token[Span | None] = field(init=False, repr=False)
 
     def ask(self) -> None:
-        """Records that it is asked for, where it starts later or in another thread."""
+        """Record the request of a task that starts later or in another thread."""
         self._emit_begin(Task.ASKED, Task.CREATED)
 
     def start(self, began_ns: int = 0) -> None:
@@ -100,13 +100,13 @@ class Span:
             began_ns: time of an earlier start, by the performance counter.
 
         Raises:
-            RecursionError: there would be no room for recording its end; nothing is recorded of it.
+            RecursionError: the stack has no room to record its end, so the task isn't recorded.
         """
         self._start_ns = began_ns or time.perf_counter_ns()
         self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Record the end once, if the beginning was recorded; ``error`` ended it, None if it succeeded."""
+        """Record the end, once and only after a recorded beginning; ``error`` is None if the task succeeded."""
         if self._ended or not self._begun:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
@@ -121,7 +121,7 @@ class Span:
             record.result_json = to_json(self.result) if self.result is not None else "null"
         if error is not None and status == _FAILED:
             record.failure.CopyFrom(failure_with_frames(error) if recorded else failure(error, trace=False))
-        with Uninterrupted():  # its end is in the log and in the tree, or in neither
+        with Uninterrupted():  # the end is in both the log and the tree, or in neither
             self._ended = True
             try:
                 self._emit(record)
@@ -131,7 +131,7 @@ class Span:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Runs its block as part of this task, which begins and ends elsewhere."""
+        """Run the block as part of this task, which begins and ends elsewhere."""
         if self.source is None:
             self.source = current_call_stack()
         token = _current.set(self)
@@ -141,7 +141,7 @@ class Span:
             _current.reset(token)
 
     def __enter__(self) -> Self:
-        """Starts, as the current task of this context."""
+        """Start, as the current task of this context."""
         if self.source is None:
             outer = _current.get()
             frame = sys._getframe(1)  # noqa: SLF001  see current_call_stack()
@@ -149,7 +149,7 @@ class Span:
         self._token = _current.set(self)
         try:
             self.start()
-        except BaseException as error:
+        except BaseException as error:  # whatever interrupts the start, the task must end
             self.__exit__(type(error), error, error.__traceback__)
             raise
         return self
@@ -214,15 +214,15 @@ class Span:
 
 
 def current() -> Span | None:
-    """The innermost running task of this context."""
+    """Return the innermost running task of this context."""
     return _current.get()
 
 
 @contextmanager
 def running() -> Iterator[list[Task]]:
-    """Keep tasks from beginning and ending while the block runs, and yield those that run.
+    """Keep tasks from beginning and ending while the block runs, and yield the running tasks.
 
-    They are records of their beginnings for a recording that begins now, outer tasks before inner ones.
+    The tasks are given as records of their beginnings for a new recording, outer tasks before inner ones.
     """
     with _emitting:
         records = []
@@ -230,7 +230,7 @@ def running() -> Iterator[list[Task]]:
             record = Task()
             record.CopyFrom(began)
             record.began_ns = began.wall_time_ns
-            if began.parent not in _running:  # a thread of its own can outlive what it is part of
+            if began.parent not in _running:  # a thread can outlive its parent task
                 record.parent = 0
             records.append(record)
         yield records
@@ -239,7 +239,7 @@ def running() -> Iterator[list[Task]]:
 def emit(
     record: Located, *, world: str = "", sim_step: int = 0, number: Callable[[Journal], None] | None = None
 ) -> Mapping[Journal, int]:
-    """Records something with the plan's line that led to it, unless its task has the same; see :func:`journal.emit`."""
+    """Emit a record with the plan's line that led to it, unless the task has the same; see :func:`journal.emit`."""
     if not journal.is_unrecorded():
         task = _current.get()
         asked = task.source if task is not None else None
@@ -249,7 +249,7 @@ def emit(
 
 
 def _line_fields(kind: type[Located], stack: CallStack) -> bytes:
-    """The fields of a record that hold a call stack, serialized: a plan's loop has the same ones again and again."""
+    """Return the serialized fields of a call stack, cached: loops in a plan repeat them."""
     key = kind, stack.lines
     fields = _fields.get(key)
     if fields is None:
@@ -265,7 +265,7 @@ _fields: Final[dict[tuple[type[Located], tuple[CallSite, ...]], bytes]] = {}
 
 
 def current_call_stack() -> CallStack:
-    """The call stack of the caller."""
+    """Return the call stack of the caller."""
     frame = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files: it takes 100 times as long
     task = _current.get()
     if task is None:
@@ -277,8 +277,8 @@ def current_call_stack() -> CallStack:
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:
-    """A task for a ``with`` statement: recorded when its block begins and, however that ends, when it ends.
+    """Return a task for a ``with`` statement, which records the beginning and the end of its block.
 
-    Set ``solution`` and ``result`` on it.
+    Set its ``solution`` and ``result`` in the block.
     """
     return Span(kind, name, parameters=parameters or {})

@@ -1,4 +1,4 @@
-"""The view of a recording in Rerun, live and afterwards: from the same records, by the same code.
+"""The view of a recording in Rerun, live and afterwards, from the same records and by the same code.
 
-:class:`recorder.viewer.translator.Translator` gives each record to all parts that show some of it.
+:class:`recorder.viewer.translator.Translator` passes each record to the parts of the view.
 """

@@ -1,7 +1,7 @@
-"""Connections to viewers: which one is requested, what listens there, free ports, and this machine's own window.
+"""Connections to viewers: the requested viewer, servers and free ports, and this machine's viewer window.
 
-A viewer is started here, started elsewhere, or a page in browsers. All speak one protocol: a server at a ``rerun+http``
-address, to which records are sent, or from which pages fetch them.
+A viewer is a window on this machine, a viewer that is started separately, or a page in browsers. All of them use
+servers at ``rerun+http`` addresses.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
 
 
 PORT: Final = 9876  # where viewers listen by default
-_POLL_PERIOD: Final = 0.2  # s between two attempts to reach a viewer
-HOST: Final = "127.0.0.1"  # what is recorded is nobody's business on the network
+_POLL_PERIOD: Final = 0.2  # s between attempts to reach a viewer
+HOST: Final = "127.0.0.1"  # recordings are private: never listen on the network
 
 _SCHEMES: Final = ("rerun", "rerun+http", "rerun+https")
-_HINT: Final = f"say spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or serve"
+_HINT: Final = f"use spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or serve"
 _METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
 _SOCKETS: Final = Path("/proc/net/tcp")
 _LISTENS: Final = "0A"  # the state of a socket
-_ANSWER_TIMEOUT: Final = 1.0  # s; a viewer that lives answers within milliseconds
+_ANSWER_TIMEOUT: Final = 1.0  # s; a running viewer answers within milliseconds
 
 
 class ViewerGone(Exception):
-    """The viewer has ended, or didn't begin."""
+    """The viewer has ended, or failed to start."""
 
 
 class ViewerKind(Enum):
-    """Which viewer."""
+    """How the viewer is started."""
 
     SPAWN = "spawn"
     CONNECT = "connect"
@@ -51,14 +51,14 @@ class ViewerKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where a plan is shown."""
+    """The viewer that shows a plan."""
 
     kind: ViewerKind
-    url: str = ""  # its address, where somebody else starts it
+    url: str = ""  # its address, if it is started separately
 
     @classmethod
     def parse(cls, text: str) -> Target:
-        """Parse "spawn", "connect", "connect:URL", "serve" or a URL; raise RecordingError if it is none of these."""
+        """Parse "spawn", "connect", "connect:URL", "serve" or a URL; raise RecordingError for other text."""
         if text in (ViewerKind.SPAWN.value, ViewerKind.SERVE.value):
             return cls(ViewerKind(text))
         if text == ViewerKind.CONNECT.value:
@@ -68,19 +68,19 @@ class Target:
             parts = urlsplit(url)
             valid = parts.scheme in _SCHEMES and parts.hostname and parts.port != 0
         except ValueError as error:
-            raise RecordingError(text, f"is no address of a viewer ({error}); {_HINT}") from error
+            raise RecordingError(text, f"isn't the address of a viewer ({error}); {_HINT}") from error
         if not valid or parts.path.rstrip("/") != "/proxy":
-            raise RecordingError(text, f"is no address of a viewer; {_HINT}")
+            raise RecordingError(text, f"isn't the address of a viewer; {_HINT}")
         return cls(ViewerKind.CONNECT, url)
 
 
 def address(port: int) -> str:
-    """Address of a viewer on this machine."""
+    """Return the address of a viewer on this machine."""
     return f"rerun+http://{HOST}:{port}/proxy"
 
 
 def answers(url: str) -> bool:
-    """Whether a viewer's server takes an empty stream of messages there; an open port isn't enough."""
+    """Return whether a viewer's server accepts an empty stream of messages; an open port isn't enough."""
     import http.client  # noqa: PLC0415  most recordings have no viewer
 
     parts = urlsplit(url)
@@ -97,7 +97,7 @@ def answers(url: str) -> bool:
 
 
 def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
-    """Waits until a viewer answers; ``check`` is called from time to time, and may raise."""
+    """Wait until a viewer answers; ``check`` is called before each attempt, and may raise."""
     pause = threading.Event()
     while not answers(url):
         check()
@@ -105,9 +105,9 @@ def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
 
 
 def is_own(port: int) -> bool:
-    """Whether this user's process listens on a port of the loopback; another user's gets nothing that is recorded.
+    """Return whether this user's process listens on a port of the loopback: records aren't sent to other users.
 
-    Where the system doesn't tell whose a port is (other than Linux), it is believed to be.
+    Only Linux tells the owner of a port; on other systems, return True.
     """
     if not _SOCKETS.exists():
         return True
@@ -118,7 +118,7 @@ def is_own(port: int) -> bool:
 
 
 def free_port(preferred: int) -> int:
-    """The wanted port if nobody listens there on any address of this machine, else one that is free."""
+    """Return the preferred port if it is free on all addresses of this machine, else any free port."""
     for port in (preferred, 0):
         try:
             with socket.create_server(("", port)) as server:
@@ -128,44 +128,44 @@ def free_port(preferred: int) -> int:
     raise RecordingError(HOST, "no port is free")
 
 
-END_TIMEOUT: Final = 2.0  # s that a viewer whose connection broke takes to end
+END_TIMEOUT: Final = 2.0  # s that a viewer needs to end after its connection broke
 
 
 class ViewerWindow:
-    """This user's viewer that is open on this machine, or a new process that outlives this one.
+    """This user's open viewer on this machine, or a new viewer process that outlives this process.
 
-    Its server answers before its window opens, and it ends then if there is no screen. So a caller that can't reach it
-    any more calls :meth:`check`.
+    The viewer's server answers before the window opens, and without a screen the viewer ends then. So callers that lose
+    the connection call :meth:`check`.
 
     Raises:
-        ViewerGone: it ended immediately, or can't be distinguished from another user's.
+        ViewerGone: the viewer ended immediately, or another user's program took its port.
     """
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  its last line is read when it ended
-        self.url = address(PORT)  # where it takes records; it has answered there
+        self.url = address(PORT)  # where it accepts records; it has answered there
         if not (is_own(PORT) and answers(self.url)):
             self._start(free_port(PORT))
 
     def _start(self, port: int) -> None:
         self.url = address(port)
-        self._process = subprocess.Popen(  # noqa: S603  the viewer that came with the library
+        self._process = subprocess.Popen(  # noqa: S603  the library's own viewer
             [sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", HOST, "--expect-data-soon"],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=self._stderr,
-            start_new_session=True,  # Ctrl-C is for the plan
+            start_new_session=True,  # Ctrl-C is meant for the plan
             env=os.environ | {"RERUN_APP_ONLY": "true"},
         )
         wait_for_answer(self.url, self.check)
-        if not is_own(port):  # somebody was quicker than it
+        if not is_own(port):  # another program took the port first
             raise ViewerGone(f"another user's program listens at {self.url}")
 
     def check(self, timeout: float = 0.0) -> None:
-        """Raise :class:`ViewerGone` if it was closed, or ended with an error, for example because there is no screen.
+        """Raise :class:`ViewerGone` if the viewer was closed or ended with an error, for example without a screen.
 
-        It is ending when a connection to it broke: ``timeout`` (s) is the time to wait for that.
+        After a broken connection, the viewer is ending; ``timeout`` (s) is the time to wait for its end.
         """
         if self._process is None:
             return
@@ -173,7 +173,7 @@ class ViewerWindow:
             code = self._process.wait(timeout)
             self._stderr.seek(0)
             lines = [line.strip() for line in self._stderr.read().decode(errors="replace").split("\n") if line.strip()]
-            words = lines[-1] if lines else "it didn't say why"
-            if code or words.startswith("Error"):  # the viewer's code is 0 then, too
+            words = lines[-1] if lines else "without a message"
+            if code or words.startswith("Error"):  # the exit code may be 0 even then
                 raise ViewerGone(f"the viewer didn't open ({words})")
             raise ViewerGone("the viewer was closed")

@@ -1,14 +1,15 @@
-"""Shows a recording live in a Rerun viewer; a viewer that is slow, stalls, dies or is missing costs the plan nothing.
+"""Show a recording live in a Rerun viewer; a viewer that is slow, stalls, dies or is missing doesn't delay the plan.
 
-Records go into a bounded queue (:class:`LiveQueue`). A thread sends them in batches to a process of its own
-(:func:`main`) that translates them for the viewer, and sends the next batch when the viewer has taken one. When the
-recording ends, the viewer gets a moment to take the rest. Then the process gets the rest, and some time to deliver it,
-even if it is still loading the viewer's library. Records that the viewer did not get are counted and reported.
+Records go into a bounded queue (:class:`LiveQueue`). A thread sends them in batches to a separate process
+(:func:`main`), which translates them for the viewer. The next batch is sent when the viewer has taken the previous one.
+When the recording ends, the viewer has a short time to take the rest. Then the process gets the rest, and more time to
+deliver it, even if it is still loading the viewer's library. Records that the viewer didn't get are counted and
+reported.
 
-Whatever a viewer does to its clients, it does to that process: stall it, fill its memory, hang its exit. On the socket
-the process may send ``Status.ABSENT``, then ``Status.READY`` when there is a viewer, and then how many records of each
-batch the viewer took, without those that can't be shown. The recording sends batch after batch, lists of topics with
-payloads and of files, and an empty one at the end.
+A viewer can stall its client, fill its memory or hang its exit; only the separate process suffers from that. On the
+socket, the process may send ``Status.ABSENT``, sends ``Status.READY`` when there is a viewer, and then the number of
+shown records of each batch. The recording sends batches, which are lists of topics with payloads and of files; an empty
+batch is the end.
 """
 
 from __future__ import annotations
@@ -54,33 +55,33 @@ if TYPE_CHECKING:
     from recorder.viewer.translator import Translator
 
 
-_END_TIMEOUT: Final = 1.8  # s for the viewer to take what is left
+_END_TIMEOUT: Final = 1.8  # s for the viewer to take the rest
 _START_TIMEOUTS: Final = {
     ViewerKind.SPAWN: 5.0,
     ViewerKind.CONNECT: 3.0,
     ViewerKind.SERVE: 3.0,
-}  # s, for plans that are shorter
-_LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a viewer that is behind
+}  # s for a viewer to start, even if the plan ends sooner
+_LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a late viewer
 _HAND_OVER_TIMEOUT: Final = 0.5  # s for the process to read the rest
-_BATCH_PERIOD: Final = 0.2  # s: many small batches cost more than they show
+_BATCH_PERIOD: Final = 0.2  # s: many small batches cost too much
 _MAX_ITEMS: Final = 500  # of a batch
 _MAX_BYTES: Final = 4 << 20
 _ROOT: Final = str(Path(__file__).parent.parent.parent)
-_NICENESS: Final = 10  # the plan goes first where cores are few, also while the viewer's library is loaded
+_NICENESS: Final = 10  # the plan has priority if cores are few, also while the viewer's library is loaded
 _CODE: Final = f"""
 import os, sys
 os.nice({_NICENESS})
-sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder could hold anything
+sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder may have modules of any name
 from recorder.viewer.live import main
 main(sys.argv[1:])
 """
 
 
-_lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that deliver the rest
+_lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that still deliver records
 
 
 class RerunSink:
-    """A sink that is a viewer: "spawn", "connect", "connect:URL", "serve" or a URL; else it raises RecordingError."""
+    """A sink that is a viewer; ``live`` is as for :func:`recorder.record`, else RecordingError is raised."""
 
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
@@ -88,39 +89,39 @@ class RerunSink:
         self._records = 0
         self._taken = 0
         self._ended = threading.Event()
-        self._settled = threading.Event()  # nothing is waited for: the viewer has all, is gone or isn't there yet
+        self._settled = threading.Event()  # no need to wait: the viewer has all records, is gone or isn't there yet
         self._sending = threading.Lock()
         self._started = time.monotonic()
         self._connection, child_end = Pipe()
         with child_end:
             self._process = subprocess.Popen(  # noqa: S603  our own code
                 [sys.executable, "-c", _CODE, _ROOT, str(child_end.fileno()), live, title, str(_LINGER_TIMEOUT)],
-                stdin=subprocess.PIPE,  # which is closed when this process ends, however it ends
+                stdin=subprocess.PIPE,  # closed when this process ends, however it ends
                 stdout=subprocess.DEVNULL,
                 pass_fds=[child_end.fileno()],
-                env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # the process prints what matters
+                env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # the process prints its own messages
             )
         self._thread = own(threading.Thread(target=self._run, name="live viewer", daemon=True))
         self._thread.start()
 
     def final_metadata(self) -> dict[str, str]:
-        """Metadata about the viewer, for the end of the file."""
+        """Return metadata about the viewer, for the end of the file."""
         return {"viewer_dropped": str(self._queue.dropped)}
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Takes a record; see :class:`recorder.tracing.journal.Sink`."""
+        """Queue a record; see :class:`recorder.tracing.journal.Sink`."""
         self._records += 1
         self._queue.put((topic, payload), transient=is_transient(record))
 
     def attach(self, asset: AssetFile) -> None:
-        """Takes a file; see :class:`recorder.tracing.journal.Sink`."""
+        """Queue a file; see :class:`recorder.tracing.journal.Sink`."""
         self._queue.put(asset, transient=False)
 
     def flush(self) -> None:
-        """A viewer keeps nothing safe; see :class:`recorder.tracing.journal.Sink`."""
+        """Do nothing: a viewer stores no records; see :class:`recorder.tracing.journal.Sink`."""
 
     def close(self) -> None:
-        """Ends; waits for the viewer up to a timeout."""
+        """End, after waiting for the viewer up to a timeout."""
         if self._ended.is_set():
             return
         self._ended.set()
@@ -132,20 +133,20 @@ class RerunSink:
         if served and (behind or settled) and self._process.poll() is None:
             atexit.register(_stop, self._process, os.getpid())
         elif not behind:
-            _stop(self._process)  # frees the thread, if it still waits
+            _stop(self._process)  # unblocks the thread, if it still waits
         self._thread.join()
         self._connection.close()
         missed = self._records - self._taken
         if missed:
             count = f"{missed} of {self._records} records"
-            time_left = "the time that it is served" if served else f"{_LINGER_TIMEOUT:.0f} s"
-            late = f"the viewer is {count} behind; it has {time_left} to take them"
+            time_left = "until its server ends" if served else f"{_LINGER_TIMEOUT:.0f} s"
+            late = f"the viewer is {count} behind; it has {time_left} to catch up"
             print(
                 f"recorder: {late if behind else f'the viewer missed {count}'}; the file has them all", file=sys.stderr
             )
 
     def _hand_over(self) -> bool:
-        """Sends the rest to the process, and unblocks the thread; returns whether the process took it."""
+        """Send the rest to the process, and unblock the thread; return whether the process took the rest."""
 
         def send() -> None:
             with self._sending, contextlib.suppress(OSError):
@@ -155,14 +156,14 @@ class RerunSink:
         sender = own(threading.Thread(target=send, name="rest for the viewer", daemon=True))
         sender.start()
         sender.join(_HAND_OVER_TIMEOUT)
-        if sender.is_alive():  # the process doesn't read any more
+        if sender.is_alive():  # the process has stopped reading
             return False
         with socket.socket(fileno=os.dup(self._connection.fileno())) as ending:
             ending.shutdown(socket.SHUT_RD)
-        if self._target.kind is ViewerKind.SERVE:  # pages have until this process ends
+        if self._target.kind is ViewerKind.SERVE:  # pages can load until this process ends
             return self._process.poll() is None
         if self._process.stdin is not None:
-            self._process.stdin.close()  # its timeout begins
+            self._process.stdin.close()  # starts the process's timeout
         _lingering[:] = [process for process in (*_lingering, self._process) if process.poll() is None]
         return self._process in _lingering
 
@@ -171,33 +172,33 @@ class RerunSink:
             while self._connection.recv() is not Status.READY:
                 self._settled.set()
             self._settled.clear()
-            with unrecorded():  # what a finalizer prints in it would wait for the queue
+            with unrecorded():  # if a finalizer prints in this thread, its record would wait for the queue
                 while sent := self._send():
                     self._taken += self._connection.recv()
-                    self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # where cores are few: half of one
+                    self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # use at most half a core
             self._connection.recv()
-        except (EOFError, OSError):  # the process has ended, and has printed why; or it has got the rest
+        except (EOFError, OSError):  # the process has ended and printed why, or has got the rest
             self._queue.take_rest()
         finally:
             self._settled.set()
 
     def _send(self) -> float | None:
-        """Waits for a batch and sends it, an empty one at the end; returns when it began to send something."""
-        with self._sending:  # what is taken out is sent before the rest
+        """Wait for a batch and send it; return the time of sending, None for the empty batch at the end."""
+        with self._sending:  # the batch must be sent before the rest
             batch = self._queue.take(_MAX_ITEMS, _MAX_BYTES)
             started = time.monotonic()
             self._connection.send(batch)
         return started if batch else None
 
     def wait(self) -> None:
-        """Waits while pages can be opened: after the end, until somebody ends their server or interrupts."""
+        """Wait until the page's server ends, or Ctrl-C."""
         self._process.wait()
 
 
 def _stop(process: subprocess.Popen[bytes], owner: int | None = None) -> None:
-    if owner not in (None, os.getpid()):  # a forked child's end isn't that of its parent's viewer
+    if owner not in (None, os.getpid()):  # in a forked child: the viewer belongs to the parent
         return
-    with process:  # waits for it, and closes the pipe
+    with process:  # waits for its end, and closes the pipe
         process.kill()
 
 
@@ -205,22 +206,21 @@ Item: TypeAlias = tuple[str, bytes] | AssetFile
 """A record's topic and payload, or a file."""
 
 _TRANSIENT: Final = frozenset({"move_body", "move_joints", "simulate", "set_realtime"})
-_OVERHEAD: Final = 200  # bytes of an item in Python, about
+_OVERHEAD: Final = 200  # approximate bytes of an item in Python
 
 
 class LiveQueue:
     """A queue that never makes its writer wait, bounded in number and bytes.
 
-    When it is full, the oldest transient items are dropped first, which later records make up for: motions of bodies
-    and simulations (the next keyframe has the poses), events, fluents and output. Models, tasks and the contents of
-    worlds are dropped only when nothing else is left.
+    A full queue drops the oldest transient items first: motions of bodies and simulations (the next keyframe has the
+    poses), events, fluents and output. Models, tasks and the contents of worlds are dropped last.
     """
 
     def __init__(self, max_items: int = 20_000, max_bytes: int = 128 << 20) -> None:
         self._max_items = max_items
         self._max_bytes = max_bytes
         self._items: OrderedDict[int, Item] = OrderedDict()
-        self._transient: deque[int] = deque()  # keys of the items that are dropped first, oldest first
+        self._transient: deque[int] = deque()  # keys of transient items, oldest first
         self._count = 0
         self._changed = threading.Condition()
         self._closed = False
@@ -231,7 +231,7 @@ class LiveQueue:
         return len(self._items)
 
     def put(self, item: Item, *, transient: bool) -> None:
-        """Appends an item, and drops others if there are too many; does nothing after the end."""
+        """Append an item, and drop others if the queue is full; do nothing if it is closed."""
         with self._changed:
             if self._closed:
                 return
@@ -246,7 +246,7 @@ class LiveQueue:
             self._changed.notify()
 
     def take(self, max_items: int, max_bytes: int) -> list[Item]:
-        """Waits for items, and takes the oldest until they have so many bytes; none when it has ended and is empty."""
+        """Wait for items, and take the oldest up to the limits; return no items if the queue is closed and empty."""
         taken: list[Item] = []
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed)
@@ -257,7 +257,7 @@ class LiveQueue:
         return taken
 
     def take_rest(self) -> list[Item]:
-        """Ends it, and removes all items at once."""
+        """Close the queue, and take all items."""
         with self._changed:
             taken = list(self._items.values())
             self._items.clear()
@@ -267,7 +267,7 @@ class LiveQueue:
         return taken
 
     def close(self) -> None:
-        """Ends it; items can still be taken."""
+        """Close the queue; items can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -281,7 +281,7 @@ class LiveQueue:
 
 
 def is_transient(record: Record) -> bool:
-    """Whether later records make up for this one."""
+    """Return whether later records replace this one in the view."""
     if isinstance(record, Mutation):
         return record.WhichOneof("command") in _TRANSIENT
     return isinstance(record, Event | Fluent | Output)
@@ -297,20 +297,20 @@ _CALL_TIMEOUT: Final = 1.0  # s, of one call of the viewer's library
 
 
 class Status(Enum):
-    """State of the viewer, as this process reports it to the recording."""
+    """State of the viewer, as the separate process reports it."""
 
     ABSENT = "absent"
     READY = "ready"
 
 
 def main(arguments: list[str]) -> None:
-    """Serve one recording to its end, in a process of its own.
+    """Translate a recording for a viewer until its end, in a separate process.
 
     Args:
-        arguments: the socket's descriptor, the target, the recording's title, and the seconds after its end that a late
-            viewer has.
+        arguments: the socket's descriptor, the target, the recording's title, and the time for a late viewer after the
+            recording's end, s.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the plan; a session of its own would undo the niceness
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is meant for the plan; a new session would undo the niceness
     connection = Connection(int(arguments[0]))
     target = Target.parse(arguments[1])
     absent = threading.Event()
@@ -321,12 +321,12 @@ def main(arguments: list[str]) -> None:
         status = 0
     except (ViewerGone, EOFError, OSError) as end:
         if str(end):
-            _print(f"{end}; the plan goes on without")
+            _print(f"{end}; the plan continues without it")
     finally:
         if sys.exception() is not None:
             traceback.print_exc()
         sys.stderr.flush()
-        os._exit(status)  # the viewer's library would wait for its viewer, perhaps for ever
+        os._exit(status)  # the library's own exit would wait for the viewer, perhaps forever
 
 
 def _print(text: str) -> None:
@@ -334,9 +334,9 @@ def _print(text: str) -> None:
 
 
 def _end_with_parent(absent: threading.Event, linger: float) -> None:
-    """End ``linger`` seconds after the recording, whose end of this pipe closes however its process ends.
+    """End this process ``linger`` seconds after the recording's process, which closes the pipe however it ends.
 
-    By then all records are here, and nobody waits. Without a viewer this process ends immediately.
+    By then, all records are here. Without a viewer, this process ends immediately.
     """
     sys.stdin.buffer.read()
     sys.stderr.flush()
@@ -346,7 +346,7 @@ def _end_with_parent(absent: threading.Event, linger: float) -> None:
 
 
 class _Batches:
-    """Batches of the recording: read at once, however slow the viewer is."""
+    """The batches of the recording, which are read immediately, even if the viewer is slow."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -366,13 +366,13 @@ class _Batches:
         return iter(self._queue.get, [])
 
     def report(self, status: Status | int) -> None:
-        """Sends the viewer's status, or how many records of a batch it took, if the recording still listens."""
+        """Send the viewer's status, or the number of shown records of a batch, if the recording still listens."""
         with contextlib.suppress(OSError):
             self._connection.send(status)
 
 
 def _serve(batches: _Batches, target: Target, title: str, absent: threading.Event) -> None:
-    # takes longer to load than a short plan, whose records are read meanwhile
+    # loading takes longer than a short plan; its records are read meanwhile
     import rerun as rr  # noqa: PLC0415
 
     from recorder.viewer.rerun_stream import APPLICATION  # noqa: PLC0415
@@ -395,7 +395,7 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
         elif not answers(url):
             absent.set()
             batches.report(Status.ABSENT)
-            _print(f"no viewer at {url} yet; it can be started at any time: rerun")
+            _print(f"no viewer at {url} yet; start it at any time: rerun")
             wait_for_answer(url)
             absent.clear()
         stream.set_sinks(rr.GrpcSink(url))
@@ -416,13 +416,13 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
     if page is not None:
         page.flush()
         batches.report(0)
-        threading.Event().wait()  # the page is there until the process of the plan ends
-    stream.disconnect()  # waits until the viewer has all
+        threading.Event().wait()  # the page is served until the plan's process ends
+    stream.disconnect()  # waits until the viewer has all records
     batches.report(0)
 
 
 class _Display:
-    """Translates batches; skips what can't be shown, and reports that once."""
+    """Translates batches; skips records that can't be shown, and reports the first error."""
 
     def __init__(self, stream: rr.RecordingStream, translator: Translator) -> None:
         self._stream = stream
@@ -431,7 +431,7 @@ class _Display:
         self._reported = False
 
     def lay_out(self) -> None:
-        """Sends the layout: at the beginning, and again when a plan begins to act in another world."""
+        """Send the layout at the beginning, and again when a plan begins to act in another world."""
         from recorder.viewer.translator import blueprint  # noqa: PLC0415
 
         worlds = self._translator.worlds
@@ -440,7 +440,7 @@ class _Display:
             self._stream.send_blueprint(blueprint(worlds.centres, worlds.front))
 
     def show(self, batch: list[Item]) -> int:
-        """Translates a batch, and returns how many records of it are shown."""
+        """Translate a batch, and return the number of shown records."""
         shown = 0
         for item in batch:
             with self._skipping_errors():
@@ -458,18 +458,18 @@ class _Display:
     def _skipping_errors(self) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # noqa: BLE001  users' own values are in records
+        except Exception as error:  # noqa: BLE001  records have values of users, which may break any code
             if not self._reported:
-                _print(f"something can't be shown ({error!r}); the file has it")
+                _print(f"a record can't be shown ({error!r}); the file has it")
             self._reported = True
 
 
 def _deliver(stream: rr.RecordingStream, window: ViewerWindow | None) -> None:
-    """Wait until the viewer has taken everything, however long that takes; raise :class:`ViewerGone` if it won't."""
+    """Wait until the viewer has taken all rows, without a time limit; raise :class:`ViewerGone` if it has ended."""
     while True:
         try:
             stream.flush(timeout_sec=_CALL_TIMEOUT)
-        except RuntimeError as error:  # the library has one type for all
+        except RuntimeError as error:  # the library's type for all errors
             broken = "timed out" not in str(error)
             if window is not None:
                 window.check(END_TIMEOUT if broken else 0.0)

@@ -1,12 +1,12 @@
 """Marks in the scene: targets and failures of tasks, attachments, cameras, and paths of trajectories.
 
-A failure's mark and its line in the log are one entity: selecting the line shows the position. A failure for a
-collision marks the links that would have met, joined by a line. Attachments are lines from carriers to what they hold,
-cameras are frustums of where they look; both move with their links.
+A failure's mark and its line in the log are one entity, so selecting the line shows the position. A failure for a
+collision marks the links that would have collided, joined by a line. Attachments are lines from carriers to carried
+bodies, cameras are frustums of their view; both move with their links.
 
-The planned path of a tool frame or base is a blue line; the driven part is a thicker green one that covers it. Both go
-when the body is at its end. The paths of a stopped trajectory stay, with the plan in grey, until the body begins the
-next one: what went wrong is looked at afterwards. The planned path of a tool moves with the robot's base.
+The planned path of a tool frame or base is a blue line; a thicker green line covers its driven part. Both disappear
+when the body is at the end. The paths of a stopped trajectory stay until the body's next trajectory, with the planned
+part in grey. The planned path of a tool moves with the robot's base.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ LINK: Final = 0.015
 _ARROW: Final = 0.35
 _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
-_PIN: Final = 0.3  # of a failure, above the words of its target
-_ABOVE_ROBOT: Final = 1.8  # where a failure without a position is shown
-_MAX_PAIRS: Final = 5  # of links that would meet
+_PIN: Final = 0.3  # height of a failure's label, above the label of its target
+_ABOVE_ROBOT: Final = 1.8  # height of a failure without a position
+_MAX_PAIRS: Final = 5  # of colliding links that are shown
 
 
 class Marks:
@@ -56,21 +56,21 @@ class Marks:
         self._paths: list[str] = []
 
     def add(self, world: str, parts: Sequence[str], now: TimePoint, *shapes: rr.AsComponents) -> None:
-        """Shows shapes from now on, as the entity of these names below the world's."""
+        """Show shapes from now on, as the entity of these names below the world's entity."""
         path = self._columns.path(world, *parts)
         self._columns.set_frame(path, self._scene.frame(world))
         self._columns.send(path, now, *shapes)
         self._paths.append(path)
 
     def clear(self, now: TimePoint) -> None:
-        """Removes all marks."""
+        """Remove all marks."""
         for path in self._paths:
             self._columns.clear(path, now)
         self._paths = []
 
 
 class TaskMarks:
-    """Targets of motions while they run; where a task failed, until the next one begins."""
+    """Targets of motions while they run; positions of failures until the next task begins."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
@@ -78,10 +78,10 @@ class TaskMarks:
         self._running: dict[int, tuple[str, Marks]] = {}  # name and marks of running motions
         self._targets: dict[int, Vector] = {}  # of running tasks
         self._failures = Marks(columns, scene)
-        self._failure = ("", "")  # that is shown: parents fail with the same one
+        self._failure = ("", "")  # the shown failure, with which parents fail, too
 
     def show(self, record: Task, now: TimePoint) -> None:
-        """Shows what a task's start or end changes."""
+        """Update the marks at a task's start or end."""
         if record.phase == Task.STARTED:
             self._failures.clear(now)
             self._failure = ("", "")
@@ -107,7 +107,7 @@ class TaskMarks:
             shapes.append(_arrow(camera, (x, y, z), BLUE))
         elif orientation is not None:
             shapes.append(_arrow(target, geometry.rotate(orientation, (_ARROW, 0.0, 0.0)), BLUE))
-        # a name that no other running motion has; short ones come again, so that entities stay few
+        # a name that no other running motion has; names are reused to keep entities few
         taken = {name for name, _ in self._running.values()}
         names = (record.name, *(f"{record.name} {number}" for number in range(2, len(taken) + 2)))
         name = next(name for name in names if name not in taken)
@@ -139,7 +139,7 @@ class TaskMarks:
         self._show_pairs(record, now)
 
     def _show_pairs(self, record: Task, now: TimePoint) -> None:
-        """Shows which links would have met, where they are now."""
+        """Mark the links that would have collided, at their current positions."""
         found = argument_values(record.failure.data, strict=True).get("pairs")
         pairs = [pair for pair in found if isinstance(pair, dict)] if isinstance(found, list) else []
         for number, pair in enumerate(pairs[:_MAX_PAIRS], 1):
@@ -175,7 +175,7 @@ _ATTACHMENT_LINE: Final = 0.003  # m
 
 
 class Attachments:
-    """The lines of all attachments; the scene has shown a record before they do."""
+    """The lines of all attachments; the scene must show a record first."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
@@ -183,7 +183,7 @@ class Attachments:
         self._paths: dict[tuple[str, str, str], str] = {}  # by world, carrier and body
 
     def show(self, record: Mutation | Keyframe, now: TimePoint) -> None:
-        """Shows what a record changed."""
+        """Show the changed attachments of a record."""
         world = record.world
         bodies = self._scene.bodies.get(world, {})
         pairs = [key[1:] for key in self._paths if key[0] == world]
@@ -212,7 +212,7 @@ class Attachments:
 def _attachment_changes(
     record: Mutation | Keyframe, pairs: list[tuple[str, str]]
 ) -> tuple[Iterable[Attachment], list[tuple[str, str]]]:
-    """Attachments that were made, and those of the pairs of carrier and body that ended."""
+    """Return the new attachments of a record, and the pairs of carrier and body whose attachment ended."""
     if not isinstance(record, Keyframe):
         return record.effect.attached, [(ended.carrier, ended.body) for ended in record.effect.detached]
     carried = {(attachment.carrier, attachment.body) for attachment in record.attachments}
@@ -232,7 +232,7 @@ class CameraFrustums:
         self._paths: dict[tuple[str, str], str] = {}  # by world and robot
 
     def show(self, world: str, now: TimePoint) -> None:
-        """Shows those of the robots that a world has by now."""
+        """Show the cameras of the robots that are in a world now."""
         bodies = self._scene.bodies.get(world, {})
         for key in [key for key in self._paths if key[0] == world and key[1] not in bodies]:
             self._columns.clear(self._paths.pop(key), now)
@@ -247,7 +247,7 @@ class CameraFrustums:
             right, down = (math.tan(camera[f"{axis}_fov"] / 2) * _FRUSTUM for axis in ("horizontal", "vertical"))
             frame = self._scene.frame(world, name, str(camera["frame"]))
         except (KeyError, TypeError):
-            return  # a robot without one
+            return  # a robot without a camera
         link_T_optical = offset(camera, "frame_offset")
         corners = [
             geometry.transform(link_T_optical, (right * x, down * y, _FRUSTUM))
@@ -259,7 +259,7 @@ class CameraFrustums:
 
 
 def camera_position(scene: ViewerScene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
-    """Where a camera is, given as position, pose or frame, by default the robot's own; None if that isn't known."""
+    """Return the position of a camera: a position, pose or frame, by default the robot's own; None if unknown."""
     robot = scene.robot(world, robot_name)
     if isinstance(camera, list) or robot is None:
         return position(camera)
@@ -273,13 +273,13 @@ Values: TypeAlias = "dict[str, Any]"
 
 
 def name_of(value: object) -> str:
-    """The name of the object that a recorded value is, or the value itself if it is a text; else ""."""
+    """Return the name of a recorded object, or a recorded text itself; "" for other values."""
     name = value.get("object") if isinstance(value, dict) else value
     return name if isinstance(name, str) else ""
 
 
 def vector(value: object, length: int) -> tuple[float, ...] | None:
-    """A recorded value as that many finite numbers; None if it isn't that."""
+    """Return a recorded value as that many finite numbers; None for other values."""
     if not isinstance(value, list | tuple) or len(value) != length:
         return None
     finite = all(isinstance(number, int | float) and math.isfinite(number) for number in value)
@@ -287,7 +287,7 @@ def vector(value: object, length: int) -> tuple[float, ...] | None:
 
 
 def position(value: object) -> Vector | None:
-    """The position, or that of the pose, that a recorded value is; None if it is neither."""
+    """Return a recorded position, or the position of a recorded pose; None for other values."""
     if isinstance(value, list) and len(value) == 2:
         value = value[0]
     numbers = vector(value, 3)
@@ -295,7 +295,7 @@ def position(value: object) -> Vector | None:
 
 
 def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | None:
-    """The target position among values: a position, else that of an object; None if there is neither."""
+    """Return the first position among values, else the position of the first object; None without either."""
     for value in values.values():
         point = position(value)
         if point is not None:
@@ -310,19 +310,19 @@ def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | 
 PATHS: Final = "paths"
 _PLANNED: Final = 0.004  # m, radius
 _DRIVEN: Final = 0.01  # m
-_ABOVE_FLOOR: Final = 0.01  # m, of a base's path, which would lie in the floor
+_ABOVE_FLOOR: Final = 0.01  # m, height of a base's path above the floor
 _MIN_LENGTH: Final = 0.001  # m; a tool that only turns has no path
-_SAMPLES: Final = 6  # after which the driven line grows, a fifth of a simulated second; each time all of it is sent
-_ENDING: Final = ("reset", "restore", "close_world")  # commands after which nothing is followed
+_SAMPLES: Final = 6  # between updates of the driven line, about 0.2 s; each update sends the whole line
+_ENDING: Final = ("reset", "restore", "close_world")  # commands that end all trajectories
 
 
 @dataclass(slots=True)
 class _Path:
-    """Of a tool frame or base."""
+    """The path of a tool frame or base."""
 
-    now: Callable[[], Vector]  # gives where it is, in the world
+    now: Callable[[], Vector]  # returns its current position in the world
     entity: str  # path of the planned line's entity
-    driven_entity: str  # path of the driven line's
+    driven_entity: str  # path of the driven line's entity
     label: str  # of the planned line
     planned: Sequence[Vector]  # points in the frame of the planned line's entity
     driven: list[Vector] = field(default_factory=list)  # points in the world
@@ -335,7 +335,7 @@ class _Followed:
 
 
 class TrajectoryPaths:
-    """The paths of all trajectories; the scene has shown a record before they do."""
+    """The paths of all trajectories; the scene must show a record first."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
@@ -344,7 +344,7 @@ class TrajectoryPaths:
         self._stopped: dict[tuple[str, str], list[_Path]] = {}  # by world and body
 
     def move(self, world: str, body: str, time: TimePoint) -> None:
-        """Lengthens the driven lines of a body that has moved."""
+        """Extend the driven lines of a moved body."""
         for followed in self._followed.get(world, {}).values():
             if followed.following.begin.body == body:
                 for path in followed.paths:
@@ -353,7 +353,7 @@ class TrajectoryPaths:
                         self._draw_driven(path, time)
 
     def show(self, record: Mutation | Keyframe, now: TimePoint) -> None:
-        """Shows which trajectories a record begins, stops or ends."""
+        """Show the trajectories that a record begins, stops or ends."""
         world = record.world
         followed = self._followed.setdefault(world, {})
         if isinstance(record, Keyframe):
@@ -376,7 +376,7 @@ class TrajectoryPaths:
             self._remove(world, record.remove_body.body, now)
 
     def _keep(self, world: str, following: Mapping[int, Following], now: TimePoint) -> None:
-        """Shows the trajectories of a keyframe, by number, and no others."""
+        """Show only the trajectories of a keyframe, given by number."""
         followed = self._followed[world]
         for number in followed.keys() - following.keys():
             self._clear(followed.pop(number).paths, now)
@@ -393,7 +393,7 @@ class TrajectoryPaths:
             self._draw(path.entity, path.planned, BLUE, now, _PLANNED, path.label)
 
     def _paths_of(self, world: str, following: Following) -> Iterator[_Path]:
-        """The paths that a trajectory has: of its body's base, or of the tools that its joints move."""
+        """Yield the paths of a trajectory: of the body's base, or of the tools that its joints move."""
         begin, scene = following.begin, self._scene
         trajectory, body = begin.trajectory, scene.bodies.get(world, {}).get(begin.body)
         if body is None:
@@ -441,10 +441,10 @@ class TrajectoryPaths:
         return _Path(now, planned, driven, f"{name} {seconds}", points)
 
     def _end(self, world: str, number: int, now: TimePoint, driven: float) -> None:
-        """Ends a trajectory of which so many seconds were driven."""
+        """End a trajectory after ``driven`` seconds of it."""
         followed = self._followed[world].pop(number, None)
         if followed is None:
-            return  # its beginning isn't on record
+            return  # its beginning isn't recorded
         begin = followed.following.begin
         if driven >= begin.trajectory.times[-1]:
             self._clear(followed.paths, now)

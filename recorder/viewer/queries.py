@@ -1,8 +1,9 @@
 """The last reasoning query: a page with its answer and evidence, marks in the scene, the picture of its camera.
 
-Marks are green where the answer is yes (or nothing blocks), red where it is no. A query for places has a map on the
+Marks are green if the answer is yes (or nothing blocks), and red if it is no. A query for places has a map on the
 floor, with cells from blue (hardly suitable) to green (suitable). A taken place is a green point with its heading, a
-rejected one a red point with the reason, an untried one grey. Maps on record may be a stranger's: they are checked.
+rejected place a red point with the reason, an untried place a grey point. Maps are validated, as a recording may be a
+stranger's.
 """
 
 from __future__ import annotations
@@ -49,13 +50,13 @@ _ACTIVE: Final = re.compile(r"\\|(?<=!)\[|(?<=\])[\[(]|<")
 
 
 class QueryPage:
-    """Page of the last query."""
+    """The page of the last query."""
 
     def __init__(self, columns: Columns) -> None:
         self._pages = columns.series(columns.path(QUERIES, PAGE), _pages)
 
     def show(self, record: Query, now: TimePoint) -> None:
-        """Shows a query."""
+        """Show a query."""
         self._pages.add(now, (_page(record),))
 
 
@@ -85,18 +86,18 @@ def _cell(text: str) -> str:
 
 
 def _text(line: str) -> str:
-    """A line of a stranger's recording: viewers would fetch the pictures that Markdown names from wherever they are."""
+    """Escape Markdown: for a stranger's recording, a viewer would fetch the pictures of its links."""
     return _ACTIVE.sub(r"\\\g<0>", " ".join(line.splitlines()))
 
 
 PICTURE: Final = "picture"
 _MAX_CLASSES: Final = 60_000  # the viewer's classes are 16 bits
-MAX_PIXELS: Final = 1 << 24  # of a picture; robots' cameras have a tenth of it
-_GOLDEN_RATIO: Final = 0.618034  # steps of hue that keep neighbours apart
+MAX_PIXELS: Final = 1 << 24  # of a picture; robots' cameras have a tenth
+_GOLDEN_RATIO: Final = 0.618034  # steps of hue, so that neighbours differ
 
 
 class QueryPicture:
-    """Picture of the last query that has one."""
+    """The picture of the last query with a picture."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
@@ -104,7 +105,7 @@ class QueryPicture:
         self._classes: dict[str, int] = {}  # by body; the same in all pictures
 
     def show(self, record: Query, now: TimePoint) -> None:
-        """Shows a query's picture."""
+        """Show a query's picture, if it has one."""
         if not record.HasField("picture"):
             return
         picture = record.picture
@@ -131,27 +132,27 @@ class QueryPicture:
 
 
 PLACES: Final = "places"
-_ABOVE: Final = 0.01  # m, of what would lie in the floor or on a surface
+_ABOVE: Final = 0.01  # m above a floor or surface, so that it doesn't hide the marks
 _POINT: Final = 0.025  # m
 _TAKEN: Final = 0.05
-_HEADING: Final = 0.15  # m, of the arrow of a place that was taken
+_HEADING: Final = 0.15  # m, length of a taken place's arrow
 _ALPHA: Final = 150
 _MAX_LABELS: Final = 200
 _COLORS: Final = {TAKEN: GREEN, NOT_TRIED: GREY}
 
 
 class QueryPlaces:
-    """The map and the samples of the last query for places, until the next one, or until a task begins that moves."""
+    """The map and the samples of the last query for places, until the next such query or motion."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._marks = Marks(columns, scene)
 
     def clear(self, now: TimePoint) -> None:
-        """Removes them."""
+        """Remove the map and the samples."""
         self._marks.clear(now)
 
     def show(self, record: Query, now: TimePoint) -> None:
-        """Show a query for places; raise ValueError if its map is impossible."""
+        """Show a query for places; raise ValueError for an invalid map."""
         if not record.HasField("grid"):
             return
         self._marks.clear(now)
@@ -174,7 +175,7 @@ class QueryPlaces:
 
 
 def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[rr.AsComponents]:
-    """Return where something was taken, and how it faces; above the map else what became of all."""
+    """Return the taken places with their headings; without any, a label above the map with the results."""
     text = fates_text(record)
     chosen = [number for number, name in enumerate(names) if name == TAKEN]
     if not chosen:
@@ -185,7 +186,7 @@ def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[
 
 
 def _cells(record: Query) -> rr.Mesh3D | None:
-    """Return the cells where a place may do, as coloured squares; None if there are none."""
+    """Return the cells with a score as coloured squares; None if there are none."""
     grid = record.grid
     scores = scores_of(grid)
     rows, columns = np.nonzero(scores)
@@ -208,7 +209,7 @@ def _cells(record: Query) -> rr.Mesh3D | None:
 
 
 MAX_CELLS: Final = 1 << 20
-"""Of a map; those of recorders have some thousands."""
+"""Largest number of cells of a map; usual maps have some thousands."""
 _FARTHEST: Final = 1e6  # m
 
 
@@ -216,7 +217,7 @@ def scores_of(grid: Grid) -> NDArray[np.float64]:
     """Return the scores (height, width) of a map's cells, 0 to 1, rows along x from the lowest y.
 
     Raises:
-        ValueError: too many cells for its bytes, a size that isn't positive, an origin that is nowhere.
+        ValueError: the size, origin or content of the map is invalid.
     """
     width, height = grid.width, grid.height
     if width <= 0 or height <= 0 or width * height > MAX_CELLS:
@@ -237,7 +238,7 @@ def scores_of(grid: Grid) -> NDArray[np.float64]:
 
 
 def spots_of(grid: Grid) -> NDArray[np.float64]:
-    """Return the positions (n, 3) of the places that were drawn from a map, m; raise ValueError if one is nowhere."""
+    """Return the positions (n, 3) of a map's sampled places, m; raise ValueError for an invalid place."""
     positions = [list(spot.position) for spot in grid.spots]
     for spot, place in zip(grid.spots, positions, strict=True):
         if len(place) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in place):
@@ -254,18 +255,18 @@ _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}  # by
 
 
 class QueryMarks:
-    """Target and posture of the last query, and what touches, hides or blocks; until the next task begins."""
+    """Target, posture, contacts and obstacles of the last query, until the next task begins."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._scene = scene
         self._marks = Marks(columns, scene)
 
     def clear(self, now: TimePoint) -> None:
-        """Removes the last query's marks."""
+        """Remove the last query's marks."""
         self._marks.clear(now)
 
     def show(self, record: Query, now: TimePoint) -> None:
-        """Shows a query."""
+        """Show a query."""
         self._marks.clear(now)
         if not record.world:
             return

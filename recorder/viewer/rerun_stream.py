@@ -1,8 +1,8 @@
 """Rerun streams, to a viewer or into an ``.rrd`` file: rows of components, buffered and sent as columns.
 
-Every row stands on three time lines: ``step`` (the record's number), ``sim`` (simulated time) and ``wall`` (the clock).
-Rows of one time point replace one another in the order in which they were added. Colours of marks, log lines and tasks
-can be read on the viewer's dark ground and on its light one.
+Every row is on three time lines: ``step`` (the record's number), ``sim`` (simulated time) and ``wall`` (the clock).
+A later row of a time point replaces an earlier one. Colours of marks, log lines and tasks are readable on the viewer's
+dark and light backgrounds.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 
 
 APPLICATION: Final = "pycram"  # viewers remember a layout for each application
-_WRITE_TIMEOUT: Final = 60.0  # s for rows to get into a file
-_SWITCH: Final = "RERUN"  # the variable that silences programs which log to viewers
+_WRITE_TIMEOUT: Final = 60.0  # s for writing the rows of a file
+_SWITCH: Final = "RERUN"  # environment variable that turns logging to viewers off
 
 
 @contextlib.contextmanager
 def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None) -> Iterator[rr.RecordingStream]:
-    """Open a stream for rows, even if the environment has viewers switched off, as this one was requested.
+    """Open a stream for rows, even if the environment turns viewers off: this viewer was requested.
 
-    ``connect`` gives the stream its sink, before a Ctrl-C is raised.
+    ``connect`` sets the sink of the stream; Ctrl-C is deferred until then.
     """
     switched = os.environ.pop(_SWITCH, None)
     try:
-        with Uninterrupted():  # one that Ctrl-C leaves half made or without a sink makes the library complain on stderr
+        with Uninterrupted():  # after a Ctrl-C here, the library would complain about a stream without a sink
             stream = rr.RecordingStream(APPLICATION)
             if connect is not None:
                 connect(stream)
@@ -50,12 +50,12 @@ def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None
 
 @contextlib.contextmanager
 def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
-    """Open a stream into a file, replaced and complete at the block's end; raise OSError if it can't be written."""
+    """Open a stream into a file, which is replaced and complete at the block's end; raise OSError after an error."""
     with stream_to_viewer(lambda stream: stream.save(file)) as stream:
         yield stream
         try:
             stream.flush(timeout_sec=_WRITE_TIMEOUT)
-        except RuntimeError as error:  # the library has one type for all, and a message with the cause
+        except RuntimeError as error:  # the library's type for all errors; the message has the cause
             raise OSError(str(error)) from error
         stream.disconnect()
 
@@ -69,12 +69,12 @@ class TimePoint(NamedTuple):
 
 
 def sim_ns(sim_step: int) -> int:
-    """Simulated time in ns."""
+    """Return the simulated time in ns."""
     return round(sim_step * 1e9 / STEPS_PER_SECOND)
 
 
 class Series:
-    """Buffered rows of one entity that become the same columns."""
+    """Buffered rows of one entity, which become columns."""
 
     __slots__ = ("maker", "rows", "times")
 
@@ -84,13 +84,13 @@ class Series:
         self.rows: list[tuple[Any, ...]] = []
 
     def add(self, time: TimePoint, row: tuple[Any, ...]) -> None:
-        """Adds a row, as the maker takes it."""
+        """Add a row, in the form that the maker expects."""
         self.times.append(time)
         self.rows.append(row)
 
 
 class Columns:
-    """Buffers of all entities of a stream, below a root entity if one is named; for one thread."""
+    """Buffers of all entities of a stream, below an optional root entity; for one thread."""
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         self._stream = stream
@@ -99,18 +99,18 @@ class Columns:
         self._in_frames: set[str] = set()
 
     def path(self, *parts: str) -> str:
-        """Path of an entity from the names of its ancestors and its own, which may hold any characters."""
+        """Return the path of an entity from the names of its ancestors and its own name, with any characters."""
         return rr.new_entity_path([*self._root, *parts])
 
     def series(self, path: str, maker: ColumnMaker) -> Series:
-        """The buffer for rows that come often; always the same object for the same entity and maker."""
+        """Return the buffer for frequent rows; the same object for the same entity and maker."""
         makers = self._series.setdefault(path, {})
         if maker not in makers:
             makers[maker] = Series(maker)
         return makers[maker]
 
     def send(self, path: str, time: TimePoint, *archetypes: rr.AsComponents) -> None:
-        """Sends one row at once: what the entity is from that time on."""
+        """Send one row immediately: the entity's components from that time on."""
         self._flush(path)  # rows of one entity keep their order
         batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
         columns = [
@@ -120,21 +120,21 @@ class Columns:
         self._send(path, [time], columns)
 
     def clear(self, path: str, time: TimePoint) -> None:
-        """Removes what an entity shows from that time on; entities below it stay."""
+        """Clear an entity from that time on; entities below it stay."""
         self.send(path, time, rr.Clear(recursive=False))
 
     def send_static(self, path: str, archetype: rr.AsComponents) -> None:
-        """Sends what an entity is at all times."""
+        """Send an entity's components for all times."""
         self._stream.log(path, archetype, static=True)
 
     def set_frame(self, path: str, frame: str) -> None:
-        """Places an entity in a coordinate frame, at all times."""
+        """Put an entity into a coordinate frame, for all times."""
         if path not in self._in_frames:
             self._in_frames.add(path)
             self.send_static(path, rr.CoordinateFrame(frame))
 
     def flush(self) -> None:
-        """Sends all buffered rows."""
+        """Send all buffered rows."""
         for path in self._series:
             self._flush(path)
 

@@ -1,8 +1,7 @@
-"""Bodies in the viewer's 3D scene: their shapes at the poses that records give.
+"""Bodies in the viewer's 3D scene: their shapes at the recorded poses.
 
-A link's entity holds its transform, between frames named as on ``/tf``; entities below it hold shapes and name their
-frame. What isn't there yet, or no more, has no shapes; but its frames always exist, as the viewer complains of entities
-without a path to the root.
+A link's entity has its transform, between frames named as on ``/tf``; entities below it have shapes and name their
+frame. A body has shapes only while it exists. Its frames always exist, as the viewer requires a path to the root.
 """
 
 from __future__ import annotations
@@ -54,41 +53,41 @@ class SceneBody:
 
     loaded: LoadBody  # how it was loaded
     joints: dict[str, float] = field(default_factory=dict)  # positions in rad or m by name
-    pose: Pose = geometry.IDENTITY  # of its base in the world
+    pose: Pose = geometry.IDENTITY  # of the base in the world
     shapes: set[str] = field(default_factory=set)  # paths of its shapes' entities
-    links: dict[str, _Link] = field(default_factory=dict)  # those that records gave poses for, by name; "" is its base
+    links: dict[str, _Link] = field(default_factory=dict)  # links with recorded poses, by name; "" is the base
 
 
 class ViewerScene:
-    """The bodies of all worlds; the names of all frames begin with a prefix."""
+    """The bodies of all worlds; ``prefix`` begins the names of all frames."""
 
     def __init__(self, columns: Columns, prefix: str = "") -> None:
         self._columns = columns
         self._prefix = prefix
         self._frames = FrameTree()
         self._files: dict[str, bytes] = {}
-        self._transforms: dict[tuple[str, str], Series] = {}  # by world and frame; also of bodies that are gone
+        self._transforms: dict[tuple[str, str], Series] = {}  # by world and frame; also of removed bodies
         self._first: TimePoint | None = None
         self.bodies: dict[str, dict[str, SceneBody]] = {}  # by world, then name
-        self.robots: dict[str, str] = {}  # names of those that plans control, by world
-        #: Files that bodies are made of and that were not attached, as ``<sha256>/<file name>``; one a body.
+        self.robots: dict[str, str] = {}  # names of the controlled robots, by world
+        #: Missing files of bodies, as ``<sha256>/<file name>``; one for each body.
         self.absent: dict[str, None] = {}
 
     def attach(self, asset: AssetFile) -> None:
-        """Takes a model or mesh, before the records that use it, or anything else."""
+        """Take an attached file; models and meshes must come before the records that use them."""
         if asset.name.endswith(".urdf"):
             self._frames.add_urdf(asset.sha256, asset.content)
         self._files[asset.sha256] = asset.content
 
     def frame(self, world: str, body: str = "", link: str = "") -> str:
-        """Name of a frame in the viewer: of the world's root, a body's base or one of its links."""
+        """Return the viewer's name of a frame: of the world's root, a body's base or a link."""
         model = self._frames.model(world, body)
         if model is not None and link == model.root:
             link = ""
         return self._prefix + (frame_name(world, body, link) if body else ROOT)
 
     def pose(self, world: str, body: str, link: str = "") -> Pose | None:
-        """Current pose of a body's base or link in the world; None if there is no such thing."""
+        """Return the current pose of a body's base or link in the world; None if it doesn't exist."""
         if not link:
             scene_body = self.bodies.get(world, {}).get(body)
             return scene_body.pose if scene_body is not None else None
@@ -99,12 +98,12 @@ class ViewerScene:
         return geometry.multiply(scene_body.pose, model.forward_kinematics(scene_body.joints, link))
 
     def _with_link(self, world: str, body: str, link: str) -> tuple[SceneBody, Urdf] | None:
-        """Return a body and its model; None if it isn't there, or its model isn't known or has no such link."""
+        """Return a body and its model; None if the body, its model or the link is missing."""
         scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
         return (scene_body, model) if scene_body is not None and model is not None and link in model.links else None
 
     def robot(self, world: str, name: str = "") -> tuple[str, SceneBody] | None:
-        """The robot of that name, else the one that plans control, else any; None if the world has none."""
+        """Return the robot of that name, else the controlled robot, else any robot; None if the world has no robot."""
         bodies = self.bodies.get(world, {})
         for candidate in (name, self.robots.get(world, "")):
             if candidate in bodies:
@@ -112,16 +111,16 @@ class ViewerScene:
         return next(((name, body) for name, body in bodies.items() if body.loaded.robot_description), None)
 
     def centre(self, world: str) -> Vector:
-        """Mean position of objects and robots in m; the origin if there are none."""
+        """Return the mean position of objects and robots in m; the origin without any."""
         bodies = self.bodies.get(world, {}).values()
         positions = [body.pose[0] for body in bodies if body.loaded.robot_description or not body.loaded.fixed_base]
         x, y, z = (sum(position[axis] for position in positions) / max(len(positions), 1) for axis in range(3))
         return x, y, z
 
     def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
-        """Points in the world, in m, of the joints from the first of the given ones (rad or m) to a link.
+        """Return the positions, in the world in m, of the joints from the first given joint (rad or m) to a link.
 
-        The other joints are as they are; there are no points without a model.
+        The other joints keep their positions. Without a model, the list is empty.
         """
         found = self._with_link(world, body, link)
         if found is None:
@@ -138,9 +137,9 @@ class ViewerScene:
     def link_position(
         self, world: str, body: str, link: str, offset: Vector
     ) -> Callable[[Mapping[str, float]], Vector] | None:
-        """What gives where a point of a link is in its body's base, in m; None without a model that has the link.
+        """Return a function for the position of a link's point in the body's base, in m; None without such a link.
 
-        It takes positions of joints in rad or m; the other joints are as they are when it is called.
+        The function takes positions of joints in rad or m; the other joints keep their current positions.
         """
         found = self._with_link(world, body, link)
         if found is None:
@@ -154,11 +153,11 @@ class ViewerScene:
         return position
 
     def motions(self, record: Mutation | Keyframe) -> list[BodyMotion]:
-        """What a record moved, in the order of simulated time; also takes the models of what it adds."""
+        """Return the motions of a record, in the order of simulated time; note the models of its new bodies."""
         return self._frames.motions(record)
 
     def begin(self, record: Mutation | Keyframe, now: TimePoint) -> None:
-        """Shows which bodies a record added or removed; what it moved comes after that."""
+        """Show the bodies that a record added or removed; call :meth:`move` for its motions after that."""
         if self._first is None:
             self._first = now
         bodies = self.bodies.get(record.world)
@@ -181,7 +180,7 @@ class ViewerScene:
             self._draw(record.world, bodies[record.set_color.body], tuple(record.set_color.color), now)
 
     def move(self, world: str, motion: BodyMotion, now: TimePoint) -> SceneBody | None:
-        """Moves a body, and returns it; None if it isn't there."""
+        """Move a body, and return it; None if it doesn't exist."""
         body = self.bodies[world].get(motion.body)
         if body is None:
             return None
@@ -200,7 +199,7 @@ class ViewerScene:
         return body
 
     def _transforms_of(self, world: str, frame: Frame, pose: Pose) -> Series:
-        """The buffer of a frame's poses; the first one holds from the beginning on."""
+        """Return the buffer of a frame's poses; the first pose holds from the beginning of the recording."""
         transforms = self._transforms.get((world, frame.child))
         if transforms is None:
             path = self._columns.path(world, BODIES, frame.body, *([frame.link] if frame.link else []))
@@ -275,10 +274,10 @@ _MEDIA_TYPES: Final = {"stl": "model/stl", "obj": "model/obj"}
 def draw(
     shapes: Sequence[Shape], meshes: Callable[[str], bytes | None], color: Color | None
 ) -> Iterator[tuple[str, list[rr.AsComponents]]]:
-    """Draw a link's shapes: one entity for all boxes, one for all cylinders, one for each mesh.
+    """Yield the entities of a link's shapes: one for all boxes, one for all cylinders and so on, one for each mesh.
 
-    ``meshes`` gives a mesh's content, None if it is not known; without a color of the body, shapes have their own.
-    Yields names, unique within the link, and what is shown there.
+    Each entity has a name, unique within the link, and its components. ``meshes`` returns a mesh's content, None if
+    unknown. Without ``color``, shapes have their own colours.
     """
     for kind in ("box", "cylinder", "sphere", "capsule"):
         alike = [shape for shape in shapes if shape.kind == kind]
@@ -314,7 +313,7 @@ def _solids(kind: str, shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.A
 
 
 def table(robot: LoadBody, name: str) -> Mapping[str, Any]:
-    """A table of a robot's description; empty if there is none."""
+    """Return a table of a robot's description; empty without one."""
     try:
         found = tomllib.loads(robot.robot_description).get(name, {})
     except ValueError:
@@ -323,7 +322,7 @@ def table(robot: LoadBody, name: str) -> Mapping[str, Any]:
 
 
 def offset(described: Mapping[str, Any], name: str) -> Pose:
-    """A described pose in a link; by default the link's own."""
+    """Return a described pose in a link; by default the link's own frame."""
     found = described.get(name, {})
     x, y, z = found.get("xyz", (0.0, 0.0, 0.0))
     return (x, y, z), geometry.from_rpy(*found.get("rpy", (0.0, 0.0, 0.0)))

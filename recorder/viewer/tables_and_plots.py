@@ -1,9 +1,9 @@
 """The log, the tables of records, and curves over time.
 
 The log has a line for each record, with its level. Each kind of record has an entity, so that kinds can be hidden.
-Lines begin with the step, which is what people type: the viewer's own column of times has room for two digits, and
-shows another time line when one is chosen. Typed records are columns of tables, one entity for each type. Curves are
-the heights of bodies, and the joints of robots and furniture.
+Lines begin with the step: the viewer's own column of times has room for two digits only, and follows the chosen time
+line. Each type of record has a table, whose columns are fields. Curves are the heights of bodies, and the joints of
+robots and furniture.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ if TYPE_CHECKING:
 
 
 LOG: Final = "log"
-_COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # of lines; the viewer's own are of the level alone, and dark
+_COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # of lines; the viewer's own colours are too dark
 _LEVELS: Final = {Log.DEBUG: "DEBUG", Log.INFO: "INFO", Log.WARNING: "WARN", Log.ERROR: "ERROR"}
 
 
 def numbered(text: str, now: TimePoint) -> str:
-    """A text with its step before it."""
+    """Return a text after its step."""
     return f"#{now.step} {text}"
 
 
@@ -61,7 +61,7 @@ class LogLines:
         self._lines = {kind: columns.series(columns.path(LOG, topic[1:]), _lines) for kind, topic in TOPICS.items()}
 
     def show(self, record: Record, text: str, level: Log.Level.ValueType, now: TimePoint) -> None:
-        """Adds a record's line, if it has one."""
+        """Add a record's line, if it has one."""
         if has_line(record):
             self._lines[type(record)].add(now, (numbered(text, now), _LEVELS[level]))
 
@@ -81,7 +81,7 @@ def _word(enum: EnumTypeWrapper, number: int) -> str:
 
 
 def _line(file: str, line: int) -> str:
-    """A line by the file's name: columns are narrow."""
+    """Return a line with the file's name only, as columns are narrow."""
     return f"{file.rpartition('/')[2]}:{line}"
 
 
@@ -96,7 +96,7 @@ _COLUMNS: Final[Mapping[type[Record], tuple[str, ...]]] = {
     Run: ("phase", "name", "succeeded", "failure"),
     Output: ("stream", "level", "logger"),
 }
-"""Names of a table's own columns."""
+"""Columns of each table, in addition to the common columns."""
 
 _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
     "after": lambda record: by_name(record.after_json),
@@ -116,19 +116,19 @@ _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
     "phase": lambda record: _word(Run.Phase, record.phase),
     "status": lambda record: _word(Task.Status, record.status) if record.status else "running",
 }
-"""Values of columns, where they aren't the record's field of that name."""
+"""Values of columns that aren't the record's field of that name."""
 
 _COMMON: Final = ("world", "task", "thread", "cause", "text")
 _Sourced: TypeAlias = Task | Mutation | Event | Subscription | Fluent | Query | Refusal
 _SOURCED: Final = (*get_args(_Sourced), Output)
-"""Types of records with the plan's line that made them: all but tasks have it only where it isn't their task's."""
+"""Types of records with a line of the plan; other records than tasks omit the line if it is their task's."""
 
 KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
 """Names of the tables."""
 
 
 class RecordTables:
-    """A table for each type of record but keyframes, which add nothing new."""
+    """A table for each type of record except keyframes, which have no new facts."""
 
     def __init__(self, columns: Columns) -> None:
         self._tables = {
@@ -141,7 +141,7 @@ class RecordTables:
         self._sources: dict[int, str] = {}  # call sites of the tasks that run
 
     def show(self, record: Record, text: str, now: TimePoint) -> None:
-        """Adds a record with its line of text."""
+        """Add a record with its line of text."""
         table = self._tables.get(type(record))
         if table is None:
             return
@@ -150,7 +150,7 @@ class RecordTables:
         series.add(now, (*row, self._source(record)) if isinstance(record, _SOURCED) else row)
 
     def _source(self, record: _Sourced | Output) -> str:
-        """Call site of a record, or of its task."""
+        """Return the call site of a record, or of its task."""
         source = _line(record.source_file, record.source_line) if record.source_file else ""
         source = source or self._sources.get(record.task, "")
         if type(record) is Task:
@@ -181,7 +181,7 @@ class Plots:
         self._series: dict[tuple[str, str, str], Series] = {}
 
     def show(self, world: str, body: SceneBody, motion: BodyMotion, now: TimePoint) -> None:
-        """Adds the values that a motion changed; the body is at its end already."""
+        """Add the changed values of a motion, after the body was moved."""
         for joint, value in motion.joints.items():
             self._add((world, motion.body, joint), value, now)
         if not body.loaded.fixed_base:

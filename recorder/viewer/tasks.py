@@ -1,10 +1,10 @@
 """Tasks in the viewer: lanes over time, and the task tree as a graph.
 
-A lane holds the tasks of one depth, one after the other; parallel tasks have lanes of their own. When a task ends, its
+A lane has the tasks of one depth, one after the other; parallel tasks have separate lanes. When a task ends, its
 beginning is sent again with its outcome: later rows of a time point replace earlier ones.
 
-The graph shows what runs and what it is part of, what went before, and the path to a failure. Succeeded tasks are
-folded: of a task's children only the last few are shown, and of these only the last one's children.
+The graph shows the running tasks, the tasks around them, the latest tasks, and the path to a failure. Succeeded tasks
+are folded: only the last few children of a task are shown, and only the children of the last one.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from recorder.viewer.rerun_stream import Columns, Series, TimePoint
 
 
-LANES: Final = "level"  # which is what the viewer titles them with
+LANES: Final = "level"  # the viewer shows it in the titles of lanes
 STATUS_MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
-_MAX_NAMES: Final = 300  # that have colours of their own in a lane; from then on tasks go by their kinds
+_MAX_NAMES: Final = 300  # with their own colours in a lane; then tasks are named by kind
 
 
 @dataclass(slots=True)
@@ -52,11 +52,11 @@ class TaskTimeline:
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._running: dict[int, _Running] = {}
-        self._slots: dict[int, set[int]] = {}  # that are taken, by depth
+        self._slots: dict[int, set[int]] = {}  # occupied slots, by depth
         self._lanes: dict[tuple[int, int], _Lane] = {}
 
     def show(self, record: Task, now: TimePoint) -> None:
-        """Shows a task's start or end."""
+        """Show a task's start or end."""
         if record.phase == Task.STARTED:
             parent = self._running.get(record.parent)
             depth = parent.depth + 1 if parent is not None else 1
@@ -106,16 +106,16 @@ _COLORS: Final = {
     State.CREATED: YELLOW,
 }
 _PLAN: Final = "plan"
-_MAX_TASKS: Final = 300  # that are remembered
-_MAX_CHILDREN: Final = 7  # of a task that are shown
-_THINNING: Final = 1000  # after so many pictures only each second one is drawn, then each third, ...
+_MAX_TASKS: Final = 300  # in the tree
+_MAX_CHILDREN: Final = 7  # shown children of a task
+_THINNING: Final = 1000  # after 1,000 updates, every second update is drawn, after 2,000 every third, ...
 _ACROSS: Final = 120.0  # px from a task to its children
 _DOWN: Final = 34.0  # px
 _MAX_LETTERS: Final = 24
 
 
 class TaskGraph:
-    """The tree of the latest tasks below one node for the plan."""
+    """The tree of the latest tasks, below a node for the plan."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
@@ -125,7 +125,7 @@ class TaskGraph:
         self.plan = ""  # name of the outermost node
 
     def show(self, record: Task, now: TimePoint) -> None:
-        """Shows the tree after a task's start or end."""
+        """Show the tree after a task's start or end."""
         self._tree.apply(record)
         if record.phase == Task.ASKED:
             return
@@ -160,7 +160,7 @@ def _shown(tree: Tree) -> Iterator[tuple[int, Node]]:
 
 
 def _latest(nodes: Sequence[Node], failing: set[int]) -> list[Node]:
-    """The last few, and all that still run or are on the path to the failure."""
+    """Return the last few nodes, and all nodes that still run or are on the path to the failure."""
     first = len(nodes) - _MAX_CHILDREN
     return [
         node

@@ -1,6 +1,6 @@
-"""Translates records into rows for the viewer, live and afterwards, and lays its views out.
+"""Translate records into rows for the viewer, live and afterwards, and lay out its views.
 
-ViewerScene and tasks over time are to the left; task tree, query, log, curves and tables to the right.
+The scenes and the tasks over time are on the left; task tree, query, log, curves and tables on the right.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from recorder.records.values import AssetFile
 
 
-_BATCH: Final = 20_000  # records; sending fewer takes more time, and more take more memory
-_MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that add and remove no bodies
+_BATCH: Final = 20_000  # records: fewer take more time, more take more memory
+_MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that neither add nor remove bodies
 
 
 class Translator:
-    """Shows records in a viewer, below a root entity and with frames of that prefix if one is named. For one thread."""
+    """Shows records in a viewer; an optional ``root`` is their root entity and the prefix of frames. For one thread."""
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         columns = self._columns = Columns(stream, root)
@@ -48,23 +48,23 @@ class Translator:
         self._paths = TrajectoryPaths(columns, scene)
         self._task_marks, self._query_marks = TaskMarks(columns, scene), QueryMarks(columns, scene)
         self._places = QueryPlaces(columns, scene)
-        self._sim_ns = 0  # of the world of the latest record that has one
+        self._sim_ns = 0  # of the latest record with a world
         self._previous_ns = 0  # wall time of the record before
         self._waiting = 0  # records
 
     def attach(self, asset: AssetFile) -> None:
-        """Takes a model or mesh, before the records that use it, or anything else."""
+        """Take an attached file; models and meshes must come before the records that use them."""
         self.scene.attach(asset)
 
     def show(self, record: Record) -> None:
-        """Takes the next record; its rows are sent in batches, at the latest by :meth:`flush`."""
+        """Translate the next record; its rows are sent in batches, at the latest by :meth:`flush`."""
         if record.world:
             self._sim_ns = sim_ns(record.sim_step)
         now = TimePoint(record.seq, self._sim_ns, record.wall_time_ns)
         text, level = text_of(record)
         self._lines.show(record, text, level, now)
         self._tables.show(record, text, now)
-        if type(record) is Task:  # isinstance takes five times as long where it is none
+        if type(record) is Task:  # isinstance takes five times as long for other types
             self._show_task(record, now)
         elif type(record) is Mutation or type(record) is Keyframe:
             self._show_change(record, now)
@@ -75,7 +75,7 @@ class Translator:
             self._places.show(record, now)
         elif type(record) is Run and record.phase == Run.STARTED:
             self._graph.plan = record.name
-        if record.world and type(record) is not Output:  # a plan may talk before it acts
+        if record.world and type(record) is not Output:  # a plan may print before it acts
             self.worlds.follow(record)
         self._previous_ns = now.wall
         self._waiting += 1
@@ -83,12 +83,12 @@ class Translator:
             self.flush()
 
     def flush(self) -> None:
-        """Sends all buffered rows."""
+        """Send all buffered rows."""
         self._columns.flush()
         self._waiting = 0
 
     def finish(self) -> None:
-        """Ends: adds the worlds that no plan acted in, and sends all buffered rows."""
+        """Add the worlds in which no plan acted, and send all buffered rows."""
         self.worlds.add_others()
         self.flush()
 
@@ -98,12 +98,12 @@ class Translator:
         self._task_marks.show(record, now)
         if record.phase == Task.STARTED:
             self._query_marks.clear(now)
-            if record.kind == "motion":  # what follows in an action is of no other place
+            if record.kind == "motion":  # the motion uses the taken place
                 self._places.clear(now)
 
     def _show_change(self, record: Mutation | Keyframe, now: TimePoint) -> None:
         world, end = record.world, record.sim_step
-        effect = record.effect if isinstance(record, Mutation) else None  # held: it takes time to get it again
+        effect = record.effect if isinstance(record, Mutation) else None  # kept in a variable, as access is slow
         only_moves = isinstance(record, Mutation) and record.WhichOneof("command") in _MOTIONS
         motions = self.scene.motions(record)
         if not only_moves or world not in self.scene.bodies:
@@ -132,16 +132,16 @@ _KEYFRAME: Final = "keyframe"
 
 
 class ActiveWorlds:
-    """The worlds that plans have acted in so far."""
+    """The worlds in which plans have acted so far."""
 
     def __init__(self, scene: ViewerScene) -> None:
         self._scene = scene
-        self._open: dict[str, None] = {}  # worlds that a plan acted in
-        self.centres: dict[str, Vector] = {}  # their centres in m when plans began to act in them, by name
-        self.front = ""  # the first that is still open; "" before there is one
+        self._open: dict[str, None] = {}  # open worlds in which a plan acted
+        self.centres: dict[str, Vector] = {}  # centres in m when plans began to act, by world
+        self.front = ""  # the first world that is still open; "" before there is one
 
     def follow(self, record: Record) -> None:
-        """Notes when a plan begins to act in a world, and when it closes it; the scene has shown the record."""
+        """Note when a plan begins to act in a world, and when it closes it; the scene must show the record first."""
         world, action = record.world, _action(record)
         if world not in self.centres and action not in _SETUP:
             self.centres[world] = self._scene.centre(world)
@@ -154,13 +154,13 @@ class ActiveWorlds:
         self.front = next(iter(self._open), self.front)
 
     def add_others(self) -> None:
-        """Adds the worlds that no plan acted in."""
+        """Add the worlds in which no plan acted."""
         for world in self._scene.bodies:
             self.centres.setdefault(world, self._scene.centre(world))
 
 
 def acts(record: Record) -> bool:
-    """Whether a plan acts in the record's world, beyond opening, filling and closing it."""
+    """Return whether a plan acts in the record's world, beyond opening, filling and closing it."""
     return bool(record.world) and _is_act(_action(record))
 
 
@@ -169,25 +169,25 @@ def _is_act(action: str) -> bool:
 
 
 def _action(record: Record) -> str:
-    """What a record does to a world: a mutation's command; "" if it does nothing."""
-    if type(record) is Mutation:  # isinstance takes five times as long where it is none
-        return record.WhichOneof("command") or "change"  # of another version
+    """Return the change of a record: a mutation's command or "keyframe"; "" for other records."""
+    if type(record) is Mutation:  # isinstance takes five times as long for other types
+        return record.WhichOneof("command") or "change"  # of another release
     return _KEYFRAME if type(record) is Keyframe else ""
 
 
 ORIGIN: Final = (0.0, 0.0, 0.0)
-_WORLD: Final = "world_1"  # what the first one is called by default
+_WORLD: Final = "world_1"  # default name of the first world
 _EYE: Final = (-2.6, -2.6, 2.3)  # m, from a world's centre
 
 
 def blueprint(worlds: Mapping[str, Vector], front: str = "") -> rrb.Blueprint:
-    """The layout for a recording, by the centres of its known worlds in m, with the tab of ``front`` open."""
+    """Return the layout for a recording, by the centres of its known worlds in m, with the tab of ``front`` open."""
     left, right = _scenes("", worlds, front), _details("", worlds)
     return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
 
 
 def side_by_side(recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]) -> rrb.Blueprint:
-    """The layout for recordings that are compared; as :func:`blueprint`, by the root of each recording's entities."""
+    """Return the layout for compared recordings: as :func:`blueprint`, by the root entity of each recording."""
     columns = [
         rrb.Vertical(_scenes(root, worlds, fronts[root]), _details(root, worlds), row_shares=[3, 2], name=root)
         for root, worlds in recordings.items()
@@ -205,7 +205,7 @@ def _whole(views: rrb.Container) -> rrb.Blueprint:
 
 
 def _scenes(root: str, worlds: Mapping[str, Vector], front: str) -> rrb.Container:
-    """The scenes, and the tasks over time."""
+    """Return the views of the scenes and of the tasks over time."""
     named = sorted((worlds or {_WORLD: ORIGIN}).items(), key=lambda world: world[0] != front)
     scenes = [_scene(root, world, centre) for world, centre in named]
     timeline = rrb.StateTimelineView(origin=f"{_path(root)}/{LANES}", name="Tasks over time")
@@ -213,7 +213,7 @@ def _scenes(root: str, worlds: Mapping[str, Vector], front: str) -> rrb.Containe
 
 
 def _details(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
-    """The task tree and queries, and below them log, curves and tables."""
+    """Return the views of the task tree and queries, and below them log, curves and tables."""
     top = _path(root)
     log = [f"{top}/{LOG}/**", *(f"{_path(root, world)}/{FAILURES}" for world in worlds)]
     return rrb.Vertical(
@@ -249,6 +249,6 @@ def _scene(root: str, world: str, centre: Vector) -> rrb.Spatial3DView:
 
 
 def _path(*parts: str) -> str:
-    """The path of an entity; worlds and recordings can be called anything."""
+    """Return the path of an entity; names of worlds and recordings may have any characters."""
     named = [part for part in parts if part]
     return new_entity_path(named) if named else ""

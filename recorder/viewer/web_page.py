@@ -1,18 +1,18 @@
 """A web page that shows the viewer in browsers of this machine, to the user who has its address.
 
-Its server listens on the loopback only, which other machines don't reach. But other users of this machine do, and so
-does every page that one of its browsers shows. So each request must
+Its server listens on the loopback only, which other machines can't reach. But other users of this machine and all pages
+in its browsers can reach it. So each request must
 
-- name this server as its ``Host``: another name that was made to lead here (DNS rebinding) is refused;
-- hold the token that only the address of the page has;
-- come from the page itself, where a browser says from where (``Origin``); no other page may read the answer.
+- name this server as its ``Host``: other names that resolve to this address (DNS rebinding) are refused;
+- contain the token, which is part of the page's address only;
+- come from the page itself, if the browser sends an ``Origin``; other pages can't read the answer.
 
-The page works without a network, and contacts nobody there: a font and examples that the viewer's page would fetch are
-left out, and a policy forbids connections to other servers. Records reach the page as one file that grows.
+The page works without a network: the font and examples that the viewer's page would fetch are left out, and a policy
+forbids connections to other servers. Records reach the page as one file that grows.
 
-The viewer's files, as WebAssembly, are in the viewer's program, which gives them over HTTP only. The library's own
-server of pages listens on all addresses of the machine, the program's can listen on the loopback alone. So the program
-is started, asked, and ended again.
+The viewer's files, as WebAssembly, are in the viewer's program, which serves them over HTTP only. The library's own
+page server listens on all addresses of the machine; the program can listen on the loopback alone. So the program is
+started, its files are fetched, and it is ended again.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ if TYPE_CHECKING:
 _PORT: Final = 9090  # of pages
 _MAX_TRIES: Final = 5  # for a free port
 _START_TIMEOUT: Final = 5.0  # s for the file to be written
-_PIECE: Final = 1 << 20  # bytes that are sent at once
+_PIECE: Final = 1 << 20  # bytes of a write
 _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 
 
 class WebPage:
-    """Serves a stream's rows and the viewer as a page, while this process lives; raises ViewerGone if it can't.
+    """Serves the viewer and a stream's rows as a page, while this process lives; raises ViewerGone after an error.
 
-    Pages that are opened late get everything from the beginning.
+    A page that is opened late gets all rows from the beginning.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         try:
             self._records = GrowingFile(stream)
-        except (OSError, RuntimeError) as error:  # the latter is the library's type for all errors
+        except (OSError, RuntimeError) as error:  # RuntimeError is the library's type for all errors
             raise ViewerGone(f"the page can't be served: {error}") from error
         for _ in range(_MAX_TRIES):
             try:
@@ -70,22 +70,22 @@ class WebPage:
                 continue
         else:
             raise ViewerGone("the page can't be served: no port is free")
-        #: Of the page; it holds a token, so only who knows it gets anything.
+        #: The page's address. It contains a secret token; don't share it.
         self.address = f"{server.address}?hide_welcome_screen&url={quote(server.address + RECORDS, safe='')}"
 
     def flush(self) -> None:
-        """Sends the pages what the stream has got."""
+        """Send the stream's new rows to the pages."""
         self._stream.flush()
         self._records.notify()
 
 
 @contextlib.contextmanager
 def private_link(address: str) -> Iterator[str]:
-    """The address of a file that leads browsers to a page, until the end of the block.
+    """Yield the address of a file that redirects browsers to a page; the file exists during the block.
 
-    Other users see what programs are called with, as browsers are with what they open; they can't read this file.
+    Other users can see the arguments of a browser's process, but can't read this file.
     """
-    with tempfile.NamedTemporaryFile("w", prefix="pycram-page-", suffix=".html") as file:  # for its owner only
+    with tempfile.NamedTemporaryFile("w", prefix="pycram-page-", suffix=".html") as file:  # readable for its owner only
         file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={html.escape(address)}">')
         file.flush()
         yield Path(file.name).as_uri()
@@ -120,7 +120,7 @@ class GrowingFile:
 
 RECORDS: Final = "records.rrd"
 INDEX: Final = "index.html"
-_REQUEST_TIMEOUT: Final = 10.0  # s for a client to say what it wants
+_REQUEST_TIMEOUT: Final = 10.0  # s for a client to send its request
 _TYPES: Final = {
     "html": "text/html",
     "js": "text/javascript",
@@ -133,7 +133,7 @@ _HEADERS: Final = {
         "style-src 'self' 'unsafe-inline'; connect-src 'self' data: blob:; frame-ancestors 'none'"
     ),
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",  # the token is part of the address
+    "Referrer-Policy": "no-referrer",  # addresses contain the token
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
@@ -143,34 +143,34 @@ class PageServer(ThreadingHTTPServer):
     """Serves the page from threads of its own until it is closed, or this process ends.
 
     Args:
-        port: 0 for one that is free; OSError is raised if it isn't.
+        port: 0 for any free port; OSError is raised if a port isn't free.
         files: called when a browser requests the first file; returns the content of each file of the page.
         pieces: yields the content of ``RECORDS``, from the beginning for each browser.
     """
 
     daemon_threads = True
-    allow_reuse_address = False  # a port that somebody has isn't free
+    allow_reuse_address = False  # refuse a used port
 
     def __init__(self, port: int, files: Callable[[], dict[str, bytes]], pieces: Callable[[], Iterable[bytes]]) -> None:
         super().__init__((HOST, port), _Request)
         self.files, self.pieces = files, pieces
-        self.host = f"{HOST}:{self.server_port}"  # its own name and port, as browsers give it
-        self.token = secrets.token_urlsafe(16)  # what requests have to hold
+        self.host = f"{HOST}:{self.server_port}"  # its name and port, as browsers send them
+        self.token = secrets.token_urlsafe(16)  # which requests must contain
         threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
 
     @property
     def address(self) -> str:
-        """Of the folder that the page is in; whoever has it, may read."""
+        """The address of the page's folder; anybody with it may read the records."""
         return f"http://{self.host}/{self.token}/"
 
     def server_bind(self) -> None:
-        """Binds, without looking up this machine's name on the network."""
+        """Bind without looking up this machine's name on the network."""
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = HOST, int(self.server_address[1])
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Says nothing: standard error is the plan's, and clients may send what they like."""
+        """Print nothing: standard error belongs to the plan, and clients may send anything."""
 
 
 class _Request(BaseHTTPRequestHandler):
@@ -188,8 +188,8 @@ class _Request(BaseHTTPRequestHandler):
         if not secrets.compare_digest(token.encode("latin-1", "replace"), self.server.token.encode()):
             self._refuse(HTTPStatus.FORBIDDEN)
             return
-        self.connection.settimeout(None)  # a browser in the background takes its time
-        with contextlib.suppress(ConnectionError):  # it went away
+        self.connection.settimeout(None)  # a browser in the background is slow
+        with contextlib.suppress(ConnectionError):  # the browser closed the connection
             self._send(name or INDEX)
 
     def _send(self, name: str) -> None:
@@ -208,7 +208,7 @@ class _Request(BaseHTTPRequestHandler):
     def _begin(self, media_type: str, size: int | None) -> None:
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", media_type)
-        if size is not None:  # else the end of the connection is that of the content
+        if size is not None:  # otherwise the content ends with the connection
             self.send_header("Content-Length", str(size))
         for name, value in _HEADERS.items():
             self.send_header(name, value)
@@ -223,14 +223,14 @@ class _Request(BaseHTTPRequestHandler):
             self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the library's name
-        """Logs nothing: standard error is the plan's."""
+        """Log nothing: standard error belongs to the plan."""
 
 
 NAMES: Final = (INDEX, "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico")
 _PROGRAM: Final = Path(rerun_cli.__file__).with_name("rerun")
 _TIMEOUT: Final = 20.0  # s for the program to answer
 _ADDRESS: Final = re.compile(rb"web-viewer at http://127\.0\.0\.1:(\d+)")
-# Given an address of records, the program serves the page and nothing else. CI keeps it from reporting its use.
+# With an address of records, the program serves the page only. CI=1 turns its usage statistics off.
 _OPTIONS: Final = ("--serve-web", "--bind", HOST, "--web-viewer-port", "0", f"rerun+http://{HOST}:1/proxy")
 _ENVIRONMENT: Final = {"CI": "1", "NO_COLOR": "1", "RUST_LOG": "re_sdk=info"}
 _END_WITH_PARENT: Final = """
@@ -242,8 +242,8 @@ os.execv(sys.argv[1], sys.argv[1:])
 
 
 def read_viewer_files() -> dict[str, bytes]:
-    """Return the content of each of ``NAMES``; raise ViewerGone if the viewer's program doesn't give them."""
-    with subprocess.Popen(  # noqa: S603  the viewer that came with the library
+    """Return the content of each of ``NAMES``; raise ViewerGone if the viewer's program doesn't serve them."""
+    with subprocess.Popen(  # noqa: S603  the library's own viewer
         [sys.executable, "-c", _END_WITH_PARENT, str(_PROGRAM), *_OPTIONS],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
@@ -257,7 +257,7 @@ def read_viewer_files() -> dict[str, bytes]:
             port = _port(process)
             files = {name: _get(port, "" if name == INDEX else name) for name in NAMES}
         except (OSError, HTTPException) as error:
-            raise ViewerGone(f"the viewer's page can't be had ({error})") from error
+            raise ViewerGone(f"the viewer's page can't be read ({error})") from error
         finally:
             overdue.cancel()
             process.kill()
@@ -266,13 +266,13 @@ def read_viewer_files() -> dict[str, bytes]:
 
 
 def _port(process: subprocess.Popen[bytes]) -> int:
-    """The port that it says it listens on; asking one that was free a moment ago could reach somebody else's server."""
+    """Return the port that the program prints: a port that was free before could be another server's by now."""
     said = b""
     for line in process.stderr or ():
         said = line
         if address := _ADDRESS.search(line):
             return int(address[1])
-    raise OSError(said.decode(errors="replace").strip() or "it didn't begin")
+    raise OSError(said.decode(errors="replace").strip() or "the program didn't start")
 
 
 def _get(port: int, name: str) -> bytes:

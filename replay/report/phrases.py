@@ -265,7 +265,7 @@ def sampled(moment: Sampled, *, exact: bool = False) -> str:
 def record_line(record: Record) -> str:
     """Return a record as one line."""
     if isinstance(record, Task) and record.phase == Task.STARTED:
-        earlier = ", which runs already" if record.began_ns else ""
+        earlier = ", already running" if record.began_ns else ""
         return f"{record.kind} {call(record.name, argument_values(record.parameters))}{earlier}"
     if isinstance(record, Query):
         text = reasons(record)

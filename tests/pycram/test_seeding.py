@@ -67,7 +67,7 @@ def test_the_seed_of_a_run_repeats_its_random_numbers_and_the_order_of_its_sets(
         assert [record.text for record in log.records(Output)] == again.stdout.splitlines()
     other = run(tmp_path, "--seed", "1")
     assert other.stdout != drawn.stdout
-    assert "plan.mcap is there already; recording to plan.2.mcap" in re.sub(r"\S*/", "", other.stderr)
+    assert "plan.mcap exists already; recording to plan.2.mcap" in re.sub(r"\S*/", "", other.stderr)
     assert "pycram-replay info plan.2.mcap" in other.stderr
     fixed = run(tmp_path, "--overwrite", environment={"PYTHONHASHSEED": "1"})
     assert fixed.stdout == other.stdout

@@ -92,7 +92,7 @@ def test_a_failure_of_the_plan_does_not_hide_that_its_recording_is_gone(
     plan.write_text(f"import os\nos.remove({str(file)!r})\nraise ValueError('of the plan')")
     assert cli.main(["run", str(plan), "--log", str(file)]) == 1
     said = capsys.readouterr().err
-    assert f"recorder: can't record to {file}: somebody has deleted the file" in said
+    assert f"recorder: can't record to {file}: another program has deleted the file" in said
     assert "the plan has an error: ValueError: of the plan" in said
     assert "recorded to" not in said
 
@@ -110,7 +110,7 @@ def test_another_working_directory_is_no_change(tmp_path: Path, monkeypatch: pyt
 def test_a_pipe_that_nobody_reads_is_refused(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(RecordingError, match="nobody reads; start its reader first"), recorder.record(pipe):
+    with pytest.raises(RecordingError, match="without a reader; start its reader first"), recorder.record(pipe):
         pass
 
 

@@ -88,7 +88,7 @@ def test_only_finished_recordings_are_overwritten_and_only_on_request(
 ) -> None:
     precious = tmp_path / "thesis.txt"
     precious.write_text("years of work")
-    with pytest.raises(recorder.RecordingError, match="no recording"), recorder.record(precious):
+    with pytest.raises(recorder.RecordingError, match="isn't a recording"), recorder.record(precious):
         pass
     assert precious.read_text() == "years of work"
     file = tmp_path / "x.mcap"
@@ -101,7 +101,7 @@ def test_only_finished_recordings_are_overwritten_and_only_on_request(
     for number in (2, 3):
         with recorder.record(file) as recording, BulletWorld():
             assert recording.path == tmp_path / f"x.{number}.mcap"
-        assert f"x.mcap is there already; recording to {recording.path}" in capsys.readouterr().err
+        assert f"x.mcap exists already; recording to {recording.path}" in capsys.readouterr().err
     (tmp_path / "x.2.mcap").unlink()  # the highest number is the latest run, whatever is deleted
     with recorder.record(file) as recording:
         assert recording.path == tmp_path / "x.4.mcap"

@@ -57,8 +57,8 @@ def test_a_recording_within_tasks_begins_with_them(
         assert log.blame("cup").causes.tasks[0].started.name == "Inner"
     main(["log", str(file), "--kind", "task"])
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("motion outer(object=cup), which runs already")
-    assert lines[-1].endswith("motion outer goes on when the recording ends")
+    assert lines[0].endswith("motion outer(object=cup), already running")
+    assert lines[-1].endswith("motion outer still runs when the recording ends")
     main(["tree", str(file)])
     assert "not finished, began before the recording" in capsys.readouterr().out
     main(["verify", str(file)])

@@ -271,7 +271,7 @@ def test_a_viewer_is_closed_while_the_plan_runs(plan: Callable[..., Plan], serve
     (running.folder / "go").touch()
     ended = running.end()
     count = ended.check()
-    assert "the viewer was closed; the plan goes on without" in ended.err
+    assert "the viewer was closed; the plan continues without it" in ended.err
     missed, of = ended.missed()
     assert of == count
     assert 0 < missed < count
@@ -421,7 +421,7 @@ def test_the_command_line_refuses_an_invalid_target(
     process = pycram("demo", "--rerun=web")
     _, printed = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert "--rerun: 'web' is no address of a viewer; say spawn, connect" in " ".join(printed.split())
+    assert "--rerun: 'web' isn't the address of a viewer; use spawn, connect" in " ".join(printed.split())
     assert not list(tmp_path.iterdir())
 
 

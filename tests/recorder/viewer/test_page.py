@@ -300,5 +300,5 @@ def test_the_browser_is_called_with_a_file_that_only_its_user_can_read() -> None
 @pytest.mark.slow
 def test_a_library_whose_program_fails_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web_page, "_OPTIONS", ("--no-such-option",))
-    with pytest.raises(web_page.ViewerGone, match=r"can't be had \(.+\)"):
+    with pytest.raises(web_page.ViewerGone, match=r"can't be read \(.+\)"):
         web_page.read_viewer_files()
