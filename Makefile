@@ -60,7 +60,7 @@ clean:
 	rm -rf .venv .venv-lowest .venv-reading .venv-lerobot dist build
 
 .venv/ready: pyproject.toml
-	@.ci/environment .venv '.[all]'
+	@.ci/environment .venv '.[executor,viewer]'
 	@touch $@
 
 .venv/ready-dev: pyproject.toml

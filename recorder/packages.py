@@ -23,9 +23,9 @@ _EXTRAS: Final = {
     module: extra
     for extra, modules in {
         "executor": (
-            "greenlet", "pybullet", "pybullet_data", "scipy", "trimesh", "collada", "example-robot-data", "ompl",
-            "toppra", "rich",
+            "greenlet", "pybullet", "pybullet_data", "scipy", "trimesh", "collada", "example-robot-data", "rich",
         ),
+        "motion": ("ompl", "toppra"),
         "render": ("PIL",),
         "viewer": ("pyarrow", "rerun", "rerun_cli", "rerun_sdk"),
         "runs": ("duckdb",),
@@ -38,6 +38,8 @@ _EXTRAS: Final = {
 _RECORDED: Final = (
     "pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "ompl", "toppra", "rerun-sdk",
 )  # fmt: skip
+#: Releases with the same effects, bit for bit, by the recordings of either that the others verified.
+_SAME_ENGINE: Final = {"3.2.7", "3.2.7 (pybullet-arm64)", "3.2.8 (pybullet-arm64)"}
 
 
 class NotInstalled(ModuleNotFoundError):
@@ -49,7 +51,9 @@ class NotInstalled(ModuleNotFoundError):
 
 
 def hint(extra: str) -> str:
-    """Return the command that installs an extra of pyproject.toml."""
+    """Return the command that installs an extra of pyproject.toml, if the system has wheels for it."""
+    if extra == "motion" and (sys.platform, platform.machine()) != ("linux", "x86_64"):
+        return "it has no wheels for this system; instant motions don't need it"
     return f"in a checkout of PyCRAM: pip install '.[{extra}]'"
 
 
@@ -72,6 +76,13 @@ def needed(extra: str | None = None) -> Iterator[None]:
         if name not in _EXTRAS:
             raise
         raise NotInstalled(name, extra or _EXTRAS[name]) from error
+
+
+def require(*modules: str) -> None:
+    """Raise :class:`NotInstalled` if one of the modules isn't installed; none is imported."""
+    for name in modules:
+        if importlib.util.find_spec(name) is None:
+            raise NotInstalled(name, _EXTRAS[name])
 
 
 class LazyModule:
@@ -98,13 +109,17 @@ class LazyModule:
 def _installed() -> dict[str, str]:
     from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import, and readers don't need it
 
-    installed = {}
-    for package in _RECORDED:
+    def installed(package: str) -> str | None:
         try:
-            installed[package] = version(package)
+            return version(package)
         except PackageNotFoundError:
-            installed[package] = "not installed"
-    return installed
+            return None
+
+    found = {package: installed(package) or "not installed" for package in _RECORDED}
+    if (other := installed("pybullet-arm64")) is not None:
+        both = found["pybullet"] != "not installed"
+        found["pybullet"] = f"{found['pybullet']}, " * both + f"{other} (pybullet-arm64)"
+    return found
 
 
 def versions() -> dict[str, str]:
@@ -120,8 +135,11 @@ def versions() -> dict[str, str]:
 
 
 def other_versions(then: Mapping[str, str], *names: str) -> tuple[str, ...]:
-    """Return which of the named packages have another version than in a recording's metadata, in words."""
+    """Return, for each name with another version now than in a recording's metadata, a phrase that has both."""
     now = versions()
     return tuple(
-        f"{name} {now[name]} instead of {then[name]}" for name in names if then.get(name, now[name]) != now[name]
+        f"{name} {now[name]} instead of {then[name]}"
+        for name in names
+        if then.get(name, now[name]) != now[name]
+        and not (name == "pybullet" and {now[name], then[name]} <= _SAME_ENGINE)
     )

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import re
 import shutil
 import subprocess
+import sys
 from importlib.metadata import requires
 from pathlib import Path
 
 import pytest
+
+from recorder import packages
 
 REPO = Path(__file__).parent.parent
 ENVIRONMENT = REPO / ".ci" / "environment"
@@ -100,3 +104,52 @@ def test_other_pythons_are_refused(machine: Path) -> None:
         "pycram: python3 is Python 3.9, and PyCRAM needs 3.11 or newer\n",
     )
     assert prepare(machine, PYTHON="nothing").stderr == "pycram: PYTHON=nothing is no Python\n"
+
+
+def python(program: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+
+
+def test_without_the_extra_for_motions_only_simulated_time_is_refused() -> None:
+    ended = python(
+        "import sys\n"
+        "sys.modules['toppra'] = sys.modules['ompl'] = None\n"
+        "from pycram.bullet_world import BulletWorld\n"
+        "from pycram.process_module import execution_environment\n"
+        "with BulletWorld(), execution_environment('simulated'):\n"
+        "    print('instant motions work')\n"
+        "with execution_environment('continuous'):\n"
+        "    print('not reached')\n"
+    )
+    assert ended.stdout == "instant motions work\n"
+    assert ended.stderr.splitlines()[-1].endswith(
+        "NotInstalled: ompl isn't installed; in a checkout of PyCRAM: pip install '.[motion]'"
+    )
+
+
+def test_two_packages_of_the_engine_in_one_environment_are_reported(tmp_path: Path) -> None:
+    for name in ("pybullet-3.2.7", "pybullet_arm64-3.2.8"):
+        (tmp_path / f"{name}.dist-info").mkdir()
+    real = python("import pybullet; print(pybullet.__file__)").stdout.splitlines()[-1]
+    ended = python(
+        f"import sys, pybullet\npybullet.__file__ = {str(tmp_path / Path(real).name)!r}\nimport pycram.physics.engine\n"
+    )
+    assert ended.stderr.count("pybullet and pybullet-arm64 are both installed") == 1
+
+
+def test_provenance_names_the_distribution_of_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    def version(name: str) -> str:
+        if name == "pybullet":
+            raise importlib.metadata.PackageNotFoundError
+        return "3.2.8"
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    packages._installed.cache_clear()
+    try:
+        assert packages.versions()["pybullet"] == "3.2.8 (pybullet-arm64)"
+        assert packages.other_versions({"pybullet": "3.2.7"}, "pybullet") == ()
+        assert packages.other_versions({"pybullet": "3.2.5"}, "pybullet") == (
+            "pybullet 3.2.8 (pybullet-arm64) instead of 3.2.5",
+        )
+    finally:
+        packages._installed.cache_clear()

@@ -38,6 +38,7 @@ from pycram.motions.resources import ResourceQueue, Resources, Ticket, forget_ti
 from pycram.scheduling.cancellation import Binding, checkpoint, uninterruptible
 from pycram.world import attachment
 from pycram.world.world import BulletWorld
+from recorder.packages import require
 from recorder.records import Decision
 from recorder.tracing.span import Span, span
 
@@ -136,8 +137,10 @@ def execution_environment(name: str) -> Iterator[None]:
 
     Raises:
         BadArgument: It isn't a name.
+        NotInstalled: It is "continuous", and packages that plan motions aren't installed.
     """
-    with Binding(_environment, checks.text("name", name)):
+    _require(checks.text("name", name))
+    with Binding(_environment, name):
         yield
 
 
@@ -149,7 +152,13 @@ def current_environment() -> str:
 def set_default(name: str) -> None:
     """Use the process modules of an environment where the plan names none, in all threads of this process."""
     global _of_run  # noqa: PLW0603  a process has one run
+    _require(name)
     _of_run = name or SIMULATED
+
+
+def _require(environment: str) -> None:
+    if environment == CONTINUOUS:
+        require("ompl", "toppra")
 
 
 def register(robot: str, environment: str, modules: Modules) -> None:

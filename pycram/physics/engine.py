@@ -9,7 +9,9 @@ Simulation repeats bit for bit: overlapping pairs are ordered, all other setting
 from __future__ import annotations
 
 import math
+import warnings
 from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -26,7 +28,6 @@ from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -34,6 +35,13 @@ if TYPE_CHECKING:
 
 with needed(), silenced(1, 2):  # it prints its build time
     import pybullet as bullet
+
+if len(list(Path(bullet.__file__).parent.glob("pybullet*-*.dist-info"))) > 1:
+    warnings.warn(
+        "pybullet and pybullet-arm64 are both installed and overwrite each other's files; uninstall both, then install "
+        "pybullet-arm64",
+        stacklevel=2,
+    )
 
 __all__ = ["Engine", "bullet", "decompose"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from pycram.planning.space import between
 from recorder.packages import needed
 
-with needed("executor"):
+with needed():
     from ompl import base, geometric, util
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ import numpy as np
 
 from pycram.models.robots.description import MotionLimits
 from pycram.planning.space import between
-from recorder.packages import LazyModule, needed
+from recorder.packages import needed
 from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:
@@ -30,10 +30,6 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
     Array = NDArray[np.float64]
-
-
-with needed("executor"):
-    toppra = LazyModule("toppra")
 
 SPACINGS: Final = (0.3, 0.1, 0.03)  # rad or m between way points of the spline; smaller spacings round corners less
 _RATE: Final = 30.0  # positions and velocities of a trajectory per second; cubic in between
@@ -96,6 +92,9 @@ def stopping(path: Array, rates: Rates) -> Knots:
 
 def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
     dense = np.concatenate([path[:1], *(between(a, b, spacing) for a, b in pairwise(path))])
+    with needed():
+        import toppra  # noqa: PLC0415  takes 2 s, most of them for matplotlib
+
     logging.getLogger("toppra").setLevel(logging.ERROR)
     lengths = np.linalg.norm(np.diff(dense, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(lengths)])
