@@ -261,9 +261,9 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
         moved = np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)  # less than half a turn
         left = float(np.linalg.norm(way)) * (1 - (number - 1) / count)
         if not reached[0]:
-            raise Unreachable(arm.name, position, left, "that is as far as it gets on a straight line")
+            raise Unreachable(arm.name, position, left, "the straight line ends there")
         if np.abs(moved).max() > _JUMP:
-            raise Unreachable(arm.name, position, left, "from there it would have to change its posture")
+            raise Unreachable(arm.name, position, left, "from there the arm would have to change its posture")
         posture = posture + moved
         postures.append(begin | dict(zip(arm.joints, posture.tolist(), strict=True)))
     return postures

@@ -182,9 +182,9 @@ def joint_rates(body: Object, joints: Sequence[str]) -> Rates:
 def _warn(name: str, robot: str, joints: tuple[str, ...], limits: MotionLimits) -> None:
     """Warn once in a process about joints of a robot."""
     text = (
-        f"{name}: the URDF {robot!r} has no velocity limit for {', '.join(joints)}; they move with up to "
-        f"{limits.turning_velocity:g} rad/s or {limits.sliding_velocity:g} m/s: a <limit velocity=...> there says "
-        "otherwise, or [limits] turning_velocity and sliding_velocity in the robot's description"
+        f"{name}: the URDF {robot!r} has no velocity limit for {', '.join(joints)}; they move at up to "
+        f"{limits.turning_velocity:g} rad/s or {limits.sliding_velocity:g} m/s. Set <limit velocity=...> in the URDF, "
+        "or turning_velocity and sliding_velocity under [limits] in the robot's description."
     )
     warnings.warn_explicit(text, NoVelocityLimit, *call_site())
 

@@ -481,11 +481,11 @@ class Remedy:
     def phrase(self) -> str:
         """Return the remedy in words."""
         if self.parked:
-            return f"the {self.arm} arm could from here with the {self.parked} arm parked"
+            return f"the {self.arm} arm can do it from here if the {self.parked} arm is parked"
         if self.base is None:
-            return f"the {self.arm} arm could from here"
+            return f"the {self.arm} arm can do it from here"
         place = ", ".join(f"{part:.2f}" for part in self.base)
-        return f"the {self.arm} arm could with the robot at [{place}], {self.distance:.2f} m from here"
+        return f"the {self.arm} arm can do it with the robot at [{place}], {self.distance:.2f} m from here"
 
 
 @dataclass(frozen=True, slots=True)
@@ -496,7 +496,7 @@ class InTheWay:
 
     def phrase(self) -> str:
         """Return the obstacle in words."""
-        return f"the {self.arm} arm is in the way, also when it is parked"
+        return f"the {self.arm} arm is in the way even if it is parked"
 
 
 def arms_in_the_way(

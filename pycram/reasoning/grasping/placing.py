@@ -117,7 +117,7 @@ def _resting_height(
     while not meets(low):
         high, low = low, low - _STEP
         if low < z - _BELOW:
-            raise PlaceFailed(body.name, target, f"nothing is within {_BELOW} m below that it could stand on")
+            raise PlaceFailed(body.name, target, f"there is no support within {_BELOW} m below")
     while high - low > _ACCURACY:
         half = (high + low) / 2
         if meets(half):
@@ -215,7 +215,7 @@ def placements(
     for pose, quick, lift in _poses(body, target, turns, refusals, choice, known):
         if quickly and not quick:
             return
-        name = _name(pose[1]) + (f", let go {1e3 * lift:.0f} mm higher" if lift else "")
+        name = _name(pose[1]) + (f", released {1e3 * lift:.0f} mm higher" if lift else "")
         tool = geometry.multiply(pose, body_T_tool)
         for posture in solver.search([(*tool, base)], quick=quick, thorough=not quick)[0]:
             if not posture.reaches():

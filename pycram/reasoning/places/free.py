@@ -364,7 +364,7 @@ class SurfaceSearch(Search):
         except PlaceFailed as failure:
             return "room", NoRoom(failure.reason)
         if abs(rest[2] - z) > _RESTS:
-            return "room", NoRoom(f"it would not rest on {searched.surface.name}")
+            return "room", NoRoom(f"it wouldn't rest on {searched.surface.name}")
         reasons = {arm.name: self._unreached(arm, (rest, turn)) for arm in self._arms if self._stays()}
         missed = [reason for reason in reasons.values() if reason is not None]
         if reasons and len(missed) == len(reasons):
@@ -380,7 +380,7 @@ class SurfaceSearch(Search):
             return "edge", NoRoom(f"it would stick out over the edge of {searched.surface.name}")
         wide = _widened(own, FINGERS)
         if any(len(geometry.polygon_intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
-            return "room", NoRoom("something is there already, or no finger fits between")
+            return "room", NoRoom("the place is taken, or leaves no room for a finger")
         return None
 
     def _stays(self) -> bool:

@@ -139,7 +139,7 @@ def test_a_failed_transport_is_explained_by_the_choice_that_could_not_be_made(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", _first_and_long(FOUND))
-def test_a_way_that_was_found_is_one(seed: int) -> None:
+def test_known_paths_are_free(seed: int) -> None:
     scene = build(draw(seed))
     with scene.world:
         for motion in WAYS[seed]:

@@ -41,7 +41,7 @@ def sideways(planned: PlannedMotion) -> float:
     return max(abs(y) for _, y, _ in planned.trajectory.positions)
 
 
-def test_it_drives_straight_and_turns_on_the_way_where_it_can(robot: Object) -> None:
+def test_the_base_drives_straight_and_turns_on_the_way_if_it_can(robot: Object) -> None:
     turn = geometry.from_rpy(0, 0, 3.0)
     planned = base_motion(robot, AHEAD, turn)
     assert (planned.search.planner, planned.trajectory.joints) == ("straight line", ())
@@ -53,7 +53,7 @@ def test_it_drives_straight_and_turns_on_the_way_where_it_can(robot: Object) -> 
 
 
 @pytest.mark.slow
-def test_it_drives_around_what_is_in_the_way(robot: Object, tmp_path: Path, sink: MemorySink) -> None:
+def test_the_base_drives_around_obstacles(robot: Object, tmp_path: Path, sink: MemorySink) -> None:
     Object("island", "environment", box(tmp_path, "island", (0.6, 1.0, 0.9)), [1.5, 0, 0.45])
     before = take_snapshot(robot)
     planned = base_motion(robot, AHEAD, UPRIGHT)
@@ -66,7 +66,7 @@ def test_it_drives_around_what_is_in_the_way(robot: Object, tmp_path: Path, sink
 
 
 @pytest.mark.slow
-def test_it_drives_a_long_way_round_where_there_is_no_short_one(robot: Object, tmp_path: Path) -> None:
+def test_the_base_makes_a_long_detour_if_there_is_no_short_one(robot: Object, tmp_path: Path) -> None:
     Object("wall", "environment", box(tmp_path, "wall", (0.1, 12.0, 1.0)), [1.5, 0, 0.5])
     planned = base_motion(robot, AHEAD, UPRIGHT)
     assert 6.0 < sideways(planned) < 9.0
@@ -74,7 +74,7 @@ def test_it_drives_a_long_way_round_where_there_is_no_short_one(robot: Object, t
 
 
 @pytest.mark.slow
-def test_arms_that_stand_out_and_what_they_hold_have_to_pass(robot: Object, tmp_path: Path) -> None:
+def test_extended_arms_and_held_objects_must_pass(robot: Object, tmp_path: Path) -> None:
     for side in (-1.45, 1.45):
         wall = Object(f"wall{side}", "environment", box(tmp_path, "wall", (0.2, 1.0, 2.0)), [1.5, side, 1.0])
     gap = wall.get_AABB()[0][1]
@@ -88,7 +88,9 @@ def test_arms_that_stand_out_and_what_they_hold_have_to_pass(robot: Object, tmp_
     assert deepest(robot, planned, 60) < 5e-3
 
 
-def test_goals_where_it_cannot_be_are_refused_before_searching(robot: Object, tmp_path: Path, sink: MemorySink) -> None:
+def test_impossible_goals_of_a_base_are_refused_before_a_search(
+    robot: Object, tmp_path: Path, sink: MemorySink
+) -> None:
     Object("island", "environment", box(tmp_path, "island", (0.6, 1.0, 0.9)), [3.0, 0, 0.45])
     with pytest.raises(InCollision, match="would touch island") as failure:
         base_motion(robot, AHEAD, UPRIGHT)
@@ -104,14 +106,14 @@ def test_goals_where_it_cannot_be_are_refused_before_searching(robot: Object, tm
     assert not checks
 
 
-def test_a_base_that_is_bolted_down_does_not_move(world: BulletWorld) -> None:
+def test_a_fixed_base_does_not_move(world: BulletWorld) -> None:
     arm = Object("ur5", "robot", "ur5.urdf")
     with pytest.raises(NotDrivable, match="its base is fixed"):
         base_motion(arm, AHEAD, UPRIGHT)
 
 
 @pytest.mark.slow
-def test_among_hundreds_of_things_the_budget_holds_and_a_drawer_in_the_way_is_named(
+def test_among_hundreds_of_objects_the_budget_holds_and_a_blocking_drawer_is_named(
     robot: Object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(path, "MAX_CHECKS", 1000)

@@ -44,7 +44,7 @@ def length(planned: PlannedMotion) -> float:
     return sum(itertools.starmap(math.dist, itertools.pairwise(rows)))
 
 
-def test_where_nothing_is_in_the_way_the_path_is_straight(arm: Object) -> None:
+def test_without_obstacles_the_path_is_straight(arm: Object) -> None:
     planned = joint_motion(arm, LEFT)
     assert planned.search.planner == "straight line"
     assert ends(planned) == (RIGHT, LEFT)
@@ -53,7 +53,7 @@ def test_where_nothing_is_in_the_way_the_path_is_straight(arm: Object) -> None:
 
 
 @pytest.mark.slow
-def test_it_goes_around_what_is_in_the_way(pillar: Object, arm: Object, sink: MemorySink) -> None:
+def test_the_arm_goes_around_obstacles(pillar: Object, arm: Object, sink: MemorySink) -> None:
     before = [take_snapshot(body) for body in arm.world.objects]
     planned = joint_motion(arm, LEFT)
     assert [take_snapshot(body) for body in arm.world.objects] == before
@@ -70,7 +70,7 @@ def test_it_goes_around_what_is_in_the_way(pillar: Object, arm: Object, sink: Me
 
 
 @pytest.mark.slow
-def test_what_it_holds_has_to_get_around_too(arm: Object, tmp_path: Path) -> None:
+def test_a_held_object_must_get_around_obstacles_too(arm: Object, tmp_path: Path) -> None:
     tool = arm.get_link_position_and_orientation("gripper_tool")
     reach = math.hypot(*tool[0][:2]) + 0.1
     Object("post", "environment", box(tmp_path, "post", (0.05, 0.05, 0.4)), [reach, 0, tool[0][2]])
@@ -82,12 +82,12 @@ def test_what_it_holds_has_to_get_around_too(arm: Object, tmp_path: Path) -> Non
     assert deepest(arm, planned, 240) < 5e-3
 
 
-def test_objects_and_links_that_are_ignored_are_no_obstacles(arm: Object, pillar: Object) -> None:
+def test_ignored_objects_and_links_are_no_obstacles(arm: Object, pillar: Object) -> None:
     assert joint_motion(arm, LEFT, ignored=[pillar]).search.planner == "straight line"
     assert joint_motion(arm, LEFT, ignored_links=[(pillar, pillar.base_link)]).search.planner == "straight line"
 
 
-def test_a_motion_may_begin_elsewhere(arm: Object, pillar: Object) -> None:
+def test_a_motion_may_start_from_another_posture(arm: Object, pillar: Object) -> None:
     beyond = RIGHT | {"shoulder_pan_joint": 0.6}
     planned = joint_motion(arm, LEFT, start=beyond)
     assert planned.search.planner == "straight line"
@@ -97,7 +97,7 @@ def test_a_motion_may_begin_elsewhere(arm: Object, pillar: Object) -> None:
     assert ends(planned) == (beyond, LEFT)  # fingers count, but aren't moved
 
 
-def test_what_it_touches_already_is_in_the_way_only_further_in(arm: Object, tmp_path: Path) -> None:
+def test_a_present_touch_blocks_only_if_it_gets_deeper(arm: Object, tmp_path: Path) -> None:
     def wall(inside: float) -> Object:
         low, high = arm.get_AABB("wrist_3_link")
         at = [(low[0] + high[0]) / 2, high[1] + 0.05 - inside, (low[2] + high[2]) / 2]
@@ -111,7 +111,7 @@ def test_what_it_touches_already_is_in_the_way_only_further_in(arm: Object, tmp_
         joint_motion(arm, {"shoulder_pan_joint": 0.0})
 
 
-def test_a_goal_in_collision_is_said_before_searching(arm: Object, pillar: Object, sink: MemorySink) -> None:
+def test_a_goal_in_collision_fails_before_a_search(arm: Object, pillar: Object, sink: MemorySink) -> None:
     with pytest.raises(PostureInCollision, match=r"the ur5 arm .* would touch pillar") as failure:
         joint_motion(arm, RIGHT | {"shoulder_pan_joint": 0.0})
     assert failure.value.bodies == ["pillar"]
@@ -119,7 +119,7 @@ def test_a_goal_in_collision_is_said_before_searching(arm: Object, pillar: Objec
     assert query.chosen == -1
 
 
-def test_impossible_goals_are_refused_before_searching(arm: Object, sink: MemorySink) -> None:
+def test_impossible_goals_are_refused_before_a_search(arm: Object, sink: MemorySink) -> None:
     with pytest.raises(JointLimitError, match=r"elbow_joint of ur5 = 9.0: expected a value from -3.14159 to 3.14159"):
         joint_motion(arm, {"elbow_joint": 9.0})
     with pytest.raises(BadArgument, match="nan"):
@@ -133,7 +133,7 @@ def test_impossible_goals_are_refused_before_searching(arm: Object, sink: Memory
     assert not sink.of(records.Query)
 
 
-def test_where_no_path_is_found_the_nearest_and_what_blocks_are_said(
+def test_without_a_path_the_failure_has_the_nearest_configuration_and_the_obstacles(
     arm: Object, pillar: Object, sink: MemorySink, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(path, "MAX_CHECKS", 300)
@@ -154,7 +154,7 @@ def test_where_no_path_is_found_the_nearest_and_what_blocks_are_said(
     assert f"no path in {found.checks} checks, which came within {found.distance:.2f} of the goal" in rejections(query)
 
 
-def test_endless_joints_go_to_the_nearest_turn(shared_scene: BulletWorld) -> None:
+def test_joints_without_limits_go_to_the_nearest_equivalent_angle(shared_scene: BulletWorld) -> None:
     robot = shared_scene.robot
     robot.set_joint_position("l_wrist_roll_joint", 3.0)
     planned = joint_motion(robot, {"l_wrist_roll_joint": -3.0})
@@ -162,13 +162,13 @@ def test_endless_joints_go_to_the_nearest_turn(shared_scene: BulletWorld) -> Non
     assert planned.trajectory.duration < 1.0
 
 
-def test_joints_with_limits_go_to_the_nearest_turn_within_them(arm: Object) -> None:
+def test_joints_with_limits_go_to_the_nearest_equivalent_angle_within_them(arm: Object) -> None:
     assert joint_motion(arm, {"shoulder_pan_joint": 5.0}).end["shoulder_pan_joint"] == pytest.approx(5.0 - 2 * math.pi)
     arm.set_joint_position("elbow_joint", 3.0)  # which can't go beyond pi
     assert joint_motion(arm, {"elbow_joint": -0.5}).end["elbow_joint"] == -0.5
 
 
-def test_an_arm_that_is_there_stays(shared_scene: BulletWorld) -> None:
+def test_an_arm_at_its_goal_does_not_move(shared_scene: BulletWorld) -> None:
     robot = shared_scene.robot
     left, right = (robot.description.arm(name) for name in ("left", "right"))
     lifted = right.posture("park") | {"r_shoulder_pan_joint": -1.0}
@@ -246,7 +246,7 @@ with BulletWorld() as world:
 
 
 @pytest.mark.slow
-def test_an_interrupt_ends_a_search_and_is_raised_as_it_was(pillar: Object) -> None:
+def test_an_interrupt_ends_a_search_and_is_raised_unchanged(pillar: Object) -> None:
     command = [sys.executable, "-c", INTERRUPTED, pillar.path]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert ended.stderr.endswith("\nKeyboardInterrupt\n")
@@ -255,7 +255,7 @@ def test_an_interrupt_ends_a_search_and_is_raised_as_it_was(pillar: Object) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("side", "y"), [("left", 0.85), ("right", 1.15)])
-def test_a_parked_arm_gets_over_what_its_robot_stands_close_to(world: BulletWorld, side: str, y: float) -> None:
+def test_a_parked_arm_gets_over_a_table_close_to_its_robot(world: BulletWorld, side: str, y: float) -> None:
     Object("kitchen", "environment", "kitchen.urdf")
     world.robot = robot = Object("tiago_pro", "robot", "tiago_pro.urdf", [-0.3, 1, 0], [0, 0, 1, 0])
     for each in robot.description.arms.values():

@@ -76,7 +76,7 @@ def test_a_path_is_found_and_touches_nothing_on_the_way(
 
 
 @pytest.mark.parametrize("robot", list(PLACES))
-def test_nearly_all_are_solved_that_a_longer_search_solves(robot: str) -> None:
+def test_nearly_all_queries_with_a_solution_are_solved(robot: str) -> None:
     ways = WAYS[robot]
     possible = len(QUERIES) - sum(way is None for way in ways.values())
     missed = sum(way is not None for way in ways.values())
@@ -87,7 +87,7 @@ def test_nearly_all_are_solved_that_a_longer_search_solves(robot: str) -> None:
 @pytest.mark.parametrize(
     ("robot", "seed"), [each if each[0] == "ur5" else pytest.param(*each, marks=pytest.mark.long) for each in FOUND]
 )
-def test_a_way_that_was_found_is_one(robot: str, seed: int) -> None:
+def test_known_paths_are_free(robot: str, seed: int) -> None:
     for world in random_queries.scenes(robot):
         query = random_queries.query(world, PLACES[robot], seed)
         way = WAYS[robot][seed]

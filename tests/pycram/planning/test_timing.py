@@ -40,7 +40,7 @@ def peaks(knots: Knots) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.lists(ROW, min_size=2, max_size=6), st.sampled_from(timing.SPACINGS))
-def test_velocities_and_accelerations_are_kept_between_the_knots_too(path: list[list[float]], spacing: float) -> None:
+def test_limits_of_velocity_and_acceleration_hold_between_the_knots(path: list[list[float]], spacing: float) -> None:
     knots = timing.timed(np.array(path), RATES, spacing)
     assert (knots.positions[0].tolist(), knots.positions[-1].tolist()) == (path[0], path[-1])
     assert not knots.velocities[[0, -1]].any()
@@ -50,13 +50,13 @@ def test_velocities_and_accelerations_are_kept_between_the_knots_too(path: list[
         assert (accelerations <= RATES.accelerations * 1.01).all()
 
 
-def test_a_straight_line_is_about_as_fast_as_can_be() -> None:
+def test_a_straight_line_is_about_as_fast_as_possible() -> None:
     path = np.array([[0, 0, 0], [2.0, 0, 0]])
     fastest = 2.0 / 1.0 + 1.0 / 4.0  # way by velocity, and the time to speed up
     assert fastest <= timing.timed(path, RATES, 0.3).times[-1] < 1.25 * fastest
 
 
-def test_nearer_way_points_keep_nearer_to_the_path_and_stops_keep_to_it() -> None:
+def test_nearer_way_points_stay_nearer_to_the_path_and_stops_stay_on_it() -> None:
     path = np.array([[0, 0, 0], [1.0, 0, 0], [1.0, 1.0, 0], [0, 1.0, 0.2]])
     slow = Rates(-ENDLESS, ENDLESS, np.eye(3), np.ones(3), np.ones(3))
 
@@ -83,7 +83,7 @@ def test_a_spline_that_turns_at_a_limit_stays_within_it() -> None:
     assert limited.positions[:, 0].max() == 1.0
 
 
-def test_bodies_that_move_together_are_at_their_way_points_together(arm: Object) -> None:
+def test_bodies_that_move_together_reach_their_way_points_together(arm: Object) -> None:
     kitchen = Object("kitchen", "environment", "kitchen.urdf", [5, 0, 0])
     drawer = "sink_area_left_upper_drawer_main_joint"
     postures = [RIGHT | {"shoulder_pan_joint": -1.0 + 0.2 * i} for i in range(6)]
@@ -114,7 +114,7 @@ def test_a_base_is_not_faster_in_any_direction(world: BulletWorld) -> None:
         assert 0.9 * limit < fast <= limit * 1.001
 
 
-def test_descriptions_say_how_fast_a_robot_is(world: BulletWorld) -> None:
+def test_a_description_sets_the_speed_of_a_robot(world: BulletWorld) -> None:
     own = Object("pr2", "robot", "pr2.urdf").description
     slow = RobotDescription.parse(own.text + "\n[limits]\nbase_velocity = 0.1\nturning_acceleration = 0.5\n")
     robot = Object("slow", "robot", "pr2.urdf", [0, 2, 0], description=slow)
@@ -132,7 +132,7 @@ LIMITLESS = """<robot name="limitless"><link name="base"/><link name="tip"/>
 <limit lower="-2" upper="2" effort="10"/></joint></robot>"""
 
 
-def test_a_robot_without_velocity_limits_gets_defaults_and_says_so_once(world: BulletWorld, tmp_path: Path) -> None:
+def test_a_robot_without_velocity_limits_gets_defaults_and_one_warning(world: BulletWorld, tmp_path: Path) -> None:
     file = tmp_path / "limitless.urdf"
     file.write_text(LIMITLESS.replace('effort="10"', 'effort="10" velocity="0"'))
     robot = Object("limitless", "robot", file)

@@ -26,7 +26,7 @@ def tool_at(robot: Object, posture: Mapping[str, float], frame: str) -> Pose:
 
 
 @pytest.mark.parametrize(("name", "frame"), [("left", "l_gripper_tool_frame"), ("right", "r_gripper_tool_frame")])
-def test_the_tool_goes_straight(shared_scene: BulletWorld, name: str, frame: str) -> None:
+def test_the_tool_moves_on_a_straight_line(shared_scene: BulletWorld, name: str, frame: str) -> None:
     robot = shared_scene.robot
     arm = robot.description.arm(name)
     start = arm.posture("park") | {
@@ -53,12 +53,10 @@ def test_the_tool_goes_straight(shared_scene: BulletWorld, name: str, frame: str
     assert max(abs(b[j] - a[j]) for a, b in itertools.pairwise(postures) for j in arm.joints) < 0.35
 
 
-def test_where_the_arm_cannot_go_on_is_said(arm: Object) -> None:
+def test_the_failure_tells_where_the_line_ends(arm: Object) -> None:
     start = arm.get_joint_positions()
     position, orientation = arm.get_link_position_and_orientation("gripper_tool")
-    with pytest.raises(
-        Unreachable, match=r"stays \d\.\d+ m away; that is as far as it gets on a straight line"
-    ) as failure:
+    with pytest.raises(Unreachable, match=r"stays \d\.\d+ m away; the straight line ends there") as failure:
         line(arm, arm.description.arm("ur5"), start, ([position[0] * 3, position[1] * 3, position[2]], orientation))
     assert 0.5 < failure.value.distance < 2.0
     assert arm.get_joint_positions() == start

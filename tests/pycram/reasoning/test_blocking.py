@@ -169,7 +169,7 @@ def test_the_posture_that_touches_least_is_found(kitchen: BulletWorld, seed: int
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, 3, 4, 5))])
-def test_collisions_at_another_pose_are_those_that_the_engine_finds(kitchen: BulletWorld, seed: int) -> None:
+def test_collisions_at_another_pose_agree_with_the_engine(kitchen: BulletWorld, seed: int) -> None:
     """The whole robot at other places, also leaning, with its load and other values of the joints."""
     robot, rng = kitchen.robot, random.Random(seed)
     things = clutter(kitchen, seed)
@@ -279,7 +279,7 @@ def test_blocking_finds_known_obstacles(
 
 
 @pytest.mark.parametrize(("rpy", "places"), [((0, 0, 0.3), 0), ((math.pi / 2, 0, 0.3), 2), ((math.pi / 4, 0, 0), 2)])
-def test_only_what_lies_or_leans_is_taken_beside_its_middle(
+def test_only_lying_or_leaning_objects_are_taken_beside_their_middle(
     kitchen: BulletWorld, rpy: tuple[float, float, float], places: int
 ) -> None:
     """From the top, the ends of something that stands are where its middle is."""
@@ -299,7 +299,7 @@ def test_only_what_lies_or_leans_is_taken_beside_its_middle(
         milk.remove()
 
 
-def test_a_load_collides_with_others_but_nothing_held_is_an_obstacle(alone: Object) -> None:
+def test_held_objects_collide_with_others_but_are_no_obstacles(alone: Object) -> None:
     alone.set_position_and_orientation([0, 0, 0], [0, 0, 0, 1])
     milk = Object("milk", "milk", "milk.stl", [0.6, 0.3, 0.8])
     shelf = Object("shelf", "environment", "breakfast_cereal.stl", [0.6, 0.3, 0.62], list(geometry.from_rpy(*FLAT)))
@@ -328,7 +328,7 @@ sizes = st.tuples(*[st.floats(0.005, 0.4)] * 3).map(np.array)
 @settings(max_examples=150, deadline=None)
 @given(positions, rotations, sizes, positions, st.one_of(st.none(), rotations), sizes, st.floats(-1e-7, 1e-7))
 @pytest.mark.slow
-def test_boxes_overlap_where_some_point_is_in_both(
+def test_boxes_overlap_if_they_share_a_point(
     at: np.ndarray,
     turn: np.ndarray,
     half: np.ndarray,

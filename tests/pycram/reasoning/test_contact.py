@@ -186,7 +186,7 @@ def test_contact_and_support(floor: Object, scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("gap", [0.002, 0.005, 0.01, 0.05])
-def test_a_margin_counts_a_gap_as_contact(floor: Object, gap: float) -> None:
+def test_a_gap_within_the_margin_counts_as_contact(floor: Object, gap: float) -> None:
     milk = put("milk", [0, 0, 0.097])
     rests()
     x, y, z = milk.get_position()
@@ -198,7 +198,7 @@ def test_a_margin_counts_a_gap_as_contact(floor: Object, gap: float) -> None:
     assert found.evidence["distance"] == pytest.approx(gap, abs=1e-3)
 
 
-def test_the_drawer_that_carries_is_named_also_when_it_is_open(scene: BulletWorld) -> None:
+def test_the_supporting_drawer_is_named_even_if_it_is_open(scene: BulletWorld) -> None:
     kitchen, spoon, milk = (scene.get_object(name) for name in ("kitchen", "spoon", "milk"))
     drawer = "sink_area_left_upper_drawer_main"
     assert btr.supporting(kitchen, milk).evidence["links"] == ["sink_area_surface"]
@@ -209,7 +209,7 @@ def test_the_drawer_that_carries_is_named_also_when_it_is_open(scene: BulletWorl
     assert not btr.supporting(kitchen, spoon)
 
 
-def test_nothing_is_stepped_and_nothing_carries_itself(scene: BulletWorld) -> None:
+def test_no_time_is_simulated_and_nothing_carries_itself(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
     x, y, z = milk.get_position()
     milk.set_position([x, y, z + 0.05])

@@ -63,7 +63,7 @@ def apart(body: Object, other: Object) -> float:
 
 
 @pytest.mark.slow
-def test_what_is_put_there_stays_and_leaves_room_for_fingers(room: BulletWorld, table: Object) -> None:
+def test_an_object_put_down_there_stays_and_leaves_room_for_fingers(room: BulletWorld, table: Object) -> None:
     cup = room.get_object("cup")
     others = [room.get_object(name) for name in ("bowl", "cereal", "milk")]
     saved = room.save()
@@ -79,7 +79,7 @@ def test_what_is_put_there_stays_and_leaves_room_for_fingers(room: BulletWorld, 
         room.restore(saved)
 
 
-def test_places_are_apart_and_belong_to_the_seed(room: BulletWorld, table: Object) -> None:
+def test_places_are_apart_and_depend_on_the_seed(room: BulletWorld, table: Object) -> None:
     cup = room.get_object("cup")
     first = some(4, free_places(cup, on=on(table), seed=1))
     assert first == some(4, free_places(cup, on=on(table), seed=1))
@@ -90,14 +90,14 @@ def test_places_are_apart_and_belong_to_the_seed(room: BulletWorld, table: Objec
     assert cup.get_position_and_orientation() == cup_was
 
 
-def test_it_is_near_a_point(room: BulletWorld, table: Object) -> None:
+def test_places_are_near_a_point(room: BulletWorld, table: Object) -> None:
     point = [0.8, -0.7]
     place = next(free_places(room.get_object("cup"), on=on(table), near=point, seed=0))
     assert math.dist(place.position[:2], point) < 0.2
 
 
 @pytest.mark.parametrize(("side", "axis", "sign"), [("left", 1, 1), ("right", 1, -1), ("front", 0, -1), ("back", 0, 1)])
-def test_it_is_on_a_side_as_seen_from_the_origin(
+def test_places_are_on_a_side_as_seen_from_the_origin(
     room: BulletWorld, table: Object, side: str, axis: int, sign: int
 ) -> None:
     """No robot is there, so the world's origin is where one looks from: along x."""
@@ -109,13 +109,13 @@ def test_it_is_on_a_side_as_seen_from_the_origin(
         assert sign * (place.position[axis] - (0.35, 0.0)[axis]) > 0
 
 
-def test_an_orientation_that_is_asked_for_is_kept(room: BulletWorld, table: Object) -> None:
+def test_a_given_orientation_is_kept(room: BulletWorld, table: Object) -> None:
     turn = geometry.from_rpy(0, 0, 1.0)
     place = next(free_places(room.get_object("cereal"), on=on(table), orientation=turn, seed=0))
     assert place.orientation == pytest.approx(turn)
 
 
-def test_a_full_surface_says_that_there_is_no_room(room: BulletWorld, table: Object, sink: MemorySink) -> None:
+def test_a_full_surface_has_no_room(room: BulletWorld, table: Object, sink: MemorySink) -> None:
     x, y, _ = room.get_object("bowl").get_position()
     mat = replace(table.surface("table"), name="mat", outline=((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)))
     assert math.dist(table.surface_pose(mat)[0][:2], (x, y)) < 0.01
@@ -140,7 +140,7 @@ def test_constraints_that_exclude_each_other_are_named(room: BulletWorld, table:
     assert "the last by side back" in str(refused.value)
 
 
-def test_what_is_too_high_for_a_shelf_is_told_so(room: BulletWorld, table: Object) -> None:
+def test_an_object_too_high_for_a_shelf_has_no_place(room: BulletWorld, table: Object) -> None:
     kitchen = Object("kitchen", "environment", "kitchen.urdf", [10, 0, 0])
     try:
         drawer = kitchen.container("sink left upper drawer")
@@ -153,7 +153,7 @@ def test_what_is_too_high_for_a_shelf_is_told_so(room: BulletWorld, table: Objec
         kitchen.remove()
 
 
-def test_a_shelf_that_leaves_a_finger_above_a_thing_has_places_for_it(room: BulletWorld, table: Object) -> None:
+def test_a_shelf_with_a_finger_of_room_above_an_object_has_places_for_it(room: BulletWorld, table: Object) -> None:
     kitchen = Object("kitchen", "environment", "kitchen.urdf", [10, 0, 0])
     milk = room.get_object("milk")
     saved = room.save()
@@ -176,7 +176,7 @@ def test_a_shelf_that_leaves_a_finger_above_a_thing_has_places_for_it(room: Bull
 
 
 @pytest.mark.parametrize("angle", [0, 25, 60])
-def test_a_board_hardly_wider_than_a_thing_has_places_along_it(room: BulletWorld, table: Object, angle: int) -> None:
+def test_a_board_hardly_wider_than_an_object_has_places_along_it(room: BulletWorld, table: Object, angle: int) -> None:
     milk = room.get_object("milk")
     low, high = milk.get_AABB()
     half = min(high[0] - low[0], high[1] - low[1]) / 2 + 0.014  # a centimetre to each side, and a little
@@ -196,7 +196,7 @@ def test_a_board_hardly_wider_than_a_thing_has_places_along_it(room: BulletWorld
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["panda", "ur5"])
-def test_a_thing_stands_neither_at_the_foot_of_an_arm_nor_where_it_is_parked(
+def test_places_are_neither_at_the_foot_of_an_arm_nor_at_its_parked_links(
     room: BulletWorld, table: Object, robot: str
 ) -> None:
     """Who reaches there isn't asked: the arm is in the way of whoever it is."""
@@ -216,7 +216,7 @@ def test_a_thing_stands_neither_at_the_foot_of_an_arm_nor_where_it_is_parked(
         bowl.set_position_and_orientation(*was)
 
 
-def test_a_place_on_record_has_its_map_and_what_was_rejected(
+def test_the_record_of_a_place_has_the_map_and_the_rejected_candidates(
     room: BulletWorld, table: Object, sink: MemorySink
 ) -> None:
     place = next(free_places(room.get_object("cup"), on=on(table), near=room.get_object("bowl").get_position(), seed=2))
@@ -231,10 +231,10 @@ def test_a_place_on_record_has_its_map_and_what_was_rejected(
     assert all(spot.candidate >= 0 for spot in record.grid.spots[: chosen[0]])
     assert all(spot.candidate == -1 for spot in record.grid.spots[chosen[0] + 1 :])
     if chosen[0]:
-        assert "something is there already" in rejections(record)
+        assert "the place is taken" in rejections(record)
 
 
-def test_impossible_constraints_are_refused_at_once(room: BulletWorld, table: Object) -> None:
+def test_impossible_constraints_are_refused_immediately(room: BulletWorld, table: Object) -> None:
     cup = room.get_object("cup")
     with pytest.raises(UnknownName, match="left"):
         free_places(cup, on=on(table), side="lefft")

@@ -41,7 +41,7 @@ def panda() -> Iterator[Object]:
         ((0.69, -0.55, 0.32), (0.65, -0.41, 0.43)),
     ],
 )
-def test_a_free_grasp_is_found_where_those_found_quickly_are_blocked(
+def test_a_free_grasp_is_found_even_if_the_quick_search_finds_only_blocked_ones(
     panda: Object, apple: Vector, cereal: Vector
 ) -> None:
     world = panda.world
@@ -52,7 +52,7 @@ def test_a_free_grasp_is_found_where_those_found_quickly_are_blocked(
 
 
 @pytest.mark.parametrize("at", [(0.3, -0.1), (0.45, -0.1), (0.45, 0.1)])
-def test_an_arm_works_behind_itself_where_its_first_posture_is_blocked(at: tuple[float, float]) -> None:
+def test_an_arm_reaches_behind_itself_if_its_first_posture_is_blocked(at: tuple[float, float]) -> None:
     """It is found first with its elbow down, in the table."""
     with BulletWorld() as world:
         world.set_gravity([0, 0, -9.8])
@@ -68,7 +68,7 @@ def test_an_arm_works_behind_itself_where_its_first_posture_is_blocked(at: tuple
 
 
 @pytest.mark.parametrize("model", ["pr2.urdf", "panda.urdf", "ur5.urdf", "tiago_pro.urdf"])
-def test_all_that_fingers_sweep_is_looked_at(model: str) -> None:
+def test_everything_that_fingers_sweep_is_checked(model: str) -> None:
     with BulletWorld() as world:
         robot = Object("robot", "robot", model)
         assert robot.description is not None

@@ -52,7 +52,7 @@ def perform(**slots: object) -> object:
     ("kind", "degrees"),
     [pytest.param(*case, marks=[] if case in QUICK else [pytest.mark.costly]) for case in CASES],
 )
-def test_both_fingers_are_at_what_was_picked_up(kitchen: BulletWorld, kind: str, degrees: int) -> None:
+def test_both_fingers_touch_a_picked_up_object(kitchen: BulletWorld, kind: str, degrees: int) -> None:
     robot = kitchen.robot
     assert robot is not None
     assert robot.description is not None

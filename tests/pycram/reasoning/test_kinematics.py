@@ -60,7 +60,7 @@ def is_solved(posture: Posture) -> bool:
 )
 @settings(max_examples=15, deadline=None)
 @given(data=st.data())
-def test_a_pose_that_some_posture_has_is_reached_by_a_posture_within_limits(
+def test_a_pose_of_a_random_posture_is_reached_within_limits(
     arm: tuple[list[str], list[float]], data: st.DataObject
 ) -> None:
     solver = chain(*arm)
@@ -79,7 +79,7 @@ def test_a_pose_that_some_posture_has_is_reached_by_a_posture_within_limits(
 
 
 @pytest.mark.parametrize("arm", [PR2, SKEWED, SLIDING], ids=["pr2", "skewed", "sliding"])
-def test_tools_are_where_the_description_says(arm: tuple[list[str], list[float]]) -> None:
+def test_tools_are_at_their_described_poses(arm: tuple[list[str], list[float]]) -> None:
     kinematics = chain(*arm).chain
     urdf = robot(*arm)
     for posture in np.random.default_rng(7).uniform(-2.0, 2.0, (20, len(arm[0]))):
@@ -90,7 +90,7 @@ def test_tools_are_where_the_description_says(arm: tuple[list[str], list[float]]
 
 
 @pytest.mark.slow
-def test_searching_finds_almost_all_that_arms_without_closed_form_reach() -> None:
+def test_a_search_reaches_almost_all_poses_of_arms_without_closed_form() -> None:
     for arm in (SIX, SLIDING, PLANAR):
         solver = chain(*arm)
         postures = np.random.default_rng(4).uniform(-1.5, 1.5, (25, len(arm[0])))
@@ -124,7 +124,7 @@ def test_arms_with_a_spherical_shoulder_and_wrist_have_a_closed_form() -> None:
 @pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(units, units, vectors, angles, angles)
-def test_two_turns_bring_a_vector_where_two_turns_brought_it(
+def test_two_turns_bring_a_vector_to_the_result_of_two_known_turns(
     first: np.ndarray, second: np.ndarray, start: np.ndarray, outer: float, inner: float
 ) -> None:
     assume(np.linalg.norm(np.cross(first, second)) > 0.1)
@@ -153,7 +153,7 @@ def test_a_turn_to_a_distance(axis: np.ndarray, start: np.ndarray, end: np.ndarr
         assert np.linalg.norm(again - end[:, None], axis=0) == pytest.approx(distance, abs=1e-5)
 
 
-def test_the_arm_points_at_targets_that_are_too_far() -> None:
+def test_the_arm_points_to_targets_out_of_reach() -> None:
     solver = chain(*PR2)
     ((found,),) = solver.solve([([1.3, 0.0, 0.0], None)])
     assert not found.reaches()
@@ -162,7 +162,7 @@ def test_the_arm_points_at_targets_that_are_too_far() -> None:
     assert not turned.reaches()
 
 
-def test_many_targets_are_solved_as_one_by_one() -> None:
+def test_many_targets_get_the_same_postures_as_single_ones() -> None:
     """Near, at the edge and far beyond; with orientations and without."""
     solver = chain(*PR2)
     rng = np.random.default_rng(3)
@@ -181,7 +181,7 @@ def test_many_targets_are_solved_as_one_by_one() -> None:
         assert all(there for postures, there in zip(exact, reached, strict=True) if postures)
 
 
-def test_a_long_search_goes_on_from_what_the_quick_one_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_search_continues_from_the_results_of_a_quick_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The starts that a quick search tries in vain aren't tried again; what is found is as without it."""
     out_of_reach = [([0.9, 0.1, 0.2], (0.0, 0.0, 0.0, 1.0)), ([0.0, 0.9, 0.2], (0.0, 0.0, 1.0, 0.0))]
     searched: list[int] = []
@@ -200,6 +200,6 @@ def test_a_long_search_goes_on_from_what_the_quick_one_found(monkeypatch: pytest
     assert searched == [few, many]
 
 
-def test_arms_of_any_number_of_joints_are_searched() -> None:
+def test_arms_with_any_number_of_joints_are_searched() -> None:
     solver = chain([Z, Y] * 7, [0.1] * 15)
     assert is_solved(solver.solve([([0.7, 0.3, 0.4], None)])[0][0])

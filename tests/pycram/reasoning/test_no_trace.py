@@ -108,7 +108,7 @@ def test_a_world_evolves_bit_for_bit_as_without_queries(seed: int, robot: bool) 
 
 
 @pytest.mark.slow
-def test_one_worlds_queries_leave_others_alone() -> None:
+def test_queries_of_one_world_do_not_affect_others() -> None:
     with build(5, robot=False) as first, build(6, robot=False) as second:
         before = bits(first), bits(second)
         alone = [repr(answer) for answer in ask(first, 7, 8)]
@@ -120,7 +120,7 @@ def test_one_worlds_queries_leave_others_alone() -> None:
 
 
 @pytest.mark.slow
-def test_threads_that_ask_at_once_get_the_same_answers() -> None:
+def test_threads_that_ask_in_parallel_get_the_same_answers() -> None:
     with build(9, robot=False) as world:
         before = bits(world)
         expected = [[repr(answer) for answer in ask(world, seed, 5)] for seed in range(4)]
@@ -158,7 +158,7 @@ FAILING: list[tuple[object, str, Callable[[BulletWorld, Object], object]]] = [
 
 
 @pytest.mark.parametrize(("module", "name", "query"), FAILING, ids=lambda value: str(value)[:12])
-def test_a_query_that_fails_in_the_middle_leaves_nothing_behind(
+def test_a_failing_query_leaves_no_trace(
     monkeypatch: pytest.MonkeyPatch, module: object, name: str, query: Callable[[BulletWorld, Object], object]
 ) -> None:
     with build(11, robot=False) as world:
@@ -178,9 +178,7 @@ def test_a_query_that_fails_in_the_middle_leaves_nothing_behind(
         assert body.get_position() == pytest.approx([0, 0, 3])
 
 
-def test_a_reach_that_fails_in_the_middle_leaves_nothing_behind(
-    scene: BulletWorld, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failing_check_of_reach_leaves_no_trace(scene: BulletWorld, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     before, right = bits(scene), btr.blocking(milk, robot, LEFT).evidence
     with monkeypatch.context() as patch:

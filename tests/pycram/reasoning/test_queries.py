@@ -108,7 +108,7 @@ def test_reachable(scene: BulletWorld) -> None:
     assert not btr.reachable_pose(inside, robot, "l_gripper_tool_frame", collision_free=True)
 
 
-def test_blocking_marks_what_is_environment(scene: BulletWorld) -> None:
+def test_blocking_marks_furniture_as_environment(scene: BulletWorld) -> None:
     robot, spoon, kitchen = scene.robot, scene.get_object("spoon"), scene.get_object("kitchen")
     drawer, gripper = "sink_area_left_upper_drawer_main_joint", "r_gripper_tool_frame"
     deep_inside = btr.blocking(spoon, robot, gripper)

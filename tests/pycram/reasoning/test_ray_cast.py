@@ -33,7 +33,7 @@ def cast_by_engine(body: Object, frame: Pose, xs: list[float], zs: tuple[float, 
 
 
 @pytest.mark.parametrize("name", ["milk", "breakfast_cereal", "bowl", "cup", "plate", "bottle", "fork", "apple", "pot"])
-def test_extents_are_those_that_the_engines_rays_find(world: BulletWorld, name: str) -> None:
+def test_extents_agree_with_the_engines_rays(world: BulletWorld, name: str) -> None:
     body = Object(name, name, f"{name}.stl", [1, 2, 1], list(geometry.from_rpy(0.2, -0.3, 0.7)))
     caster = RayCaster(body)
     for turn in (geometry.from_rpy(0, 0, 0.3), geometry.from_rpy(0.5, math.pi / 2, 0)):
@@ -62,7 +62,7 @@ def test_walls_of_hollow_objects(world: BulletWorld, name: str, inside: float) -
         assert np.isnan(below).all()
 
 
-def test_what_is_solid_or_absent_has_no_inner_wall(world: BulletWorld) -> None:
+def test_solid_or_missing_pieces_have_no_inner_wall(world: BulletWorld) -> None:
     caster = RayCaster(Object("apple", "apple", "apple.stl", [1, 2, 1]))
     x, y, z = caster.center
     ((within, above),) = caster.walls([Scan(((x, y, 0.0), (0, 0, 0, 1)), z, 1.0)], 2, (0.0,))

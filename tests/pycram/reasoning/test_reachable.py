@@ -67,7 +67,7 @@ def random_postures(robot: Object, link: str, count: int, seed: int) -> np.ndarr
 
 @pytest.mark.parametrize("link", [LEFT, RIGHT])
 @pytest.mark.slow
-def test_every_pose_that_some_posture_has_is_reached(robot: Object, link: str) -> None:
+def test_every_pose_of_a_random_posture_is_reached(robot: Object, link: str) -> None:
     for pose in arm_of(robot, link).poses(random_postures(robot, link, 40, 3)):
         position, turn = in_world(robot, (pose[:3, 3], geometry.from_matrix(pose[:3, :3])))
         verdict = btr.reachable_pose(position, robot, link, orientation=turn)
@@ -141,7 +141,7 @@ def test_grasps(world: BulletWorld, position: list[float], grasp: str | None, ex
     assert bool(verdict) is expected, verdict.evidence
 
 
-def test_the_threshold_is_how_far_it_may_stay_away(robot: Object) -> None:
+def test_the_threshold_is_the_distance_that_counts_as_reached(robot: Object) -> None:
     arm = arm_of(robot, LEFT)
     beyond = in_world(robot, (arm.shoulder + np.array([1.05, 0, 0]), (0, 0, 0, 1)))[0]
     assert not btr.reachable_pose(beyond, robot, LEFT)
@@ -150,7 +150,7 @@ def test_the_threshold_is_how_far_it_may_stay_away(robot: Object) -> None:
     assert btr.reachable_pose(beyond, robot, LEFT, threshold=miss + 0.005)
 
 
-def test_collisions_count_if_asked(scene: BulletWorld) -> None:
+def test_collisions_count_only_if_asked_for(scene: BulletWorld) -> None:
     robot, kitchen, milk = scene.robot, scene.get_object("kitchen"), scene.get_object("milk")
     closed = [1.45, 0.89, 0.72]  # in the drawer
     assert btr.reachable_pose(closed, robot, LEFT)
@@ -172,7 +172,7 @@ def test_collisions_count_if_asked(scene: BulletWorld) -> None:
 
 
 @pytest.mark.slow
-def test_many_targets_are_answered_as_one_by_one(scene: BulletWorld) -> None:
+def test_many_targets_get_the_same_answers_as_single_ones(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     at = milk.get_position()
     rng = np.random.default_rng(2)
@@ -199,7 +199,7 @@ def test_many_targets_are_answered_as_one_by_one(scene: BulletWorld) -> None:
         btr.reachable_poses(targets, robot, LEFT, orientations=[turn, turn])
 
 
-def test_blocking_names_what_is_hit_by_which_links(scene: BulletWorld) -> None:
+def test_blocking_names_the_objects_and_the_links_that_touch(scene: BulletWorld) -> None:
     robot, kitchen = scene.robot, scene.get_object("kitchen")
     milk, bowl, cereal, spoon = (scene.get_object(name) for name in ("milk", "bowl", "cereal", "spoon"))
     assert btr.blocking(milk, robot, LEFT) == []
@@ -226,7 +226,7 @@ def test_blocking_names_what_is_hit_by_which_links(scene: BulletWorld) -> None:
     assert btr.blocking(milk, robot, LEFT) == []
 
 
-def test_blocking_never_names_what_is_held(scene: BulletWorld) -> None:
+def test_blocking_never_names_held_objects(scene: BulletWorld) -> None:
     robot, milk, bowl = scene.robot, scene.get_object("milk"), scene.get_object("bowl")
     robot.set_joint_positions(btr.reachable_object(bowl, robot, RIGHT).evidence["joints"])
     bowl.set_position(robot.get_link_position(RIGHT))
@@ -237,7 +237,7 @@ def test_blocking_never_names_what_is_held(scene: BulletWorld) -> None:
     assert tall not in btr.blocking(milk, robot, LEFT)
 
 
-def test_what_the_other_hand_holds_is_no_obstacle(scene: BulletWorld) -> None:
+def test_an_object_in_the_other_hand_is_no_obstacle(scene: BulletWorld) -> None:
     robot, cereal = scene.robot, scene.get_object("cereal")
     tall = Object("tall", "cereal", "breakfast_cereal.stl", [1.5, 1.4, 0.85])  # half in the counter
     robot.attach(tall, LEFT)
@@ -246,7 +246,7 @@ def test_what_the_other_hand_holds_is_no_obstacle(scene: BulletWorld) -> None:
     assert found.evidence["reached"] is True
 
 
-def test_out_of_reach_nothing_blocks_and_the_evidence_says_so(scene: BulletWorld) -> None:
+def test_nothing_blocks_a_target_out_of_reach_and_the_evidence_says_so(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     milk.set_position([1.3, 3, 0.95])
     found = btr.blocking(milk, robot, LEFT)
@@ -255,7 +255,7 @@ def test_out_of_reach_nothing_blocks_and_the_evidence_says_so(scene: BulletWorld
     assert found.evidence["distance"] > 0.5
 
 
-def test_what_only_self_collision_reaches_is_out_of_reach_and_the_pick_up_says_why(world: BulletWorld) -> None:
+def test_a_target_reached_only_in_self_collision_is_out_of_reach_and_pick_up_says_why(world: BulletWorld) -> None:
     robot = world.robot = Object("pr2", "robot", "pr2.urdf")
     cup = Object("cup", "cup", "cup.stl", [0.1, 0, 0.6])  # before its belly
     found = btr.blocking(cup, robot, LEFT)

@@ -192,7 +192,7 @@ QUICK = SCENES[:4]  # for the inner loop
     [*QUICK, *(pytest.param(scene, marks=pytest.mark.slow) for scene in SCENES[len(QUICK) :])],
     ids=lambda scene: scene.__name__,
 )
-def test_the_answer_is_what_then_happens(floor: Object, scene: Callable[[], tuple[Object, bool]]) -> None:
+def test_the_answer_agrees_with_the_simulated_world(floor: Object, scene: Callable[[], tuple[Object, bool]]) -> None:
     body, expected = scene()
     verdict = btr.stable(body)
     assert stays(body) is expected, "the scene is not what it is meant to be"
@@ -210,7 +210,7 @@ def test_the_answer_is_what_then_happens(floor: Object, scene: Callable[[], tupl
     ],
     ids=lambda scene: scene.__name__,
 )
-def test_the_same_query_gets_the_same_bits_whatever_was_asked_between(
+def test_the_same_query_gets_the_same_bits_after_other_queries(
     floor: Object, scene: Callable[[], tuple[Object, bool]]
 ) -> None:
     body, _ = scene()
@@ -219,7 +219,7 @@ def test_the_same_query_gets_the_same_bits_whatever_was_asked_between(
     assert {other: btr.stable(other).evidence for other in reversed(things)} == evidence
 
 
-def test_a_held_thing_is_stable_until_it_is_let_go(scene: BulletWorld) -> None:
+def test_a_held_object_is_stable_until_it_is_released(scene: BulletWorld) -> None:
     robot, milk, bowl = scene.robot, scene.get_object("milk"), scene.get_object("bowl")
     milk.set_position(robot.get_link_position("l_gripper_tool_frame"))
     robot.attach(milk, "l_gripper_tool_frame")
@@ -230,7 +230,7 @@ def test_a_held_thing_is_stable_until_it_is_let_go(scene: BulletWorld) -> None:
 
 
 @pytest.mark.slow
-def test_what_lies_on_a_robots_arms_is_carried_by_them(world: BulletWorld, floor: Object) -> None:
+def test_a_robots_arms_carry_the_objects_on_them(world: BulletWorld, floor: Object) -> None:
     robot = Object("pr2", "robot", "pr2.urdf")
     arms = [joint for arm in robot.description.arms.values() for joint in arm.joints]
     robot.set_joint_positions(dict.fromkeys(arms, 0.0) | {"l_shoulder_pan_joint": -0.35, "r_shoulder_pan_joint": 0.35})
@@ -243,7 +243,7 @@ def test_what_lies_on_a_robots_arms_is_carried_by_them(world: BulletWorld, floor
     assert stays(tray)
 
 
-def test_what_is_far_away_is_not_waited_for(floor: Object) -> None:
+def test_distant_bodies_are_not_simulated(floor: Object) -> None:
     milk = settled("milk", "milk.stl", [0, 0, MILK + 0.001])
     alone = btr.stable(milk).evidence["simulated_steps"]
     Object("falling", "box", "milk.stl", [30, 0, 0.5])
@@ -252,7 +252,7 @@ def test_what_is_far_away_is_not_waited_for(floor: Object) -> None:
 
 @pytest.mark.parametrize("name", ["knife", "spoon", "bottle", "cup", "milk", "breakfast_cereal", "apple", "plate"])
 @pytest.mark.parametrize("turn", [LYING, geometry.from_rpy(math.pi / 2, 0, 0), (0.0, 0.0, 0.0, 1.0)])
-def test_what_is_at_rest_may_be_about_to_fall_or_to_roll(
+def test_a_body_at_rest_may_be_about_to_fall_or_roll(
     world: BulletWorld, floor: Object, name: str, turn: tuple[float, ...]
 ) -> None:
     """Balanced on an end it stands still at first: the answer is what two seconds show."""
@@ -265,7 +265,7 @@ def test_what_is_at_rest_may_be_about_to_fall_or_to_roll(
 
 
 @pytest.mark.slow
-def test_what_stands_firmly_is_stable_after_a_few_steps(world: BulletWorld, floor: Object) -> None:
+def test_a_firm_body_is_stable_after_a_few_steps(world: BulletWorld, floor: Object) -> None:
     pile = settled("pot", "pot.stl", [1, 0, 0.08]), settled("plate", "plate.stl", [1, 0, 0.17])
     for body in (settled("milk", "milk.stl", [0, 0, MILK + 0.001]), settled("bowl", "bowl.stl", [0.4, 0, 0.04]), *pile):
         assert btr.stable(body)
@@ -280,7 +280,9 @@ def test_a_spoon_that_leans_on_a_bowl_is_stable_after_a_few_steps(floor: Object)
 
 
 @seeded("stable: verdicts in piles of the whole scene", range(12), 1, always=4)
-def test_in_piles_the_answer_is_that_of_the_whole_scene(world: BulletWorld, floor: Object, seeds: range) -> None:
+def test_answers_in_piles_agree_with_a_simulation_of_the_whole_scene(
+    world: BulletWorld, floor: Object, seeds: range
+) -> None:
     """What lies anyhow on, in and against each other, some of it still moving.
 
     Contacts that the engine keeps from step to step are no part of a state, and a few such answers depend on them: both

@@ -74,7 +74,7 @@ def by_links(world: BulletWorld, things: Sequence[Object], order: random.Random 
 
 
 @measures.seeded("stable: verdicts in piles, parts against links", range(300), 1)
-def test_verdicts_in_piles_are_those_of_all_links(
+def test_verdicts_in_piles_agree_with_a_simulation_of_all_links(
     kitchen: BulletWorld, seeds: range, record_property: pytest.RecordProperty
 ) -> None:
     asked = unlike = unlike_in_another_order = 0

@@ -44,7 +44,7 @@ def random_bases(count: int, seed: int) -> list[Pose]:
 
 
 @pytest.mark.slow
-def test_what_an_arm_would_do_from_elsewhere_is_what_it_does_there(scene: BulletWorld) -> None:
+def test_an_arm_reaches_the_same_from_an_assumed_pose_as_from_the_real_pose(scene: BulletWorld) -> None:
     """The reasoning with another pose of the base, and without after the robot was put there, answer the same."""
     robot, milk = scene.robot, scene.get_object("milk")
     arm = robot.description.arm("left")
@@ -70,9 +70,7 @@ def test_what_an_arm_would_do_from_elsewhere_is_what_it_does_there(scene: Bullet
 
 
 @pytest.mark.costly
-def test_the_robot_fits_where_it_is_offered_to_stand_and_not_where_it_is_said_to_collide(
-    scene: BulletWorld, sink: MemorySink
-) -> None:
+def test_the_robot_fits_at_offered_places_and_collides_at_rejected_ones(scene: BulletWorld, sink: MemorySink) -> None:
     robot = scene.robot
     places = list(itertools.islice(standing_places(robot, near=[1.0, 0.6], seed=2), 3))
     with pytest.raises(NoPlace):  # it lies in a drawer, so the robot would have to stand as near as it can
@@ -96,7 +94,7 @@ def test_the_robot_fits_where_it_is_offered_to_stand_and_not_where_it_is_said_to
 
 
 @pytest.mark.slow
-def test_from_a_place_that_is_offered_a_thing_is_taken_carried_and_put_down(scene: BulletWorld) -> None:
+def test_an_object_is_taken_carried_and_put_down_from_offered_places(scene: BulletWorld) -> None:
     robot, cereal, kitchen = scene.robot, scene.get_object("cereal"), scene.get_object("kitchen")
     robot.set_position_and_orientation([0.0, 2.0, 0], [0, 0, 1, 0])
     place = next(standing_places(robot, reach=[cereal], seed=5))
@@ -116,7 +114,7 @@ def test_from_a_place_that_is_offered_a_thing_is_taken_carried_and_put_down(scen
 
 
 @pytest.mark.slow
-def test_from_a_place_that_is_offered_a_drawer_is_opened(scene: BulletWorld) -> None:
+def test_a_drawer_is_opened_from_an_offered_place(scene: BulletWorld) -> None:
     robot, kitchen = scene.robot, scene.get_object("kitchen")
     robot.set_position_and_orientation([-0.3, 2.0, 0], [0, 0, 1, 0])
     drawer = kitchen.container("sink left upper drawer")
@@ -135,9 +133,7 @@ def test_from_a_place_that_is_offered_a_drawer_is_opened(scene: BulletWorld) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sink left bottom drawer", "oven right drawer", "fridge"])
-def test_what_a_drawer_or_door_is_said_to_strike_at_first_sight_no_arm_opens_from_there(
-    scene: BulletWorld, name: str
-) -> None:
+def test_no_arm_opens_a_drawer_or_door_from_a_place_where_it_would_hit_the_robot(scene: BulletWorld, name: str) -> None:
     robot, kitchen = scene.robot, scene.get_object("kitchen")
     opened = kitchen.container(name)
     goal = goals.Pulling(robot, Pull(kitchen, opened.joint, opened.handle, opened.open))
@@ -151,7 +147,7 @@ def test_what_a_drawer_or_door_is_said_to_strike_at_first_sight_no_arm_opens_fro
 
 
 @pytest.mark.slow
-def test_from_a_place_that_is_offered_a_thing_is_seen(scene: BulletWorld) -> None:
+def test_an_object_is_visible_from_an_offered_place(scene: BulletWorld) -> None:
     robot, bowl = scene.robot, scene.get_object("bowl")
     robot.set_position_and_orientation([-0.3, 2.0, 0], [0, 0, 1, 0])
     for place in itertools.islice(standing_places(robot, see=bowl, seed=0), 2):
@@ -176,7 +172,7 @@ def test_the_same_seed_gives_the_same_places_and_nothing_moves(scene: BulletWorl
 
 
 @pytest.mark.slow
-def test_both_arms_reach_if_both_are_asked_for(scene: BulletWorld) -> None:
+def test_both_arms_reach_if_both_must(scene: BulletWorld) -> None:
     place = next(standing_places(scene.robot, reach=[scene.get_object("milk")], both=True, seed=0))
     assert set(place.arms) == {"left", "right"} == set(place.grasps)
 
@@ -198,7 +194,7 @@ def test_constraints_that_exclude_each_other_are_counted_and_the_last_is_named(
     assert scores_of(record.grid).max() == 1.0
 
 
-def test_a_robot_that_is_bolted_down_stands_where_it_stands() -> None:
+def test_a_robot_that_cannot_drive_has_its_present_place() -> None:
     with BulletWorld() as world:
         world.set_gravity([0, 0, -9.8])
         table = Object("table", "environment", "table.urdf")

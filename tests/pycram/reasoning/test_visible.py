@@ -68,7 +68,7 @@ def test_the_camera_decides(milk: Object, view: object, expected: float, reason:
     assert btr.occluding(milk, view) == []
 
 
-def test_half_out_of_the_image_is_half_seen(milk: Object) -> None:
+def test_an_object_half_out_of_the_image_is_half_seen(milk: Object) -> None:
     edge = math.radians(30)  # half of the field of view where only a pose is given
     eye = [-5.0, 0.0, 1.0]
     for offset, expected in ((0.0, 0.5), (-0.0175, 0.25), (0.0175, 0.75)):
@@ -78,7 +78,7 @@ def test_half_out_of_the_image_is_half_seen(milk: Object) -> None:
 
 
 @pytest.mark.parametrize("step", [4, *(pytest.param(step, marks=pytest.mark.slow) for step in range(10) if step != 4)])
-def test_shares_are_those_of_an_image_with_fifty_times_the_pixels(
+def test_shares_agree_with_an_image_of_fifty_times_the_pixels(
     milk: Object, monkeypatch: pytest.MonkeyPatch, step: int
 ) -> None:
     """Milk behind cereal, from hardly to wholly hidden."""
@@ -91,7 +91,7 @@ def test_shares_are_those_of_an_image_with_fifty_times_the_pixels(
     assert (btr.occluding(milk, EYE) == [cereal]) is (true < 1.0)
 
 
-def test_who_hides_most_comes_first_and_what_is_behind_hides_nothing(milk: Object) -> None:
+def test_the_object_that_hides_most_comes_first_and_objects_behind_hide_nothing(milk: Object) -> None:
     little = Object("little", "spoon", "spoon.stl", [-0.3, 0, 1.07])
     much = Object("much", "cereal", "breakfast_cereal.stl", [-0.5, 0, 0.93], ACROSS)
     Object("behind", "cereal", "breakfast_cereal.stl", [0.3, 0, 1], ACROSS)
@@ -104,7 +104,7 @@ def test_who_hides_most_comes_first_and_what_is_behind_hides_nothing(milk: Objec
     assert sum(shares.values()) + found.evidence["share"] == pytest.approx(1.0)
 
 
-def test_a_bowl_hides_what_is_in_it_from_the_side_only(world: BulletWorld) -> None:
+def test_a_bowl_hides_its_contents_only_from_the_side(world: BulletWorld) -> None:
     bowl = Object("bowl", "bowl", "bowl.stl", [0, 0, 1])
     apple = Object("apple", "apple", "apple.stl", [0, 0, 0.99])
     assert share(apple, [-0.8, 0, 1.0]) < 0.2
@@ -112,7 +112,7 @@ def test_a_bowl_hides_what_is_in_it_from_the_side_only(world: BulletWorld) -> No
     assert share(apple, [0, 0, 1.8]) > 0.9
 
 
-def test_a_drawer_hides_until_it_is_open(scene: BulletWorld) -> None:
+def test_a_closed_drawer_hides_its_contents(scene: BulletWorld) -> None:
     kitchen, spoon = scene.get_object("kitchen"), scene.get_object("spoon")
     scene.robot.set_position([0, -1, 0])
     eye = [0.9, 0.89, 1.6]
@@ -122,7 +122,7 @@ def test_a_drawer_hides_until_it_is_open(scene: BulletWorld) -> None:
     assert btr.visible(spoon, eye)
 
 
-def test_a_robots_camera_sees_where_the_head_looks(scene: BulletWorld) -> None:
+def test_a_robots_camera_sees_in_the_direction_of_the_head(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     frame = "wide_stereo_optical_frame"
     assert not btr.visible(milk, frame)
@@ -133,14 +133,14 @@ def test_a_robots_camera_sees_where_the_head_looks(scene: BulletWorld) -> None:
     assert not btr.visible(milk, frame)
 
 
-def test_the_smallest_and_the_farthest_thing_is_seen_as_well(world: BulletWorld) -> None:
+def test_small_and_far_objects_are_seen_as_well(world: BulletWorld) -> None:
     spoon = Object("spoon", "spoon", "spoon.stl", [0, 0, 1])
     assert btr.visible(spoon, [-19, 0, 1.0])
     assert btr.visible(spoon, [0, 0, 1.3])
     assert not btr.visible(spoon, [0, 0, 1.05]), "most of it is out of the image"
 
 
-def test_what_is_nearer_than_the_near_plane_is_not_seen(world: BulletWorld) -> None:
+def test_objects_before_the_near_plane_are_not_seen(world: BulletWorld) -> None:
     knife = Object("knife", "knife", "knife.stl", [0, 0, 1])
     verdict = btr.visible(knife, camera([0, 0, 0.985], [0, 0, 2]))
     assert not verdict
@@ -164,7 +164,7 @@ def milk_and_plate() -> Iterator[tuple[Object, Object]]:
     st.floats(-0.05, 0.05),
     st.floats(-0.05, 0.05),
 )
-def test_shares_are_shares_and_fall_as_the_occluder_grows(
+def test_shares_are_from_0_to_1_and_fall_as_the_occluder_grows(
     milk_and_plate: tuple[Object, Object], distances: list[float], y: float, z: float
 ) -> None:
     """A plate grows in the picture as it comes nearer to the eye along the same line of sight."""
@@ -180,7 +180,7 @@ def test_shares_are_shares_and_fall_as_the_occluder_grows(
 
 
 @pytest.mark.parametrize("link", ["wide_stereo_optical_frame", "narrow_stereo_optical_frame", "high_def_optical_frame"])
-def test_a_camera_looks_out_of_its_housing_whatever_lies_in_its_plane(world: BulletWorld, link: str) -> None:
+def test_a_camera_sees_out_of_its_housing_even_with_corners_in_its_plane(world: BulletWorld, link: str) -> None:
     """From here, corners of the head's own mesh lie in the very plane of the camera."""
     Object("floor", "environment", "plane.urdf")
     world.robot = Object("pr2", "robot", "pr2.urdf")

@@ -37,7 +37,7 @@ def by_rays(triangles: np.ndarray) -> np.ndarray:
 @pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 40), spread=st.sampled_from([0.05, 0.5, 5.0]))
-def test_the_triangle_that_is_seen_is_the_one_that_a_ray_hits(seed: int, count: int, spread: float) -> None:
+def test_the_visible_triangle_is_the_one_that_a_ray_hits(seed: int, count: int, spread: float) -> None:
     random = np.random.default_rng(seed)
     triangles = random.normal(size=(count, 1, 3)) * [1, 1, 2] + random.normal(size=(count, 3, 3)) * spread + [0, 0, 2]
     depth, seen = rasterize(triangles, WINDOW, SIZE, NEAR, FAR)
@@ -55,7 +55,7 @@ def test_corners_in_the_plane_of_the_eye_or_the_near_plane(z: float) -> None:
     assert (depth[seen == 0] > NEAR).all()
 
 
-def test_the_nearest_wins_among_large_and_small_triangles() -> None:
+def test_the_nearest_of_large_and_small_triangles_is_visible() -> None:
     wall = np.array([[[-9, -9, 5.0], [9, -9, 5.0], [9, 9, 5.0]], [[-9, -9, 5.0], [9, 9, 5.0], [-9, 9, 5.0]]])
     grid = np.linspace(-0.9, 0.9, 7)
     tiles = np.array([[[x, y, 3.0], [x + 0.2, y, 3.0], [x, y + 0.2, 3.0]] for x in grid for y in grid])
