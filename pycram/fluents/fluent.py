@@ -66,7 +66,7 @@ class NotSettable(UsageError):
     """A fluent can't be set, as its value is computed from other fluents or a world."""
 
     def __init__(self, fluent: str, of_world: bool) -> None:
-        cause = "follows a world; change the world" if of_world else "follows from other fluents; set these"
+        cause = "follows a world; change the world" if of_world else "is computed from other fluents; set these fluents"
         super().__init__(f"{fluent} can't be set: its value {cause}")
         self.fluent = fluent  # its name
         self.of_world = of_world  # whether it follows a world
@@ -77,7 +77,7 @@ class NotTrueOrFalse(UsageError):
 
     def __init__(self, fluent: str) -> None:
         super().__init__(
-            f"{fluent} is a fluent, neither true nor false; ask its get_value(), and combine fluents with AND, OR, NOT"
+            f"{fluent} is a fluent, neither true nor false; use its get_value(), and combine fluents with AND, OR, NOT"
         )
         self.fluent = fluent  # its name
 

@@ -27,7 +27,7 @@ def whenever(fluent: Fluent) -> Iterator[Value]: ...
 def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
 
 
-@lazy("`s(whenever, fluent, body)`: without a body it gives an iterator, for a `for` loop to go through")
+@lazy("`s(whenever, fluent, body)`: without a body it returns an iterator for a `for` loop")
 def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
     """Run a body whenever a fluent's value is not None, repeatedly while it stays so.
 

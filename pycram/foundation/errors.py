@@ -14,7 +14,7 @@ An error of PyCRAM is a dataclass of its data, with a template for the message::
         body: str
         widths: Sequence[float] = kept_as(floats, default=())  # m, between the fingers
 
-        _template = "{arm} gripper can't take {body}"
+        _template = "{arm} gripper can't grasp {body}"
 
 - Fields are the constructor's parameters, and the recorded data in the same order. ``kept_as`` copies a given value.
 - If the message needs more than a template, override ``_message()``, which returns it from the fields.
@@ -258,7 +258,7 @@ class ChangeRefused(UsageError):
     change: str
     query: str
 
-    _template = "{change} was tried inside the query {query}; queries leave no trace"
+    _template = "{change} was tried inside the query {query}; queries must not change a world"
 
 
 @dataclass_error
@@ -274,7 +274,7 @@ class ObjectsChanged(UsageError):
         since = " and ".join(
             f"{', '.join(names)} {'were' if names[1:] else 'was'} {how}" for names, how in changes if names
         )
-        return f"a state of {self.world} has the same objects when it is restored, but {since} since it was saved"
+        return f"a saved state of {self.world} can't be restored, as {since} since it was saved"
 
 
 @dataclass_error
@@ -289,9 +289,9 @@ class FollowsTrajectory(UsageError):
     def _message(self) -> str:
         joints = self.joints
         listed = ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
-        which = f"{listed or 'the base'} of {self.body}"
+        moved = f"{listed or 'the base'} of {self.body}"
         remedy = f"wait until it has ended, or stop it with stop_trajectory({self.number})"
-        return f"can't {self.action}: trajectory {self.number} moves {which}; {remedy}"
+        return f"can't {self.action}: trajectory {self.number} moves {moved}; {remedy}"
 
 
 @dataclass_error
@@ -300,7 +300,7 @@ class DisplayError(UsageError):
 
     reason: str
 
-    _template = 'BulletWorld("GUI") can\'t open its window: {reason}; BulletWorld() runs without one'
+    _template = 'BulletWorld("GUI") can\'t open its window: {reason}; BulletWorld() runs without a window'
 
 
 def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:

@@ -197,7 +197,7 @@ class PostureInCollision(PlanFailure):
 
     def _message(self) -> str:
         touched = phrases(self.pairs) if self.pairs else f"it would touch {', '.join(self.bodies)}"
-        hint = f"; with {self.torso[0]} at {self.torso[1]:g} m it could" if self.torso else ""
+        hint = f"; with {self.torso[0]} at {self.torso[1]:g} m it can take it" if self.torso else ""
         return f"the {' and '.join(self.arms)} arm can't take that posture: {touched}; it stays where it is{hint}"
 
 
@@ -214,8 +214,8 @@ class NoPath(PlanFailure):
 
     def _message(self) -> str:
         often = f"; most often {phrases(self.pairs)}" if self.pairs else ""
-        looked = f"in {self.checks} configurations that were checked, it came within {self.distance:.2f} of the goal"
-        return f"the {self.mover} finds no path there: {looked}{often}; it stays where it is"
+        searched = f"the search ended {self.distance:.2f} from the goal after {self.checks} checked configurations"
+        return f"no path was found for the {self.mover}: {searched}{often}; it stays where it is"
 
 
 @dataclass_error
@@ -229,7 +229,7 @@ class NoPlace(PlanFailure):
     def _message(self) -> str:
         counts = ", ".join(f"{count} by {name}" for name, count in self.excluded.items())
         total = sum(self.excluded.values())
-        considered = f"of {total} places {counts} were excluded" if counts else "none was left"
+        considered = f"of {total} places {counts} were excluded" if counts else "no place was left"
         return f"no place for {self.wanted}: {considered}; the last by {self.last}"
 
 
@@ -240,7 +240,7 @@ class MissingPart(PlanFailure):
     owner: str  # the robot, or its arm
     part: str  # "gripper", "camera"
 
-    _template = "the {owner} has no {part}, says its description"
+    _template = "the {owner} has no {part} in its description"
 
 
 @dataclass_error
@@ -262,7 +262,7 @@ class GraspFailed(PlanFailure):
     body: str
     reason: str
 
-    _template = "{arm} gripper can't take {body}: {reason}"
+    _template = "{arm} gripper can't grasp {body}: {reason}"
 
 
 class DoesNotFit(GraspFailed):
@@ -284,7 +284,7 @@ class DoesNotFit(GraspFailed):
         between += f"{widest * 1e3:.{digits}f} mm"
         measured = ", ".join(dict.fromkeys(f"{width * 1e3:.{digits}f}" for width in self.widths))
         tells = f": it measures {measured} mm, {between} fit between the fingers" if widths else ""
-        super().__init__(arm, body, f"{how}it is {size} for the gripper from any side that is allowed{tells}")
+        super().__init__(arm, body, f"{how}it is {size} for the gripper from every allowed side{tells}")
 
 
 @dataclass_error
@@ -296,7 +296,7 @@ class GripperBlocked(PlanFailure):
     pairs: Sequence[CollisionPair] = kept_as(list)  # the links that would touch each other, deepest first
 
     def _message(self) -> str:
-        return f"{self.arm} gripper can't let go of {self.body}: {phrases(self.pairs)}; it stays as it is"
+        return f"{self.arm} gripper can't release {self.body}: {phrases(self.pairs)}; it stays as it is"
 
 
 @dataclass_error
@@ -363,7 +363,7 @@ class Displaced(PlanFailure):
     position: float
 
     _template = (
-        "{coordinate} of {body} was moved to {position:.3f} during a motion that goes on from {expected:.3f}; "
+        "{coordinate} of {body} was moved to {position:.3f} during a motion that continues from {expected:.3f}; "
         "it stays there: perform the motion again"
     )
 

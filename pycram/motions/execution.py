@@ -227,7 +227,7 @@ class InstantExecution(Execution):
         """Simulate, as one change of the world."""
         restless, completed = simulation.settle(world, TIMEOUT * STEPS_PER_SECOND)
         if world.exiting and not completed:
-            raise WorldClosed(world.name, "simulate on")
+            raise WorldClosed(world.name, "continue its simulation")
         return restless
 
 
@@ -349,7 +349,7 @@ class ContinuousExecution(Execution):
             detector, end = RestDetector(world), world.sim_step + TIMEOUT * STEPS_PER_SECOND
         simulation.wait(world, lambda: detector.sample() or world.sim_step >= end)
         if world.exiting:
-            raise WorldClosed(world.name, "simulate on")
+            raise WorldClosed(world.name, "continue its simulation")
         return detector.restless
 
 

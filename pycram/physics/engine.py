@@ -118,7 +118,7 @@ class Engine:
         try:
             number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
         except bullet.error as error:  # the model of a damaged recording may pass all checks
-            raise AssetError(str(urdf), f"PyBullet refuses it: {error}") from error
+            raise AssetError(str(urdf), f"PyBullet rejects it: {error}") from error
         base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
         links = {base: -1}
         joints = {}

@@ -39,7 +39,7 @@ def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
         DisplayError: There is no display, it doesn't answer, or another world has PyBullet's only window.
     """
     if open_windows:
-        raise DisplayError(f"PyBullet has one window, and {open_windows[0]} has it; end that world first")
+        raise DisplayError(f"PyBullet has only one window, and {open_windows[0]} uses it; end that world first")
     if sys.platform in ("darwin", "win32"):
         yield
         return
@@ -104,6 +104,6 @@ def _at_end(reference: weakref.ref[Engine], world: str, process: int) -> None:
         return
     if os.environ.get("CI") or sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
         return  # nobody would close it
-    print(f"pycram: {world}'s window stays until it is closed, or Ctrl-C", file=sys.stderr)
+    print(f"pycram: the window of {world} stays open until you close it or press Ctrl-C", file=sys.stderr)
     with suppress(KeyboardInterrupt):
         watch(engine)

@@ -58,7 +58,7 @@ class CancelScope(Condition):
         #: The scopes around it, from the inside out; without itself, as reference cycles are freed late.
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
         if len(self.around) >= sys.getrecursionlimit():  # Python doesn't check this: each branch has its own stack
-            raise RecursionError(f"{len(self.around)} blocks and timeouts of the plan within each other")
+            raise RecursionError(f"{len(self.around)} nested blocks and timeouts of the plan")
         known = parent.deadlines if parent is not None else ()
         #: The deadlines of this scope and of the scopes around it.
         self.deadlines: tuple[Limit, ...] = known if deadline is None else (deadline, *known)

@@ -42,7 +42,7 @@ class DeadlockedBranches(UsageError):
 
     def __init__(self, waiting: Mapping[str, str]) -> None:
         where = ", ".join(f"{name} at {line}" for name, line in waiting.items())
-        super().__init__(f"deadlock: all wait, and nothing can wake them: {where}")
+        super().__init__(f"deadlock: all branches wait, and nothing can wake them: {where}")
         self.waiting = dict(waiting)  # FILE:LINE where each branch waits, by its name
 
 

@@ -295,7 +295,7 @@ def _check(body: Object, trajectory: Trajectory) -> None:
         size = f"{len(trajectory.times)} rows of {len(trajectory.coordinates)}"
         raise BadArgument("positions", size, f"at most {_MAX_NUMBERS} numbers")
     if not trajectory.joints and not body.fixed:
-        raise BadArgument("body", body, "a robot, or an object of the environment: physics moves the base of others")
+        raise BadArgument("body", body, "a robot or environment object: physics moves the base of other objects")
     for name, table, most in (
         ("position", trajectory.positions, _FARTHEST),
         ("velocity", trajectory.velocities, _FASTEST),

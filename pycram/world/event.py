@@ -77,7 +77,7 @@ class Event:
             RecordingError: The registration can't be recorded, and isn't made.
         """
         if not callable(handler):
-            raise BadArgument(f"handler of {self}", handler, "something that can be called")
+            raise BadArgument(f"handler of {self}", handler, "a function")
         name = qualified_name(handler)
         with Uninterrupted(), self._lock:
             if handler not in self._handlers:

@@ -69,14 +69,14 @@ class Object(ReadOnlyAttributes):
     _SUBJECT = "object"
     _CHANGED_BY = MappingProxyType(
         {
-            "": "it is as the object was loaded; only its methods change it",
+            "": "only methods of the object change it",
             "color": "use set_color(color)",
             "attachments": "use attach(other, link) and detach(other)",
             "carried": "use attach(other, link) and detach(other)",
             "carrier": "use attach(other, link) of the carrier, and detach(other)",
             "alive": "use remove()",
-            "original_pose": "it is the pose in which it was loaded; use set_position_and_orientation() to move it",
-            "original_joints": "they are as they were loaded; use set_joint_positions() to move them",
+            "original_pose": "it is the pose at loading; use set_position_and_orientation() to move the object",
+            "original_joints": "they are the positions at loading; use set_joint_positions() to move joints",
         }
     )
 

@@ -70,7 +70,7 @@ def restore(world: BulletWorld, saved: SavedState) -> None:
         ObjectsChanged: Objects were loaded or removed since the state was saved.
     """
     if not isinstance(saved, SavedState) or saved.world is not world:
-        raise BadArgument("saved", saved, f"what save() of {world.name} has returned")
+        raise BadArgument("saved", saved, f"a state that {world.name}.save() has returned")
     put_back(world, saved.command, saved.objects, saved.steps)
 
 

@@ -232,7 +232,7 @@ def _pass_time(world: BulletWorld, waiting: Wait) -> None:
             while not waiting.held:
                 raise_if_cancelled()
                 if world.closed:
-                    raise WorldClosed(world.name, "wait in its time")
+                    raise WorldClosed(world.name, "wait in simulated time")
                 if waiter.sleep():
                     _simulate_until_needed(world, scope)
         finally:

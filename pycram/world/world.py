@@ -146,11 +146,11 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
     _SUBJECT = "world"
     _CHANGED_BY = MappingProxyType(
         {
-            "": "it is as the world was opened; only its methods and those of its objects change it",
+            "": "only methods of the world and of its objects change it",
             "gravity": "use set_gravity(gravity)",
             "sim_step": "use simulate(seconds)",
             "realtime": "use set_realtime(real_time)",
-            "mode": 'a world is opened in its mode, as in BulletWorld("GUI")',
+            "mode": 'open another world with BulletWorld("GUI") or BulletWorld("DIRECT")',
             "objects": "use Object(...) to load one, and remove()",
             "closed": "use exit()",
             "exiting": "use exit()",
@@ -375,7 +375,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         with self.transactions.begin(records.Mutation(simulate=records.Simulate(steps=steps))) as transaction:
             completed = simulation.simulate(self, steps, transaction)
         if self.exiting and not completed:
-            raise WorldClosed(self.name, "simulate on")
+            raise WorldClosed(self.name, "continue its simulation")
 
     def settle(self, timeout: float = 5.0) -> bool:
         """Simulate until everything is at rest (:class:`~pycram.world.simulation.RestDetector`); return whether it is.
@@ -393,7 +393,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             simulation.separate(self)
             restless, completed = simulation.settle(self, steps)
         if self.exiting and not completed:
-            raise WorldClosed(self.name, "simulate on")
+            raise WorldClosed(self.name, "continue its simulation")
         return not restless
 
     def begin_trajectory(self, body: Object, trajectory: Trajectory, search: records.PathSearch | None = None) -> int:
@@ -478,7 +478,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
     def at_exit(self, close: Callable[[], None]) -> None:
         """Register a function that is called when the world ends, with its lock held."""
         if not callable(close):
-            raise BadArgument("close", close, "something that can be called")
+            raise BadArgument("close", close, "a function")
         self._closers.append(close)
 
     @uninterruptible()

@@ -71,7 +71,7 @@ def test_choices_are_tried_in_their_order_each_as_a_task_and_no_more_are_found_t
         ("attempt 2", tasks.State.FAILED),
         ("attempt 3", tasks.State.SUCCEEDED),
     ]
-    assert handling.children[1].failure.message == "left gripper can't take two: it slips"
+    assert handling.children[1].failure.message == "left gripper can't grasp two: it slips"
 
 
 def test_what_was_tried_is_told_when_there_is_nothing_else() -> None:

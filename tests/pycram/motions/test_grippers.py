@@ -89,7 +89,7 @@ def test_fingers_that_cannot_let_go_say_so_before_anything_changes(scene: Bullet
         while finger_depth(scene, body) < 2e-4:  # until the fingers, which close around the milk, just touch it
             body.set_position([x, body.get_position()[1] - side * 1e-3, z])
     before = [(b.get_position_and_orientation(), b.get_joint_positions()) for b in scene.objects]
-    with pytest.raises(GripperBlocked, match=r"can't let go of milk: l_gripper_\w+ would touch \w+_wall") as raised:
+    with pytest.raises(GripperBlocked, match=r"can't release milk: l_gripper_\w+ would touch \w+_wall") as raised:
         perform(type="opening-gripper", gripper="left")
     assert raised.value.body == "milk"
     assert {pair.body for pair in raised.value.pairs} <= {"left_wall", "right_wall"}

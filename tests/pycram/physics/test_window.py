@@ -137,7 +137,7 @@ def test_what_somebody_drags_with_the_mouse_is_marked(
 @pytest.mark.costly
 def test_a_window_opens_and_simulates_as_without_one(display: str) -> None:
     output = run(PLAN, display=display)
-    assert "PyBullet has one window" in output
+    assert "PyBullet has only one window" in output
     # the window's native thread greets on stdout too, whenever it likes
     assert "the same as without a window: True" in output
     assert output.rstrip().endswith("ended")
@@ -162,7 +162,7 @@ def test_a_window_outlives_its_script_where_somebody_can_close_it(display: str) 
         subprocess.Popen(command, env=quiet, stdin=stdin, stderr=subprocess.PIPE, text=True) as process,
     ):
         assert process.stderr is not None
-        assert any("'s window stays until it is closed" in line for line in process.stderr)
+        assert any("stays open until you close it" in line for line in process.stderr)
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0

@@ -133,7 +133,7 @@ def test_among_hundreds_of_objects_the_budget_holds_and_a_blocking_drawer_is_nam
         size = (0.05, 2.4, 1.0) if x else (2.4, 0.05, 1.0)
         Object(f"fence{side}", "environment", box(tmp_path, "fence", size), [-3 + x, -3 + y, 0.5])
     robot.set_position([-3, -3, 0])
-    with pytest.raises(NoPath, match="the base finds no path there") as trapped:
+    with pytest.raises(NoPath, match="no path was found for the base") as trapped:
         base_motion(robot, [1.0, -3.0, 0], UPRIGHT)
     assert 600 <= trapped.value.checks < 800
     assert "fence" in trapped.value.pairs[0].body

@@ -141,7 +141,7 @@ def test_without_a_path_the_failure_has_the_nearest_configuration_and_the_obstac
         Object(f"high{x}", "environment", box(tmp_path, "high", (2.0, 0.1, 3.0)), [x, 0, 1.5])
     goal = RIGHT | {"shoulder_pan_joint": 1.8}
     with pytest.raises(
-        NoPath, match=r"the ur5 arm finds no path there: in \d+ configurations .* would touch"
+        NoPath, match=r"no path was found for the ur5 arm: .* \d+ checked configurations.* would touch"
     ) as failure:
         joint_motion(arm, goal)
     found = failure.value

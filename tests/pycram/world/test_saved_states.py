@@ -117,7 +117,7 @@ def test_objects_that_came_or_went_are_named_before_anything_changes(world: Bull
 
 def test_a_state_goes_into_its_own_open_world_outside_of_queries(world: BulletWorld) -> None:
     saved = world.save()
-    with BulletWorld(name="other") as other, pytest.raises(BadArgument, match="other has returned"):
+    with BulletWorld(name="other") as other, pytest.raises(BadArgument, match=r"other\.save\(\) has returned"):
         other.restore(saved)
     with pytest.raises(BadArgument):
         world.restore("yesterday")  # type: ignore[arg-type]

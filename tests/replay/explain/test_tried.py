@@ -73,8 +73,8 @@ def test_why_lists_each_choice_with_its_failure(log: Path, capsys: pytest.Captur
         "arm=right",
         "standing_places",
     ]
-    assert "GraspFailed: left gripper can't take milk: too far for the left one" in lines
-    assert "GraspFailed: right gripper can't take milk: too far for the right one" in lines
+    assert "GraspFailed: left gripper can't grasp milk: too far for the left one" in lines
+    assert "GraspFailed: right gripper can't grasp milk: too far for the right one" in lines
     assert "of 3 places 3 collide with kitchen, none was taken" in lines
     assert lines[-1] == "the budget of attempts was spent"
 
