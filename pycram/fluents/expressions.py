@@ -52,7 +52,7 @@ class Ended(NamedTuple):
     what: str  # the object or world that is gone, for messages
 
 
-class Waiter(Protocol):
+class LeafListener(Protocol):
     """Registered at leaves, and notified of all their changes."""
 
     def state_changed(self) -> None:
@@ -64,7 +64,7 @@ class Expression(ABC):
 
     __slots__ = ("__weakref__", "counters", "operands")
 
-    waiters: Iterable[Waiter] = ()
+    waiters: Iterable[LeafListener] = ()
     """Notified of changes; only leaves have any."""
 
     def __init__(self, operands: tuple[Expression, ...]) -> None:
@@ -104,7 +104,7 @@ class Leaf(Expression):
     def __init__(self, operands: tuple[Expression, ...], held: Value) -> None:
         super().__init__(operands)
         self.held = held  # a value, or Ended
-        self.waiters: list[Waiter] = []
+        self.waiters: list[LeafListener] = []
 
     @property
     def leaves(self) -> tuple[Leaf, ...]:

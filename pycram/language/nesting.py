@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from types import TracebackType
 
-    from pycram.scheduling.cancellation import Body
+    from pycram.scheduling.cancellation import BlockBody
 
 
 Arguments = ParamSpec("Arguments")
@@ -144,7 +144,7 @@ def scope(function: Callable[Arguments, Iterator[Value]]) -> Callable[Arguments,
 # --- bodies of blocks -------------------------------------------------------------------------------------------------
 
 
-def in_block(host: Body | None) -> Binding[Body | None]:
+def in_block(host: BlockBody | None) -> Binding[BlockBody | None]:
     """Make actions in the ``with`` block branches of a block; with None, run them in order."""
     return Binding(body_context, host)
 

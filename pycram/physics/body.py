@@ -14,7 +14,7 @@ _SUPPORT_SLOPE: Final = 0.5  # of a unit normal that points up: contacts steeper
 
 
 @dataclass(frozen=True, slots=True)
-class Joint:
+class MovableJoint:
     """A movable joint."""
 
     name: str
@@ -26,12 +26,12 @@ class Joint:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class LoadedBody:
     """A loaded body."""
 
     id: int  # PyBullet's id; reused after removal
     links: Mapping[str, int]  # index by name; the base link is -1
-    joints: Mapping[str, Joint]  # movable joints by name
+    joints: Mapping[str, MovableJoint]  # movable joints by name
     offset: Pose | None  # of the base's centre of mass in the base link's frame; None if they coincide
     indices: tuple[int, ...]  # of the movable joints, in order
     gain: float  # share of a joint's error that its motor corrects in a step

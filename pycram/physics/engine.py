@@ -18,7 +18,7 @@ import numpy as np
 
 from pycram.foundation.failures import AssetError
 from pycram.foundation.redirect import silenced
-from pycram.physics.body import Body, ClosestPoint, Contact, Joint, Snapshot
+from pycram.physics.body import ClosestPoint, Contact, LoadedBody, MovableJoint, Snapshot
 from pycram.physics.loading import MOTOR_GAIN, NOW, Load, holding_forces, least_forces
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, Vector
@@ -98,7 +98,7 @@ class Engine:
         robot: bool = False,
         loading: Loading = NOW,
         start: Mapping[str, float] | None = None,
-    ) -> Body:
+    ) -> LoadedBody:
         """Load a checked URDF file.
 
         Args:
@@ -130,7 +130,7 @@ class Engine:
             links[link] = index
             if info[2] in _KINDS:
                 lower, upper = (info[8], info[9]) if info[9] >= info[8] else (-np.inf, np.inf)
-                joints[info[1].decode()] = Joint(info[1].decode(), index, _KINDS[info[2]], lower, upper, link)
+                joints[info[1].decode()] = MovableJoint(info[1].decode(), index, _KINDS[info[2]], lower, upper, link)
         offset = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
         indices = tuple(joint.index for joint in joints.values())
         gain, forces = (
@@ -138,7 +138,7 @@ class Engine:
             if robot
             else (MOTOR_GAIN, least_forces(joints.values()))
         )
-        body = Body(number, links, joints, None if offset == IDENTITY else offset, indices, gain, forces)
+        body = LoadedBody(number, links, joints, None if offset == IDENTITY else offset, indices, gain, forces)
         if robot or fixed:
             self.reset_collision_filter(body, fixed=fixed, robot=robot)
         self.set_pose(body, pose)
@@ -163,7 +163,7 @@ class Engine:
             loads.append(Load(parent, place, mass, math.hypot(*center)))
         return loads
 
-    def reset_collision_filter(self, body: Body, *, fixed: bool, robot: bool = False) -> None:
+    def reset_collision_filter(self, body: LoadedBody, *, fixed: bool, robot: bool = False) -> None:
         """Let a body's links collide as when it was loaded (see :meth:`load`); the engine drops its cached contacts."""
         if robot:  # the base of a fixed body never collides with static things
             self._filter(body, _ROBOT_GROUP, ~_HELD_GROUP & ~_STATIC_GROUP, links=(-1,))
@@ -173,61 +173,61 @@ class Engine:
         else:
             self._filter(body, _DYNAMIC_GROUP, _ALL)
 
-    def ghost(self, body: Body) -> None:
+    def ghost(self, body: LoadedBody) -> None:
         """Let a body pass through everything permanently; contact and distance queries still see it."""
         self._filter(body, 0, 0)
 
-    def _filter(self, body: Body, group: int, mask: int, links: Iterable[int] | None = None) -> None:
+    def _filter(self, body: LoadedBody, group: int, mask: int, links: Iterable[int] | None = None) -> None:
         for index in body.links.values() if links is None else links:
             bullet.setCollisionFilterGroupMask(body.id, index, group, mask, physicsClientId=self._client)
 
-    def remove(self, body: Body) -> None:
+    def remove(self, body: LoadedBody) -> None:
         """Remove a body that has no constraints."""
         bullet.removeBody(body.id, physicsClientId=self._client)
         self._forget(body)
 
-    def snapshot(self, body: Body) -> Snapshot:
+    def snapshot(self, body: LoadedBody) -> Snapshot:
         """Return the state of a body; the same object as long as the state doesn't change."""
         known = self._known
         if body.id not in known:
             known[body.id] = Snapshot(self.pose(body), self.velocity(body), *self.joints(body))
         return known[body.id]
 
-    def _forget(self, body: Body) -> None:
+    def _forget(self, body: LoadedBody) -> None:
         self._known = {number: state for number, state in self._known.items() if number != body.id}
 
-    def pose(self, body: Body) -> Pose:
+    def pose(self, body: LoadedBody) -> Pose:
         """Return the pose of the base link in the world."""
         pose = self.center_pose(body)
         if body.offset is None:
             return pose
         return geometry.multiply(pose, geometry.invert(body.offset))
 
-    def set_pose(self, body: Body, pose: Pose) -> None:
+    def set_pose(self, body: LoadedBody, pose: Pose) -> None:
         """Set the pose of the base link, at rest."""
         self.set_center_pose(body, pose if body.offset is None else geometry.multiply(pose, body.offset))
 
-    def center_pose(self, body: Body) -> Pose:
+    def center_pose(self, body: LoadedBody) -> Pose:
         """Return the pose of the base's centre of mass in the world, without the rounding of :meth:`pose`."""
         pose: Pose = bullet.getBasePositionAndOrientation(body.id, physicsClientId=self._client)
         return pose
 
-    def set_center_pose(self, body: Body, pose: Pose) -> None:
+    def set_center_pose(self, body: LoadedBody, pose: Pose) -> None:
         """Set the pose of the base's centre of mass, at rest."""
         bullet.resetBasePositionAndOrientation(body.id, *pose, physicsClientId=self._client)
         self._forget(body)
 
-    def velocity(self, body: Body) -> tuple[float, ...]:
+    def velocity(self, body: LoadedBody) -> tuple[float, ...]:
         """Return linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers."""
         linear, angular = bullet.getBaseVelocity(body.id, physicsClientId=self._client)
         return (*linear, *angular)
 
-    def set_velocity(self, body: Body, velocity: Sequence[float]) -> None:
+    def set_velocity(self, body: LoadedBody, velocity: Sequence[float]) -> None:
         """Set linear (m/s) and angular (rad/s) velocity: 6 numbers."""
         bullet.resetBaseVelocity(body.id, velocity[:3], velocity[3:], physicsClientId=self._client)
         self._forget(body)
 
-    def joints(self, body: Body) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def joints(self, body: LoadedBody) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return positions and velocities of the movable joints, in order, in rad or m (per second)."""
         if not body.indices:
             return (), ()
@@ -235,13 +235,15 @@ class Engine:
         positions, velocities, *_ = zip(*states, strict=True)
         return positions, velocities
 
-    def joint(self, body: Body, name: str) -> float:
+    def joint(self, body: LoadedBody, name: str) -> float:
         """Return the position of one movable joint in rad or m."""
         index = body.joints[name].index
         position: float = bullet.getJointState(body.id, index, physicsClientId=self._client)[0]
         return position
 
-    def set_joints(self, body: Body, positions: Mapping[str, float], speeds: Mapping[str, float] | None = None) -> None:
+    def set_joints(
+        self, body: LoadedBody, positions: Mapping[str, float], speeds: Mapping[str, float] | None = None
+    ) -> None:
         """Set positions of joints, at rest unless speeds (rad/s or m/s) are given; their motors hold them there."""
         for name, position in positions.items():
             joint, speed = body.joints[name], speeds[name] if speeds else 0.0
@@ -249,7 +251,7 @@ class Engine:
             self._hold(body, joint, position)
         self._forget(body)
 
-    def pose_joints(self, body: Body, positions: Mapping[str, float]) -> None:
+    def pose_joints(self, body: LoadedBody, positions: Mapping[str, float]) -> None:
         """Set positions of joints of a body that is never stepped: ten times as fast, as motors stay as they are."""
         bullet.resetJointStatesMultiDof(
             body.id,
@@ -260,12 +262,14 @@ class Engine:
         )
         self._forget(body)
 
-    def set_targets(self, body: Body, targets: Mapping[str, float]) -> None:
+    def set_targets(self, body: LoadedBody, targets: Mapping[str, float]) -> None:
         """Set the motors' targets (rad or m, by joint name), without moving the joints."""
         for name, position in targets.items():
             self._hold(body, body.joints[name], position)
 
-    def drive(self, body: Body, joints: Sequence[Joint], start: Sequence[float], end: Sequence[float]) -> None:
+    def drive(
+        self, body: LoadedBody, joints: Sequence[MovableJoint], start: Sequence[float], end: Sequence[float]
+    ) -> None:
         """Let motors move joints in one step from their planned positions to the next ones (rad or m).
 
         The difference is commanded as a velocity, which acts in full; of a remaining error, motors correct their gain.
@@ -282,12 +286,12 @@ class Engine:
             physicsClientId=self._client,
         )
 
-    def positions(self, body: Body, joints: Sequence[Joint]) -> list[float]:
+    def positions(self, body: LoadedBody, joints: Sequence[MovableJoint]) -> list[float]:
         """Return the positions of some joints in rad or m."""
         indices = [joint.index for joint in joints]
         return [state[0] for state in bullet.getJointStates(body.id, indices, physicsClientId=self._client)]
 
-    def _hold(self, body: Body, joint: Joint, position: float) -> None:
+    def _hold(self, body: LoadedBody, joint: MovableJoint, position: float) -> None:
         body.targets[joint.name] = position
         bullet.setJointMotorControl2(
             body.id,
@@ -302,7 +306,7 @@ class Engine:
             physicsClientId=self._client,
         )
 
-    def link_pose(self, body: Body, link: str) -> Pose:
+    def link_pose(self, body: LoadedBody, link: str) -> Pose:
         """Return the pose of a link's frame in the world; up to date without a step."""
         index = body.links[link]
         if index < 0:
@@ -310,7 +314,7 @@ class Engine:
         state = bullet.getLinkState(body.id, index, computeForwardKinematics=1, physicsClientId=self._client)
         return state[4], state[5]
 
-    def link_frames(self, body: Body, links: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def link_frames(self, body: LoadedBody, links: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return frames of several links in the world: (n, 3) positions in m, (n, 4) orientations xyzw."""
         indices = [body.links[link] for link in links]
         distinct = sorted(set(indices))
@@ -328,17 +332,17 @@ class Engine:
         found = np.array(poses).reshape(-1, 7).take([numbers[index] for index in indices], axis=0)
         return found[:, :3], found[:, 3:]
 
-    def box(self, body: Body, link: str) -> tuple[Vector, Vector]:
+    def box(self, body: LoadedBody, link: str) -> tuple[Vector, Vector]:
         """Return the axis-aligned bounds of a link's shape in the world; up to date without a step."""
         bounds: tuple[Vector, Vector] = bullet.getAABB(body.id, body.links[link], physicsClientId=self._client)
         return bounds
 
-    def set_color(self, body: Body, color: Sequence[float]) -> None:
+    def set_color(self, body: LoadedBody, color: Sequence[float]) -> None:
         """Set the colour of all links, RGBA 0..1."""
         for index in body.links.values():
             bullet.changeVisualShape(body.id, index, rgbaColor=color, physicsClientId=self._client)
 
-    def center_of_mass(self, body: Body) -> tuple[Vector, float]:
+    def center_of_mass(self, body: LoadedBody) -> tuple[Vector, float]:
         """Return the centre of mass of all links in the world, m, and their mass in kg."""
         c = self._client
         masses = [bullet.getDynamicsInfo(body.id, index, physicsClientId=c)[0] for index in body.links.values()]
@@ -353,7 +357,7 @@ class Engine:
 
     # --- attachments -------------------------------------------------------------------------------------------------
 
-    def fix(self, carrier: Body, link: str, body: Body, body_link: str, pose: Pose) -> int:
+    def fix(self, carrier: LoadedBody, link: str, body: LoadedBody, body_link: str, pose: Pose) -> int:
         """Join two bodies by a fixed constraint, which keeps their relative pose in simulation; return its id.
 
         Args:
@@ -378,7 +382,7 @@ class Engine:
         bullet.changeConstraint(number, maxForce=1e4, physicsClientId=c)
         return number
 
-    def _to_inertial(self, body: Body, link: str, pose: Pose) -> Pose:
+    def _to_inertial(self, body: LoadedBody, link: str, pose: Pose) -> Pose:
         """Return a pose in a link's frame relative to the link's inertial frame, as constraints need it."""
         at, turn = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[3:5]
         return pose if (at, turn) == IDENTITY else geometry.multiply(geometry.invert((at, turn)), pose)
@@ -387,7 +391,7 @@ class Engine:
         """Remove a constraint."""
         bullet.removeConstraint(constraint, physicsClientId=self._client)
 
-    def pass_through(self, carrier: Body, link: str, body: Body, *, robot: bool, enable: bool) -> None:
+    def pass_through(self, carrier: LoadedBody, link: str, body: LoadedBody, *, robot: bool, enable: bool) -> None:
         """Let a held body pass through its carrier in simulation, or collide with it again.
 
         Contact and distance queries still see both.
@@ -413,7 +417,7 @@ class Engine:
             bullet.stepSimulation(physicsClientId=client)
         self._known = {}
 
-    def dragged(self, bodies: Iterable[Body]) -> list[tuple[Body, str]]:
+    def dragged(self, bodies: Iterable[LoadedBody]) -> list[tuple[LoadedBody, str]]:
         """Return the bodies, with their links, that the mouse has dragged since the last call.
 
         PyBullet doesn't report drags. It grips the body under the pointer when the left button is pressed without Alt
@@ -438,13 +442,13 @@ class Engine:
         body, link, *_ = bullet.rayTest(start, end, physicsClientId=self._client)[0]
         return (body, link) if body >= 0 else None
 
-    def closest_points(self, a: Body, b: Body, distance: float = 0.0) -> list[ClosestPoint]:
+    def closest_points(self, a: LoadedBody, b: LoadedBody, distance: float = 0.0) -> list[ClosestPoint]:
         """Return the closest points of all pairs of links of two bodies within a distance in m."""
         points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
         return _named(a, b, points)
 
     def link_closest_points(
-        self, a: Body, link: str, b: Body, distance: float = 0.0, *, link_b: str | None = None
+        self, a: LoadedBody, link: str, b: LoadedBody, distance: float = 0.0, *, link_b: str | None = None
     ) -> list[ClosestPoint]:
         """Return the closest points of a link of the first body, and optionally of one link of the second."""
         client = self._client
@@ -456,7 +460,7 @@ class Engine:
         points = bullet.getClosestPoints(a.id, b.id, distance, *pair, physicsClientId=client)
         return [ClosestPoint(link, link_b, *p[6:10]) for p in points or ()]
 
-    def contacts(self, body: Body) -> list[Contact]:
+    def contacts(self, body: LoadedBody) -> list[Contact]:
         """Return the contacts with other bodies in the last step."""
         points = bullet.getContactPoints(body.id, physicsClientId=self._client) or ()
         return [Contact(p[3], p[2], p[4], p[6], p[7], p[9]) for p in points]
@@ -484,7 +488,7 @@ class Engine:
         bullet.configureDebugVisualizer(lightPosition=[4, -4, 6], physicsClientId=self._client)
 
 
-def _named(a: Body, b: Body, points: Sequence[tuple[Any, ...]] | None) -> list[ClosestPoint]:
+def _named(a: LoadedBody, b: LoadedBody, points: Sequence[tuple[Any, ...]] | None) -> list[ClosestPoint]:
     if not points:
         return []
     names_a = {index: name for name, index in a.links.items()}

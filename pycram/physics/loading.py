@@ -15,7 +15,7 @@ from recorder.records import LoadBody, Loading as LoadingRecord
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from pycram.physics.body import Joint
+    from pycram.physics.body import MovableJoint
     from recorder.geometry import Vector
     from recorder.urdf import Urdf
 
@@ -92,12 +92,12 @@ class Load(NamedTuple):
     lever: float  # distance of the link's centre of mass from the joint, m
 
 
-def least_forces(joints: Collection[Joint]) -> dict[str, float]:
+def least_forces(joints: Collection[MovableJoint]) -> dict[str, float]:
     """Return the least motor forces (N, N m) of any body, by joint."""
     return {joint.name: _LEAST[joint.kind] for joint in joints}
 
 
-def holding_forces(joints: Collection[Joint], loads: Sequence[Load], strength: float) -> dict[str, float]:
+def holding_forces(joints: Collection[MovableJoint], loads: Sequence[Load], strength: float) -> dict[str, float]:
     """Return the motor forces (N, N m) that hold a robot's links in any posture, by joint.
 
     Args:

@@ -143,7 +143,7 @@ def begin_alone() -> None:
     schedule_alone()
 
 
-class Body(Protocol):
+class BlockBody(Protocol):
     """The body of a block of the plan, which checks changes of worlds."""
 
     def before_change(self, change: str) -> None:
@@ -154,7 +154,7 @@ class Body(Protocol):
 
 
 #: The block around this code; None outside of all blocks, in branches, and where actions run in order.
-body: Final[ContextVar[Body | None]] = ContextVar("pycram_block", default=None)
+body: Final[ContextVar[BlockBody | None]] = ContextVar("pycram_block", default=None)
 
 
 def before_change(change: str) -> None:

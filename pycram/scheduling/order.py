@@ -78,7 +78,7 @@ class AppliedPrecedence(NamedTuple):
     passed: list[Precedence]
 
 
-class Candidate(Protocol):
+class Runnable(Protocol):
     """A branch or wait that can run next."""
 
     def plan_line(self) -> BranchLine:
@@ -167,7 +167,7 @@ class Order:
         if branch in self._ranks:
             self._ranks.remove(branch)
 
-    def choose(self, ready: Mapping[Ranked, Candidate]) -> Ranked:
+    def choose(self, ready: Mapping[Ranked, Runnable]) -> Ranked:
         """Return which of two or more branches runs next; they are given in the order in which they became ready."""
         self.turns += 1
         top = next(each for each in self._ranks if each in ready)

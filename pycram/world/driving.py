@@ -25,7 +25,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from pycram.physics.body import Joint
+    from pycram.physics.body import MovableJoint
     from pycram.world.object import Object
     from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
@@ -56,7 +56,7 @@ class Followed:
         #: The trajectory of all joints that move, with those that mimic others.
         self.trajectory = with_followers(body, Trajectory.of_record(following.begin.trajectory))
         #: The joints that move; empty for the base.
-        self.joints: tuple[Joint, ...] = tuple(body.handle.joints[name] for name in self.trajectory.joints)
+        self.joints: tuple[MovableJoint, ...] = tuple(body.handle.joints[name] for name in self.trajectory.joints)
         self.time = time_of(following, sim_step)  # s of the trajectory up to which it was driven
         self.lost: tuple[str, float] | None = None  # the first joint that deviated by more than LOST, and its deviation
         self.ended = False
@@ -168,7 +168,7 @@ class Trajectories:
             raise FollowsTrajectory(action, followed.body.name, number, followed.trajectory.joints)
 
 
-class Planned(Protocol):
+class PlannedMotion(Protocol):
     """A motion that was planned."""
 
     @property
@@ -181,7 +181,7 @@ class Planned(Protocol):
 
 
 @refusing(name="follow")
-def follow(world: BulletWorld, motions: Sequence[tuple[Object, Planned]]) -> None:
+def follow(world: BulletWorld, motions: Sequence[tuple[Object, PlannedMotion]]) -> None:
     """Let bodies follow trajectories that start together, and wait in simulated time until all have ended.
 
     An error that ends the wait early stops all of them: they slow down along their paths for at most 0.2 s of

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from pycram.models.load import Model
     from pycram.models.surfaces import Container
-    from pycram.physics.body import Body
+    from pycram.physics.body import LoadedBody
     from pycram.world.attachment import Attachment
     from pycram.world.world import BulletWorld
     from recorder.geometry import Pose, Quaternion, Vector
@@ -119,7 +119,7 @@ class Object(ReadOnlyAttributes):
         self.original_pose: Pose = pose
         self.original_joints: Mapping[str, float] = MappingProxyType({})
         self._attachments: dict[Object, Attachment] = {}
-        self._handle: Body | None = None
+        self._handle: LoadedBody | None = None
         #: Objects that this one overlapped when it was loaded; :class:`Overlapping` warned of them.
         self.overlaps: Sequence[records.Overlap] = ()
         self._seal(Object)
@@ -155,7 +155,7 @@ class Object(ReadOnlyAttributes):
         return self.is_environment or self.is_robot
 
     @property
-    def handle(self) -> Body:
+    def handle(self) -> LoadedBody:
         """The object's body in the engine."""
         if self._handle is None:
             gone = "the world" if self.world.closed else f"object {self.name}"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.physics.body import Body
+    from pycram.physics.body import LoadedBody
     from pycram.physics.engine import Engine
     from pycram.world.object import Object
     from recorder.geometry import Pose
@@ -65,7 +65,7 @@ class Boxes:
     half_extents: Array  # (k, 3), m
 
     @classmethod
-    def around(cls, engine: Engine, body: Body, model: Object) -> Boxes:
+    def around(cls, engine: Engine, body: LoadedBody, model: Object) -> Boxes:
         """Return the boxes of a body at its pose in an engine; ``model`` is the object with the body's shapes."""
         names, low, high = _bounds(model.model.path)
         positions, orientations = engine.link_frames(body, names)
@@ -267,7 +267,7 @@ class MovingLinks:
     def __init__(
         self,
         engine: Engine,
-        body: Body,
+        body: LoadedBody,
         robot: Object,
         boxes: Boxes,
         held: Sequence[tuple[Object, str, Boxes]],

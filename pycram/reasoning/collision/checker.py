@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.physics.body import Body, ClosestPoint
+    from pycram.physics.body import ClosestPoint, LoadedBody
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
@@ -112,7 +112,7 @@ class CollisionChecker:
         every = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
         self._other_boxes = every.widened(margin) if margin else every
         self._other_owners = list(itertools.compress(owners, counted))
-        self._copies: dict[tuple[Object, str], Body] = {}  # checked bodies by object and link
+        self._copies: dict[tuple[Object, str], LoadedBody] = {}  # checked bodies by object and link
         self._base = links.base_pose  # of the clone's robot, as it was placed last
         self._placed: PostureCandidate | None = None
 
@@ -316,7 +316,7 @@ class CollisionChecker:
             touches = candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, apart, link_b=other)
         return touches
 
-    def _copy(self, body: Object, link: str) -> Body:
+    def _copy(self, body: Object, link: str) -> LoadedBody:
         """Return the body in the clone with a link of an object; furniture has a body for each link."""
         copy = self._copies.get((body, link))
         if copy is None:
@@ -324,7 +324,7 @@ class CollisionChecker:
             self._copies[body, link] = copy
         return copy
 
-    def closest_points(self, candidate: PostureCandidate, other: Body) -> list[ClosestPoint]:
+    def closest_points(self, candidate: PostureCandidate, other: LoadedBody) -> list[ClosestPoint]:
         """Return the contact points of the whole robot in a candidate with a body in the clone."""
         self._place(candidate)
         return self._clone.engine.closest_points(self._clone.body(self.robot.name), other)

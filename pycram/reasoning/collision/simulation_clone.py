@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pycram.models.rigid_parts import RigidPart
-    from pycram.physics.body import Body, Snapshot
+    from pycram.physics.body import LoadedBody, Snapshot
     from pycram.world.attachment import Attachment
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
@@ -43,8 +43,8 @@ _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 class _Copy:
     """A body of the clone."""
 
-    original: Body  # the object's body in the world; a later body may get the same id
-    body: Body  # the copy
+    original: LoadedBody  # the object's body in the world; a later body may get the same id
+    body: LoadedBody  # the copy
     state: Snapshot | None = None  # the object's state that the copy has; None if the copy was changed
 
 
@@ -130,7 +130,7 @@ class PosingClone(SimulationClone):
         self._forget_removed()
         self._states = {body.name: take_snapshot(body) for body in self.world.objects}
 
-    def body(self, name: str) -> Body:
+    def body(self, name: str) -> LoadedBody:
         """Return the copy of an object in its synced state, unless the caller has moved it since."""
         copy = self._copies.get((name, ""))
         if copy is not None and copy.state is self._states[name]:  # the usual case: a query needs a body many times
@@ -151,7 +151,7 @@ class PosingClone(SimulationClone):
         """Return the synced state of an object in the world."""
         return self._states[body.name]
 
-    def link(self, body: Object, link: str) -> Body:
+    def link(self, body: Object, link: str) -> LoadedBody:
         """Return a copy of one link of an object, as synced; the link must have collision shapes."""
         copy = self._copies.get((body.name, link))
         if copy is None:
@@ -177,7 +177,7 @@ class PosingClone(SimulationClone):
             self._joined[key] = concatenate(key)
         return self._joined[key], [body for body, boxes in parts for _ in boxes.links]
 
-    def overlapping(self, boxes: Boxes, bodies: Iterable[Object]) -> dict[Part, Body]:
+    def overlapping(self, boxes: Boxes, bodies: Iterable[Object]) -> dict[Part, LoadedBody]:
         """Return copies of everything in some boxes, in order: the links of furniture, and other objects as a whole."""
         every, owners = self.all_boxes(bodies)
         *_, found = overlaps(boxes.centers[None], boxes.axes[None], boxes.half_extents, every)
@@ -190,7 +190,7 @@ class PlacedPart(NamedTuple):
     """A rigid part of furniture, with its body in a clone."""
 
     part: RigidPart
-    body: Body
+    body: LoadedBody
 
 
 class PhysicsClone(SimulationClone):
@@ -199,9 +199,9 @@ class PhysicsClone(SimulationClone):
     def __init__(self, world: BulletWorld) -> None:
         super().__init__(world)
         self._gravity: tuple[float, float, float] | None = None
-        self._held: list[tuple[int, Body, str, Body, bool]] = []
+        self._held: list[tuple[int, LoadedBody, str, LoadedBody, bool]] = []
 
-    def sync(self, bodies: Iterable[Object]) -> tuple[dict[str, Body], dict[str, list[PlacedPart]]]:
+    def sync(self, bodies: Iterable[Object]) -> tuple[dict[str, LoadedBody], dict[str, list[PlacedPart]]]:
         """Bring some objects to the world's state, with the attachments among them; other objects are moved away.
 
         Furniture is divided into its rigid parts, which take less time to simulate, unless it carries something.
@@ -225,7 +225,7 @@ class PhysicsClone(SimulationClone):
             if key not in keys and copy.state is not None:
                 self.engine.set_pose(copy.body, _OUT_OF_THE_WAY)
                 copy.state = None
-        whole: dict[str, Body] = {}
+        whole: dict[str, LoadedBody] = {}
         placed: dict[str, list[PlacedPart]] = {}
         for body in wanted:
             if body.name in divided:
@@ -238,7 +238,7 @@ class PhysicsClone(SimulationClone):
                     self._hold(held, whole)
         return whole, placed
 
-    def _whole(self, body: Object) -> Body:
+    def _whole(self, body: Object) -> LoadedBody:
         now, copy = take_snapshot(body), self._copies.get((body.name, ""))
         if copy is None:
             copy = self._load(body, "", body.model.path)
@@ -263,11 +263,11 @@ class PhysicsClone(SimulationClone):
             found.append(PlacedPart(part, copy.body))
         return found
 
-    def _forget_contacts(self, copy: Body, body: Object) -> None:
+    def _forget_contacts(self, copy: LoadedBody, body: Object) -> None:
         """Forget the contacts of earlier queries, which would change the last bits of the result."""
         self.engine.reset_collision_filter(copy, fixed=body.fixed, robot=body.is_robot)
 
-    def _hold(self, held: Attachment, copies: Mapping[str, Body]) -> None:
+    def _hold(self, held: Attachment, copies: Mapping[str, LoadedBody]) -> None:
         carrier, body = copies[held.carrier.name], copies[held.body.name]
         pose = geometry.multiply(
             geometry.invert(self.engine.link_pose(carrier, held.carrier_link)),

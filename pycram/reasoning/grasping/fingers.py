@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from pycram.models.robots.description import Arm
     from pycram.models.robots.gripper import Gripper
-    from pycram.physics.body import Body
+    from pycram.physics.body import LoadedBody
     from pycram.physics.engine import Engine
     from pycram.reasoning.collision.simulation_clone import Part, PosingClone
     from pycram.world.object import Object
@@ -213,7 +213,7 @@ def sides_held(robot: Object, arm: Arm, body: Object) -> int:
     return _sides(engine, robot.handle, body.handle, arm, len(_parts(robot, gripper)))
 
 
-def _sides(engine: Engine, hand: Body, target: Body, arm: Arm, parts: int) -> int:
+def _sides(engine: Engine, hand: LoadedBody, target: LoadedBody, arm: Arm, parts: int) -> int:
     """Return on how many sides of a body fingers are. ``parts`` is the number of parts that move on their own."""
     _, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
     across = geometry.rotate(turn, (0.0, 1.0, 0.0))
@@ -241,7 +241,7 @@ def _parts(robot: Object, gripper: Gripper) -> list[tuple[list[str], list[str]]]
     return list(parts.values())
 
 
-def _depths(engine: Engine, hand: Body, gripper: Gripper, others: Mapping[Part, Body]) -> Depths:
+def _depths(engine: Engine, hand: LoadedBody, gripper: Gripper, others: Mapping[Part, LoadedBody]) -> Depths:
     """Return how deep fingers overlap other objects."""
     found: dict[tuple[str, Object, str], float] = {}
     for finger in gripper.fingers:
@@ -266,7 +266,7 @@ def _near(
     palm: Pose,
     there: Mapping[str, float],
     bodies: Sequence[Object],
-) -> Mapping[Part, Body]:
+) -> Mapping[Part, LoadedBody]:
     """Return the copies of objects that fingers could touch between open and closed.
 
     Args:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from pycram.models.robots.description import Arm
     from pycram.models.robots.gripper import Gripper
-    from pycram.physics.body import Body
+    from pycram.physics.body import LoadedBody
     from pycram.reasoning.choosing import Choice
     from pycram.reasoning.collision.checker import Pair, PostureCandidate
     from pycram.reasoning.rejections import Rejection
@@ -443,7 +443,7 @@ class _Search:
         pairs.sort(key=lambda pair: -pair.depth)
         return pairs or self._checker.self_collisions(candidate, own_pairs)
 
-    def _moving_along(self, value: float) -> Iterator[tuple[str, str, Body, Pose]]:
+    def _moving_along(self, value: float) -> Iterator[tuple[str, str, LoadedBody, Pose]]:
         """Yield name, link, copy and pose of everything that the joint moves at a value: links and carried objects."""
         container = self._handle.container
         for link in self._handle.moved:

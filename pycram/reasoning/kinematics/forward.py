@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.physics.body import Body
+    from pycram.physics.body import LoadedBody
     from pycram.physics.engine import Engine
     from recorder.geometry import Pose
     from recorder.urdf import Joint, Urdf
@@ -273,7 +273,7 @@ class Articulation:
         body: the body in the engine.
     """
 
-    def __init__(self, engine: Engine, body: Body, moved: Drivers) -> None:
+    def __init__(self, engine: Engine, body: LoadedBody, moved: Drivers) -> None:
         self._joints, self._parents = moved.joints, moved.parents
         points, orientations = engine.link_frames(body, moved.children)
         axes = np.einsum("jab,jb->ja", geometry.to_matrices(orientations), moved.axes)

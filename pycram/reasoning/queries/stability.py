@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.physics.body import Body, Contact
+    from pycram.physics.body import Contact, LoadedBody
     from pycram.physics.engine import Engine
     from pycram.reasoning.collision.simulation_clone import PlacedPart
     from pycram.world.object import Object
@@ -157,7 +157,7 @@ def _gap(a: Box, b: Box) -> float:
     )
 
 
-def _simulate(engine: Engine, body: Body, movable: Sequence[Body], firm: Callable[[], bool]) -> Verdict:
+def _simulate(engine: Engine, body: LoadedBody, movable: Sequence[LoadedBody], firm: Callable[[], bool]) -> Verdict:
     """Simulate until the answer is certain; ``firm`` tells whether all bodies at rest stand firmly."""
     start = engine.pose(body)
     speeds: list[list[float]] = []  # for each sample the speeds of all bodies, as multiples of the speed of rest
@@ -179,7 +179,7 @@ def _simulate(engine: Engine, body: Body, movable: Sequence[Body], firm: Callabl
     return Verdict(True, {"moved": moved, "turned": turned, "simulated_steps": steps})
 
 
-def _speeds(engine: Engine, body: Body) -> tuple[float, float]:
+def _speeds(engine: Engine, body: LoadedBody) -> tuple[float, float]:
     velocity = engine.velocity(body)
     return math.hypot(*velocity[:3]), math.hypot(*velocity[3:])
 
@@ -191,7 +191,7 @@ class Solid:
         model: its canonical URDF.
     """
 
-    def __init__(self, engine: Engine, body: Body, model: Path) -> None:
+    def __init__(self, engine: Engine, body: LoadedBody, model: Path) -> None:
         self._engine, self._body = engine, body
         self._shapes = shapes_of(model, "collision")
         self._names = {index: link for link, index in body.links.items()}
@@ -236,7 +236,9 @@ class SolidPart(Solid):
         return self._links[int(np.lexsort([self._volumes, distances])[0])]
 
 
-def stands_firmly(engine: Engine, solid_of: Callable[[int], Solid], standing: Sequence[Body], gravity: Vector) -> bool:
+def stands_firmly(
+    engine: Engine, solid_of: Callable[[int], Solid], standing: Sequence[LoadedBody], gravity: Vector
+) -> bool:
     """Return whether bodies stand firmly.
 
     Args:
@@ -274,7 +276,7 @@ def stands_firmly(engine: Engine, solid_of: Callable[[int], Solid], standing: Se
 
 
 def _carriers(
-    engine: Engine, body: Body, solid_of: Callable[[int], Solid], up: Points
+    engine: Engine, body: LoadedBody, solid_of: Callable[[int], Solid], up: Points
 ) -> dict[tuple[int, str], list[Contact]]:
     """Return the supports of a body: ids, links and contacts."""
     found: dict[tuple[int, str], list[Contact]] = {}
@@ -296,7 +298,7 @@ def _above(number: int, loads: Mapping[int, Iterable[int]]) -> set[int]:
 
 
 def _support(
-    engine: Engine, body: Body, underside: Points, tops: Iterable[tuple[Points, Sequence[Contact]]], level: Points
+    engine: Engine, body: LoadedBody, underside: Points, tops: Iterable[tuple[Points, Sequence[Contact]]], level: Points
 ) -> Points:
     """Return points (n, 3) of a body's supports in the levelled frame; their hull is the support polygon.
 
@@ -320,7 +322,7 @@ def _support(
     return np.concatenate(parts) if parts else np.zeros((0, 3))
 
 
-def _holds(engine: Engine, body: Body, contact: Contact, up: Points) -> bool:
+def _holds(engine: Engine, body: LoadedBody, contact: Contact, up: Points) -> bool:
     """Return whether a contact carries the body, and is level enough for friction to hold it."""
     friction = engine.friction(body.id, contact.link) * engine.friction(contact.other, contact.other_link)
     slope = math.acos(min(1.0, float(np.dot(contact.normal, up))))

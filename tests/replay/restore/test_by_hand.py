@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from pycram.physics.body import Body
+    from pycram.physics.body import LoadedBody
 
 
 class Mouse:
     """A mouse that pushes a body while it is down, as that of PyBullet's window does."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.body: Body | None = None
+        self.body: LoadedBody | None = None
         step = Engine.step
 
         def pushed(engine: Engine, steps: int) -> None:
@@ -34,7 +34,7 @@ class Mouse:
                 engine.set_velocity(self.body, [0.5, 0, 0, 0, 0, 0])
             step(engine, steps)
 
-        def dragged(_: Engine, bodies: Iterable[Body]) -> list[tuple[Body, str]]:
+        def dragged(_: Engine, bodies: Iterable[LoadedBody]) -> list[tuple[LoadedBody, str]]:
             return [(body, "milk") for body in bodies if body is self.body]
 
         monkeypatch.setattr(Engine, "step", pushed)
