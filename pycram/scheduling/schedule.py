@@ -476,7 +476,7 @@ class Scheduler:
         """Handle a deferred Ctrl-C: the code outside of all branches runs next, and raises it."""
         if self.branches and (self.joining or interrupts.is_pending()) and sys.stderr is not None:
             names = ", ".join(branch.name for branch in list(self.branches))
-            sys.stderr.write(f"waiting until {names} reaches the next action; Ctrl-\\ ends the process immediately\n")
+            sys.stderr.write(f"waiting for {names} to reach the next action; Ctrl-\\ ends the process immediately\n")
         if self._outside is not None:
             self._first = self._outside
             self.add(self._outside)

@@ -60,7 +60,7 @@ CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] =
     "negative steps": (lambda w: w.simulate_steps(-5), BadArgument, "steps"),
     "half a step": (lambda w: w.simulate_steps(2.5), BadArgument, "whole number"),
     "real time maybe": (lambda w: w.set_realtime("no"), BadArgument, "True or False"),
-    "end that can't be called": (lambda w: w.at_exit(None), BadArgument, "called"),
+    "end that can't be called": (lambda w: w.at_exit(None), BadArgument, "a function"),
     "current world is none": (lambda w: setattr(BulletWorld, "current_bullet_world", None), BadArgument, "a world"),
     "robot is a name": (lambda w: setattr(BulletWorld, "robot", "pr2"), BadArgument, "robot"),
     "object of no name": (lambda w: w.get_object([]), BadArgument, "name"),
