@@ -16,8 +16,8 @@ from functools import lru_cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final
 
+from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.foundation.names import export
 from recorder.errors import suggestion
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import candidates_of, thing
 from pycram.foundation.checks import text
+from pycram.foundation.errors import qualified_name
 from pycram.foundation.failures import BadArgument
-from pycram.foundation.names import qualified_name
 from pycram.motions.designator import Designator, ResolvedDesignator
 from pycram.motions.slots import (
     ARM,

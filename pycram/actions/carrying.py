@@ -19,8 +19,8 @@ from pycram.foundation.failures import Blocked, NoPlace, PerceptionError, PlanFa
 from pycram.knowledge import believed
 from pycram.language.retries import failure_handling
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.driving import drives
 from pycram.reasoning.places import PutDown, standing_places
+from pycram.reasoning.places.search import drives
 from pycram.reasoning.queries.reachability import blocking
 from pycram.scheduling.cancellation import Binding
 from pycram.world.world import BulletWorld

@@ -16,9 +16,9 @@ from pycram.foundation.failures import Blocked, MissingPart, NoPlace, PlaceFaile
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.slots import POSITION
 from pycram.reasoning.collision import checker
-from pycram.reasoning.driving import drives
 from pycram.reasoning.grasping import placing as settling
 from pycram.reasoning.kinematics.inverse import postures
+from pycram.reasoning.places.search import drives
 from pycram.world import attachment
 from pycram.world.world import BulletWorld
 from recorder import geometry

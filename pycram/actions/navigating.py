@@ -12,7 +12,7 @@ from pycram.actions.performing import perform
 from pycram.foundation import checks
 from pycram.foundation.failures import NoPath, PlanFailure, PostureInCollision
 from pycram.motions.designator import MotionDesignator
-from pycram.reasoning.driving import check_drives
+from pycram.reasoning.places.search import check_drives
 from pycram.world.world import BulletWorld
 from recorder import geometry
 

@@ -13,8 +13,8 @@ from pycram.actions.containers import Access, containers
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import candidates_of, object_of
 from pycram.actions.performing import perform
+from pycram.foundation.errors import export
 from pycram.foundation.failures import PerceptionError, PlanFailure
-from pycram.foundation.names import export
 from pycram.knowledge import beliefs
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.modules.perception import RECOGNISABLE

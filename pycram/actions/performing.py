@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import ActionDesignator, ActionType, prepared, type_of
 from pycram.foundation import checks
+from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, PlanFailure
-from pycram.foundation.names import export
 from pycram.foundation.refusals import refusing
-from pycram.language.block import current_block
+from pycram.language.branch import current_block
 from pycram.language.retries import FailureHandling
 from pycram.motions.designator import Designator, MotionDesignator, performing
 from pycram.motions.process_module import current_environment

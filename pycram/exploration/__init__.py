@@ -25,13 +25,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy.random  # noqa: F401  each run seeds it, and would else import it again
 
 from pycram.foundation import checks
+from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.foundation.names import export
 from pycram.projection.child import GRACE, ChildPool, obstacle, run_from_start, usable_cores
 from pycram.running import seed_random_numbers
-from pycram.scheduling.locks import refuse_held
 from pycram.scheduling.order import ADDED, AppliedPrecedence, BranchLine, Precedence, text_of
-from pycram.scheduling.schedule import scheduler, seed_order
+from pycram.scheduling.schedule import refuse_held, scheduler, seed_order
 from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink, free_path
 from recorder.provenance import look_up_revisions, metadata

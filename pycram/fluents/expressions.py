@@ -25,7 +25,7 @@ from operator import methodcaller
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias, cast
 
 from pycram.foundation.failures import WorldClosed
-from pycram.scheduling.locks import shared_lock
+from pycram.scheduling.schedule import shared_lock
 from recorder import records
 from recorder.tracing import journal, span
 from recorder.tracing.interrupts import Uninterrupted

@@ -43,8 +43,8 @@ from pycram.fluents.expressions import (
     pulse_unchanged,
 )
 from pycram.foundation import checks
+from pycram.foundation.errors import export, qualified_name
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.foundation.names import export, qualified_name
 from pycram.foundation.refusals import refusing
 from pycram.language.nesting import await_turn
 from pycram.scheduling.cancellation import checkpoint, wait_until

@@ -26,16 +26,19 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, field, fields
+from functools import partial
 from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NoReturn, TypeVar, cast, dataclass_transform
 from weakref import WeakSet
 
 from recorder.errors import nearest, suggestion
+from recorder.records import escaped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import Self
+
 
 Given = TypeVar("Given")
 ErrorType = TypeVar("ErrorType", bound=BaseException)
@@ -360,3 +363,17 @@ def _detached(error: BaseException, known: set[int]) -> bool:
             break
         later = earlier
     return True
+
+
+def qualified_name(function: object) -> str:
+    """Return module and qualified name of a callable; for a partial, those of the wrapped function."""
+    while isinstance(function, partial):
+        function = function.func
+    named = function if hasattr(function, "__qualname__") else type(function)
+    return escaped(f"{getattr(named, '__module__', '')}.{getattr(named, '__qualname__', '')}")
+
+
+def export(module: str, *classes: type) -> None:
+    """Set the module from which users import classes, for tracebacks and pickles."""
+    for exported in classes:
+        exported.__module__ = module

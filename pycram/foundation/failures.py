@@ -30,10 +30,10 @@ from pycram.foundation.errors import (
     UsageError,
     WorldClosed,
     dataclass_error,
+    export,
     floats,
     kept_as,
 )
-from pycram.foundation.names import export
 from recorder.records.text import pair_text
 
 if TYPE_CHECKING:

@@ -34,12 +34,11 @@ from typing import TYPE_CHECKING, Final, TypeAlias, cast, overload
 
 from pycram.foundation.errors import chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure
-from pycram.language.branch import Branch, Result, name_of, run
+from pycram.language.branch import Branch, Result, current_block, name_of, run
 from pycram.language.failures import BlockClosed, BranchesFailed, OutlivesTimeout, Retry, RunsEarly, leaves_uncleaned
 from pycram.language.nesting import Scope, in_block, leave_body
 from pycram.scheduling.cancellation import (
     CancelScope,
-    body as body_context,
     current_scope,
     enter,
     entered,
@@ -48,8 +47,7 @@ from pycram.scheduling.cancellation import (
     wait,
 )
 from pycram.scheduling.future import Future, branch_of
-from pycram.scheduling.locks import LockHeld, refuse_held
-from pycram.scheduling.schedule import Condition, scheduler
+from pycram.scheduling.schedule import Condition, LockHeld, refuse_held, scheduler
 from recorder.tasks import State
 from recorder.tracing import interrupts
 from recorder.tracing.call_stack import call_site
@@ -80,11 +78,6 @@ class Policy:
     def first_success(self) -> bool:
         """Whether one success is enough."""
         return State.SUCCEEDED in self.decided_by
-
-
-def current_block() -> Block | None:
-    """Return the block that actions become branches of here; None where they run in order and raise."""
-    return cast("Block | None", body_context.get())
 
 
 class Block:

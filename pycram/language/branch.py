@@ -11,10 +11,10 @@ from contextvars import Context, copy_context
 from functools import partial
 from inspect import GEN_CREATED, getgeneratorstate
 from types import AsyncGeneratorType, CoroutineType, FunctionType, GeneratorType, MethodType
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, cast
 
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.scheduling.cancellation import raise_if_cancelled, wait
+from pycram.scheduling.cancellation import body, raise_if_cancelled, wait
 from pycram.scheduling.future import unwrap
 from recorder.tasks import State
 from recorder.tracing.span import Span
@@ -22,6 +22,7 @@ from recorder.tracing.span import Span
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from pycram.language.block import Block
     from pycram.scheduling.schedule import Condition
 
 #: The result of an action's process module or function.
@@ -140,6 +141,11 @@ def name_of(action: Callable[..., Result]) -> str:
     """Return a function's name, without its module and without the function that defines it."""
     name = getattr(action, "__qualname__", None) or type(action).__qualname__
     return str(name).rpartition("<locals>.")[2]
+
+
+def current_block() -> Block | None:
+    """Return the block that actions become branches of here; None where they run in order and raise."""
+    return cast("Block | None", body.get())
 
 
 def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Result:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.foundation.errors import PlanFailure, PycramError, UsageError, slots_of
-from pycram.foundation.names import export
+from pycram.foundation.errors import PlanFailure, PycramError, UsageError, export, slots_of
 from recorder.records import format_error
 from recorder.records.tracebacks import format_traceback
 from recorder.tracing.call_stack import call_site

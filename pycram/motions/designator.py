@@ -21,9 +21,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
 
-from pycram.foundation.errors import chained
+from pycram.foundation.errors import chained, qualified_name
 from pycram.foundation.failures import BadArgument, UnknownName
-from pycram.foundation.names import qualified_name
 from pycram.foundation.refusals import refusing
 from pycram.motions import motion_types
 from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same, slot_name

@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeAlias, runtime_checkable
 
 from pycram.foundation import checks
+from pycram.foundation.errors import export, qualified_name
 from pycram.foundation.failures import (
     BadArgument,
     Displaced,
@@ -27,10 +28,8 @@ from pycram.foundation.failures import (
     TrajectoryEnded,
     UsageError,
 )
-from pycram.foundation.names import export, qualified_name
 from pycram.foundation.refusals import refusing
-from pycram.language.block import current_block
-from pycram.language.branch import run
+from pycram.language.branch import current_block, run
 from pycram.models.robots.description import why_none
 from pycram.motions.designator import Designator, DesignatorError, Resolvers, performing, unfinished
 from pycram.motions.execution import INSTANT

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 import numpy as np
 
 from pycram.foundation import checks
+from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.foundation.names import export
 from pycram.reasoning.grasping.grasps import GRASPS
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object

@@ -15,9 +15,9 @@ from pycram.planning.space import MARGIN, Clearance, Space, nearest_turns
 from pycram.planning.timing import base_rates, joint_rates, stacked
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import CollisionChecker
-from pycram.reasoning.driving import check_drives, check_ground
 from pycram.reasoning.kinematics.forward import Chain, rotation_error
 from pycram.reasoning.kinematics.inverse import descend
+from pycram.reasoning.places.search import check_drives, check_ground
 from pycram.reasoning.rejections import Touching
 from pycram.world.joints import checked_positions, coupled
 from pycram.world.trajectory import BaseFrame

@@ -19,11 +19,11 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from pycram.foundation import checks
+from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
-from pycram.foundation.names import export
 from pycram.language.branch import name_of, run
 from pycram.projection.child import Child, ChildPool, ChildResult, limit_memory, obstacle, usable_cores
-from pycram.scheduling.locks import refuse_held
+from pycram.scheduling.schedule import refuse_held
 from pycram.world import saved_state
 from pycram.world.object import Object
 from pycram.world.saved_state import SavedState

@@ -12,7 +12,7 @@ workers of ``in_thread`` run in parallel, in no fixed order.
 
 Rules:
 
-- Code that holds a lock (:class:`pycram.scheduling.locks.Lock`, used by worlds and fluents) must not yield: the lock
+- Code that holds a lock (:class:`pycram.scheduling.schedule.Lock`, used by worlds and fluents) must not yield: the lock
   belongs to the thread, so the next branch would hold it too. ``LockHeld`` is raised then. Other locks are held for a
   few assignments only, without user code, waits or changes of a world.
 - User code (event handlers, functions of fluents, resolvers, plans) is called without locks, as it may yield and change

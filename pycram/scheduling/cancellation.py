@@ -12,8 +12,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
-from pycram.scheduling.locks import is_held
-from pycram.scheduling.schedule import Condition, Deadline, Waiter, schedule_alone, scheduler
+from pycram.scheduling.schedule import Condition, Deadline, Waiter, is_held, schedule_alone, scheduler
 from recorder.tracing.span import Cancelled
 
 if TYPE_CHECKING:

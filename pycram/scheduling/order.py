@@ -20,8 +20,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
+from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.foundation.names import export
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping

@@ -7,8 +7,7 @@ from contextvars import copy_context
 from typing import TYPE_CHECKING, TypeVar
 
 from pycram.scheduling.cancellation import join, raise_if_cancelled
-from pycram.scheduling.locks import refuse_held
-from pycram.scheduling.schedule import StrikeSource, scheduler
+from pycram.scheduling.schedule import StrikeSource, refuse_held, scheduler
 from recorder.tracing.context import current_name
 from recorder.tracing.span import span
 

@@ -25,11 +25,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram import plan_parameters
 from pycram.foundation import checks
+from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.foundation.names import export
 from pycram.plan_parameters import Variations
 from pycram.running import MAX_SEED, RunSpec
-from pycram.scheduling.locks import refuse_held
+from pycram.scheduling.schedule import refuse_held
 from pycram.sweeping.local import Local, RunLost, RunOutcome, SweepSpec, Worker, WorkerLost
 from pycram.world.world import open_worlds
 from recorder.tracing import forking

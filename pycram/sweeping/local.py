@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pycram import running
 from pycram.failures import PlanFailure
-from pycram.foundation.names import export
+from pycram.foundation.errors import export
 from pycram.models import store, warming
 from pycram.plan_parameters import Variations
 from pycram.projection.child import GRACE, ChildPool, die_with, limit_memory, run_from_start, usable_cores

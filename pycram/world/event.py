@@ -11,9 +11,8 @@ import threading
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
-from pycram.foundation.errors import call_all, chained
+from pycram.foundation.errors import call_all, chained, qualified_name
 from pycram.foundation.failures import BadArgument, UnknownName
-from pycram.foundation.names import qualified_name
 from pycram.foundation.refusals import mark_recorded, refusing
 from recorder import records
 from recorder.tracing import journal, span

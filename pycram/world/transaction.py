@@ -21,7 +21,7 @@ from pycram.foundation.errors import call_all, chained
 from pycram.foundation.failures import ChangeRefused, ReadOnly, WorldClosed
 from pycram.foundation.refusals import refused
 from pycram.scheduling.cancellation import before_change
-from pycram.scheduling.locks import Lock
+from pycram.scheduling.schedule import Lock
 from recorder import records
 from recorder.tracing import context, journal, span
 from recorder.tracing.interrupts import Uninterrupted

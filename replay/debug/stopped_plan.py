@@ -27,8 +27,7 @@ from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from pycram.projection.child import Child, die_with, has_children, obstacle
-from pycram.scheduling.locks import is_held
-from pycram.scheduling.schedule import scheduler
+from pycram.scheduling.schedule import is_held, scheduler
 from recorder.records import Task, format_error
 from recorder.tracing import forking, interrupts, journal
 from recorder.tracing.call_stack import is_plan, plan_frames

@@ -28,7 +28,7 @@ from pycram.fluents.fluent import Fluent
 from pycram.foundation.failures import PycramError
 from pycram.reasoning.queries.query import RECORDED_AS, Found, Verdict
 from pycram.running import MAX_SEED
-from pycram.scheduling.locks import is_held
+from pycram.scheduling.schedule import is_held
 from pycram.world.object import Object
 from pycram.world.world import open_worlds
 from recorder import records

@@ -27,8 +27,7 @@ from pycram.language import in_thread, par, timeout, try_in_order
 from pycram.motions.resources import Resources
 from pycram.process_module import ProcessModule
 from pycram.projection import NotProjectable, Outcome, ProjectedError, ProjectionDied, project, project_all
-from pycram.scheduling.locks import LockHeld
-from pycram.scheduling.schedule import seed_order
+from pycram.scheduling.schedule import LockHeld, seed_order
 from pycram.world.transaction import take_snapshot
 from recorder.records import Mutation, Task
 from replay.restore.verify import verify

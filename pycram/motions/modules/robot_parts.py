@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
+from pycram.foundation.errors import export
 from pycram.foundation.failures import (
     BadArgument,
     Blocked,
@@ -18,14 +19,13 @@ from pycram.foundation.failures import (
     PostureInCollision,
     Unreachable,
 )
-from pycram.foundation.names import export
 from pycram.motions.process_module import AS_ASKED, FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.driving import check_drives, check_ground
 from pycram.reasoning.grasping import fingers
 from pycram.reasoning.kinematics import inverse, pan_tilt
+from pycram.reasoning.places.search import check_drives, check_ground
 from pycram.reasoning.rejections import OutOfReach, Touching, Unfit, short
 from pycram.world import simulation
 from recorder import geometry

@@ -18,7 +18,6 @@ from pycram.reasoning.collision.boxes import concatenate
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.driving import drives
 from pycram.reasoning.grasping import placing
 from pycram.reasoning.grasping.fingers import held
 from pycram.reasoning.grasping.grasps import candidates, yaw_of
@@ -26,7 +25,7 @@ from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.goals import PutDown, Putting, description_of
 from pycram.reasoning.places.maps import Grid, arm_reach, generator, room, spread
-from pycram.reasoning.places.search import Batch, Place, Search, Spot
+from pycram.reasoning.places.search import Batch, Place, Search, Spot, drives
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
 from pycram.scheduling.future import unwrap

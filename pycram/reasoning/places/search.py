@@ -1,19 +1,23 @@
-"""A search for places: drawn from a map, checked one by one, and offered one after the other."""
+"""A search for places: drawn from a map, checked one by one, and offered one after the other.
+
+A base drives on its ground, and upright.
+"""
 
 from __future__ import annotations
 
 import itertools
+import math
 import zlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
-from pycram.foundation.failures import NoPlace
+from pycram.foundation.failures import NoPlace, NotDrivable
 from pycram.reasoning.choosing import Choice
 from pycram.reasoning.collision.simulation_clone import clone_of
-from recorder import records
+from recorder import geometry, records
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
@@ -27,6 +31,11 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Quaternion, Vector
 
     Array = NDArray[np.float64]
+    from pycram.world.object import Object
+
+
+_UNEVEN: Final = 0.05  # m between the ground here and there
+_TILT: Final = math.radians(2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,3 +164,34 @@ class Search(ABC):
         batch.reject(spot.name, reason)
         self._counts[constraint] = self._counts.get(constraint, 0) + 1
         self._last = constraint
+
+
+def drives(robot: Object) -> bool:
+    """Return whether a robot's base drives; a robot without a description is assumed to drive."""
+    return robot.description is None or robot.description.drives
+
+
+def check_drives(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
+    """Check that a robot's base drives.
+
+    Raises:
+        NotDrivable: It is fixed.
+    """
+    if not drives(robot):
+        raise NotDrivable(target, orientation, "its base is fixed")
+
+
+def check_ground(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
+    """Check that a pose is on the ground on which a robot stands.
+
+    Raises:
+        NotDrivable: The wheels would leave the ground, or the robot would lean over.
+    """
+    position, heading = robot.get_position_and_orientation()
+    height = target[2] - position[2]
+    if abs(height) > _UNEVEN:
+        side = "above" if height > 0 else "below"
+        raise NotDrivable(target, orientation, f"its wheels would be {abs(height):.2f} m {side} the ground")
+    lean = geometry.lean(orientation, heading)
+    if lean > _TILT:
+        raise NotDrivable(target, orientation, f"it would lean over by {math.degrees(lean):.0f} degrees")

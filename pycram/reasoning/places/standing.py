@@ -12,13 +12,12 @@ from pycram.foundation import checks
 from pycram.foundation.failures import MissingPart, UnknownName
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.driving import drives
 from pycram.reasoning.grasping.grasps import GRASPS
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.goals import Pulling, Taking, Target, description_of, goal_of, promising
 from pycram.reasoning.places.maps import Grid, arm_reach, generator, room, spread, surroundings
-from pycram.reasoning.places.search import Batch, Place, Search, Spot
+from pycram.reasoning.places.search import Batch, Place, Search, Spot, drives
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE, seen_share
 from pycram.reasoning.rejections import OutOfReach, Touching, Unseen, Untried

@@ -23,7 +23,7 @@ from pycram.fluent import NotSettable
 from pycram.language.timeouts import TimedOut
 from pycram.motions.resources import ResourceError, Resources
 from pycram.process_module import NoProcessModule
-from pycram.scheduling.locks import LockHeld
+from pycram.scheduling.schedule import LockHeld
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from greenlet import greenlet
 
 from pycram import tasks
 from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
-from pycram.language.block import current_block
+from pycram.language.branch import current_block
 from pycram.language.nesting import Scope
 from pycram.scheduling.cancellation import checkpoint, current_scope
 from pycram.scheduling.schedule import scheduler

@@ -12,7 +12,7 @@ import pytest
 from pycram import tasks
 from pycram.failures import UsageError
 from pycram.language import State, failure_handling, finally_, par, seq, timeout
-from pycram.language.block import current_block
+from pycram.language.branch import current_block
 from pycram.language.nesting import Misnested
 from pycram.scheduling.cancellation import current_scope
 from tests.pycram.language.gates import C, F, Gate, S, succeeds

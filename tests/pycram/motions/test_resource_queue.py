@@ -12,8 +12,7 @@ import pytest
 from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, Unreachable
 from pycram.language import State, par, pursue, seq, timeout, try_all, try_in_order
-from pycram.language.block import current_block
-from pycram.language.branch import NoResult
+from pycram.language.branch import NoResult, current_block
 from pycram.language.timeouts import TimedOut
 from pycram.motions.resources import ResourceError, Resources, Ticket
 from pycram.process_module import ProcessModule

@@ -10,7 +10,7 @@ import pytest
 
 from pycram import tasks
 from pycram.language import par, pursue, seq, try_all
-from pycram.language.block import current_block
+from pycram.language.branch import current_block
 from pycram.scheduling import schedule
 from pycram.scheduling.cancellation import checkpoint, current_scope
 from tests.pycram.language.gates import Gate, Meeting, S, fails, succeeds

@@ -24,8 +24,7 @@ from pycram.language import State, failure_handling, finally_, par, pursue, seq,
 from pycram.language.timeouts import TimedOut
 from pycram.process_module import ProcessModule
 from pycram.scheduling.cancellation import checkpoint, wait
-from pycram.scheduling.locks import LockHeld
-from pycram.scheduling.schedule import Condition
+from pycram.scheduling.schedule import Condition, LockHeld
 from recorder.records import Event, Mutation, Task
 from recorder.tracing import context, journal
 from tests.conftest import MemorySink

@@ -18,8 +18,7 @@ from pycram.fluents import world as world_fluents
 from pycram.language import in_thread, par, pursue, timeout
 from pycram.language.timeouts import TimedOut
 from pycram.projection import project
-from pycram.scheduling.locks import LockHeld
-from pycram.scheduling.schedule import seed_order
+from pycram.scheduling.schedule import LockHeld, seed_order
 from pycram.world.simulation import wait
 from recorder import geometry
 from recorder.records import Mutation, Task
