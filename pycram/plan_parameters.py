@@ -104,7 +104,11 @@ def declared_in(plan: Path) -> dict[str, Any] | None:
     tree = ast.parse(plan.read_bytes(), str(plan))
     found = dict(_of_main(tree))
     for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and _called(node) == parameters.__name__:
+        called = node.func if isinstance(node, ast.Call) else None
+        if isinstance(node, ast.Call) and parameters.__name__ in (
+            getattr(called, "attr", ""),
+            getattr(called, "id", ""),
+        ):
             for keyword in node.keywords:
                 if keyword.arg is None:
                     return None
@@ -181,11 +185,6 @@ def _of_main(tree: ast.Module) -> Iterator[tuple[str, Any]]:
             pairs = list(zip(places, [*lacking, *of.defaults], strict=True))[len(of.posonlyargs) :]
             pairs += zip(of.kwonlyargs, of.kw_defaults, strict=True)
             yield from ((place.arg, _literal(default)) for place, default in pairs)
-
-
-def _called(node: ast.Call) -> str:
-    called = node.func
-    return called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
 
 
 def _literal(node: ast.expr | None) -> Any:

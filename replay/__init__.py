@@ -15,17 +15,17 @@ from replay.state.state import Attachment, Body, State, World
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
 
 open = Recording  # noqa: A001  replay.open reads well
 
 
 def open_runs(path: "str | Path") -> "Runs":
-    """Open a folder of recordings as tables, which needs the extra ``runs``; see :class:`replay.runs.runs.Runs`."""
+    """Open a folder of recordings as tables, which needs the extra ``runs``; see :class:`replay.runs.folder.Runs`."""
     from recorder.packages import needed  # noqa: PLC0415  only folders need it
 
     with needed("runs"):
-        from replay.runs.runs import Runs  # noqa: PLC0415
+        from replay.runs.folder import Runs  # noqa: PLC0415
 
         return Runs(path)
 

@@ -94,8 +94,10 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
         return file
     beside = log.path.with_name(f"{log.path.name}.rrd")
     note = _note(log)
-    if note is not None and _is_noted(beside, note):
-        return beside
+    if note is not None:
+        with contextlib.suppress(OSError, ValueError):  # there is no file, or no note
+            if note.read_text(encoding="ascii") == _hash(beside):
+                return beside
     if not os.access(log.path.parent, os.W_OK):
         beside = temporary_file(beside.name)
     problems = log.problems
@@ -117,13 +119,6 @@ def _note(log: RecordReader) -> Path | None:
     for source in sorted(Path(recorder.viewer.__file__).parent.glob("*.py")):
         made_of.update(source.read_bytes())
     return folder / "rrd" / made_of.hexdigest()
-
-
-def _is_noted(file: Path, note: Path) -> bool:
-    try:
-        return note.read_text(encoding="ascii") == _hash(file)
-    except (OSError, ValueError):  # there is no file, or no note
-        return False
 
 
 def _hash(file: Path) -> str:

@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
+from contextlib import ExitStack, closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -37,12 +37,14 @@ from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from types import TracebackType
 
 __all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectedError", "ProjectionDied", "project", "project_all"]
 
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
+_MAX_MEMORY: Final = 10**12  # bytes
+_numbers: Final = threading.local()  # recordings of the thread's projections
+
 #: An action, or a tuple of an action and its arguments, as in ``(pick_up, milk, "left")``.
 Candidate: TypeAlias = "Action | tuple[Any, ...]"
 
@@ -216,10 +218,6 @@ def _project_all(
     return recorded
 
 
-_MAX_MEMORY: Final = 10**12  # bytes
-_numbers: Final = threading.local()
-
-
 class _Projection:
     """An action that runs in a child, as a task of this process."""
 
@@ -235,7 +233,7 @@ class _Projection:
         self._task_began = time.perf_counter_ns()
         self._begun = False
         self.tasks = tasks
-        tasks.push(self._interrupted)
+        tasks.push(lambda _, error, __: self._task.finish(error))  # if it was interrupted
         if begun:
             self.begin()
 
@@ -281,11 +279,6 @@ class _Projection:
         self._task.result = outcome
         self._task.finish()
 
-    def _interrupted(
-        self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None
-    ) -> None:
-        self._task.finish(error)
-
 
 def _path() -> Path | None:
     """Return the file of the next projection, next to the current recording."""
@@ -309,7 +302,10 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
     result: Result = None
     try:
         begin()  # in the parent it may not be recorded yet
-        with task.entered(), _recorded(task.name, recording):
+        with (
+            task.entered(),
+            nullcontext() if recording is None else record(recording, name=task.name, arguments=(), output=True),
+        ):
             if memory is not None:  # not earlier: Python would wait forever for a thread that can't start
                 limit_memory(memory)
             result = run(action)
@@ -333,10 +329,6 @@ def _text(result: Result) -> str:
         return repr(result)
     except Exception as error:  # noqa: BLE001  as above
         return f"<{type(result).__name__}, without a text: {format_error(error)}>"
-
-
-def _recorded(name: str, recording: Path | None) -> AbstractContextManager[object]:
-    return nullcontext() if recording is None else record(recording, name=name, arguments=(), output=True)
 
 
 def _pickled(answer: object) -> bytes:

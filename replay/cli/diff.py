@@ -16,7 +16,7 @@ from replay.recording import Recording
 from replay.report import report
 
 if TYPE_CHECKING:
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
 
 
 def add(parser: argparse.ArgumentParser) -> None:

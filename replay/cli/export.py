@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from recorder.records import BeginTrajectory, BodyState
     from replay.file.record_reader import RecordReader
     from replay.recording import Recording
+    from replay.runs.folder import Runs
     from replay.runs.lerobot import Draw
-    from replay.runs.runs import Runs
     from replay.state.fold import WorldBuilder
     from replay.state.state import Body, World
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from recorder.records import Revision
     from replay.history.summary import Summary
     from replay.recording import Recording
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
 
 _MAX_WORLDS: Final = 8  # that are listed one by one
 _DIGITS: Final = 12  # of a commit or hash

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from replay.recording import Recording
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
 
 #: A verb's file is imported when the verb is called: some need libraries that others don't.
 VERBS: Final = {
@@ -239,7 +239,7 @@ def _run_on_folder(verb: Verb, options: argparse.Namespace) -> int:
 def opened(path: str) -> Iterator[Runs]:
     """Open a folder of recordings, with a line of progress on a terminal."""
     with needed("runs"):
-        from replay.runs.runs import Runs  # noqa: PLC0415  an extra
+        from replay.runs.folder import Runs  # noqa: PLC0415  an extra
     began, shown = time.monotonic(), False
 
     def progress(done: int, of: int) -> None:

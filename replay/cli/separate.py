@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
     from replay.runs.separation import Claim, Separation
 
 _MAX_CLAIMS: Final = 5

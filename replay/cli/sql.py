@@ -16,7 +16,7 @@ from replay.runs.schema import RUN, TABLES
 if TYPE_CHECKING:
     import argparse
 
-    from replay.runs.runs import Answer, Runs
+    from replay.runs.folder import Answer, Runs
 
 _WIDEST: Final = 60  # characters of a cell in a terminal
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from PIL import Image
 
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
     from replay.runs.separation import Separation
     from replay.runs.statistics import FailureCause, Share, Slow, Statistics
 

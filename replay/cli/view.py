@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
 
 _MAX_BESIDE: Final = 3  # recordings beside the first; more than four views are too small to see
 

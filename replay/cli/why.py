@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from replay.explain.why import Why
     from replay.recording import Recording
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
 
 
 _COMMONEST: Final = 3  # causes of a folder's failures

@@ -82,10 +82,7 @@ def _value(code: CodeType, worlds: Mapping[str, WorldBuilder]) -> object:
     opened = {name: _World(world) for name, world in worlds.items() if world.open}
     if not opened:
         raise LookupError("no world is open")
-    return _plain(eval(code, {"__builtins__": {}}, _Names(opened)))  # noqa: S307  the user's own
-
-
-def _plain(value: object) -> object:
+    value = eval(code, {"__builtins__": {}}, _Names(opened))  # noqa: S307  the user's own
     if isinstance(value, _World):
         raise TypeError("a world has no value; name a body of the world")
     return (value.position, value.orientation) if isinstance(value, _Body) else value

@@ -248,7 +248,10 @@ class Reexecution:
         if command != "open_world" and record.world not in self.worlds:
             raise NotRestored(record.seq, f"the recording lacks the beginning of {record.world}")
         if command == "simulate":
-            _check_clock(self._log, self.worlds[record.world], record)
+            steps, at = record.simulate.steps, self.worlds[record.world].sim_step
+            if at + steps != record.sim_step:  # it could last for years
+                cause = f"it simulates {steps} steps from step {at} on, and ends at {record.sim_step}"
+                raise Damaged(self._log.path, f"step {record.seq}", cause)
         self._last.record = None
         with journal.unrecorded(*([self._journal] if observed else [])):
             if command == "open_world":
@@ -270,14 +273,6 @@ class Reexecution:
             repeated.by_fork = record.by_fork
             _keep_what_follows(record, repeated, with_overlaps=self._log.format > 0)
         return repeated
-
-
-def _check_clock(log: RecordReader, world: BulletWorld, record: Mutation) -> None:
-    """Reject a simulation that contradicts the world's clock: it could last for years."""
-    if world.sim_step + record.simulate.steps != record.sim_step:
-        steps = record.simulate.steps
-        cause = f"it simulates {steps} steps from step {world.sim_step} on, and ends at {record.sim_step}"
-        raise Damaged(log.path, f"step {record.seq}", cause)
 
 
 def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: bool) -> None:

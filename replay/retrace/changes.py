@@ -420,7 +420,7 @@ class AnswerOracle:
         if process() != self._process or not function.__module__.startswith(_OURS):
             return ask()
         recorded = self._guide.upcoming() if self._takes else None
-        if isinstance(recorded, Query) and _is_whole(recorded) and _asks(recorded, question, world):
+        if isinstance(recorded, Query) and _answers(recorded, question, world):
             self._beside[threading.get_ident()] = recorded
             self.taken += 1
             return _taken(recorded, world)
@@ -448,18 +448,14 @@ class AnswerOracle:
             record.chosen = beside.chosen
 
 
-def _is_whole(recorded: Query) -> bool:
-    """Return whether a record has the query's complete own answer."""
+def _answers(recorded: Query, question: Asked, world: BulletWorld) -> bool:
+    """Return whether a record has the complete own answer of the same question at the same moment."""
     known = recorded.name in ANSWERABLE and _kind(recorded.name) != _OF_MANY
-    return known and not recorded.HasField("failure") and not recorded.by_fork
-
-
-def _asks(recorded: Query, question: Asked, world: BulletWorld) -> bool:
-    """Return whether a record is of the same question at the same moment."""
+    if not known or recorded.HasField("failure") or recorded.by_fork:
+        return False
     moment = recorded.name, recorded.world, recorded.sim_step
-    return moment == (question.name, world.name, world.sim_step) and list(recorded.arguments) == records.arguments(
-        question.arguments
-    )
+    same_moment = moment == (question.name, world.name, world.sim_step)
+    return same_moment and list(recorded.arguments) == records.arguments(question.arguments)
 
 
 def _taken(recorded: Query, world: BulletWorld) -> Verdict | Found[Object]:

@@ -100,7 +100,11 @@ def fork(
         raise ReplayError(f"{file}: there is no folder {file.parent}; make the folder first")
     process = PlanProcess(log, plan, arguments, until=step, recorded_source=recorded_source)
     changes = _changes(log, step, settings, world, answers, seed)
-    unchanged = _unchanged(log, arguments, recorded_source=recorded_source) if control else None
+    unchanged = None
+    if control:
+        began = log[0]
+        secret = isinstance(began, Run) and any(LEFT_OUT in text for text in began.arguments)
+        unchanged = PlanProcess(log, None, arguments if secret else None, recorded_source=recorded_source)
     notes = tuple(process.notes())
     begun()
     with ThreadPoolExecutor() as beside, ExitStack() as undoing:
@@ -135,13 +139,6 @@ def _changes(
     if changes and step == len(log) - 1 and log.closed:
         raise BadChange(change_text(changes[0]), f"step {step} is the last step; fork at an earlier one")
     return changes
-
-
-def _unchanged(log: RecordReader, arguments: Sequence[str] | None, *, recorded_source: bool) -> PlanProcess:
-    """Return the unchanged plan; given arguments are used only if recorded arguments are secret."""
-    began = log[0]
-    lacking = isinstance(began, Run) and any(LEFT_OUT in text for text in began.arguments)
-    return PlanProcess(log, None, arguments if lacking else None, recorded_source=recorded_source)
 
 
 def _unasked(forked: RecordReader) -> Iterator[str]:

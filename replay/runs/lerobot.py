@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from replay.file.record_reader import RecordReader
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
     from replay.runs.video import Videos
 
 FPS: Final = 30

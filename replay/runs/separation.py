@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from recorder.records import Plain
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs
 
 
 LEVEL: Final = 0.01
@@ -355,12 +355,9 @@ class _Sites:
                 step = max(each[0] for each in (a, b) if each is not None)
                 site.values[number] = [Value(is_first, step)]
                 known += self.cases[number].failed
-            if known >= 0.95 * failures and any(_both(marks, first, second) for marks in self.marks):
+            both = ((marks[first], marks[second]) for marks in self.marks if first in marks and second in marks)
+            if known >= 0.95 * failures and any(_apart(a[1], b[1]) for a, b in both):
                 self.sites["order", site.name] = site
-
-
-def _both(marks: Mapping[str, tuple[int, str]], first: str, second: str) -> bool:
-    return first in marks and second in marks and _apart(marks[first][1], marks[second][1])
 
 
 def _apart(a: str, b: str) -> bool:
@@ -391,15 +388,11 @@ def _simple(value: Plain) -> Iterator[tuple[str, str | float | bool]]:
             yield "", str(value["object"])
         elif len(value) == 1 and isinstance(text := next(iter(value.values())), str):
             yield "", text[:_MAX_TEXT]
-    elif len(value) == len(_AXES) and all(_is_number(item) for item in value):
+    elif len(value) == len(_AXES) and all(type(item) in (int, float) for item in value):
         yield from zip(_AXES, map(float, value), strict=True)  # type: ignore[arg-type]
     elif all(isinstance(item, str | dict) for item in value):
         named: list[Any] = [simple for item in value for _, simple in _simple(item)]
         yield "", ", ".join(map(str, named))[:_MAX_TEXT] or "nothing"
-
-
-def _is_number(value: Plain) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 # --- facts ------------------------------------------------------------------------------------------------------------

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from replay.runs.folder import Skipped
-    from replay.runs.runs import Runs
+    from replay.runs.folder import Runs, Skipped
 
 
 _Z: Final = 1.959963984540054  # of 95 %

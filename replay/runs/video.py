@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
     from numpy.typing import NDArray
 
+    from replay.runs.folder import Runs
     from replay.runs.lerobot import Draw
-    from replay.runs.runs import Runs
 
 _SIZE: Final = (320, 240)  # pixels
 _FORMAT: Final = "yuv420p"

@@ -28,8 +28,7 @@ from replay.report.question import BadQuestion
 from replay.retrace.changes import BadChange
 from replay.retrace.fork import NotForked
 from replay.retrace.plan_process import CantRetrace, FirstDifference
-from replay.runs.folder import NotRead
-from replay.runs.runs import Refused
+from replay.runs.folder import NotRead, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

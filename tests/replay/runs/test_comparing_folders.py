@@ -32,7 +32,7 @@ def changed(runs: Path, tmp_path: Path) -> Path:
 
 
 def _ended(folder: Path) -> dict[str, bool]:
-    from replay.runs.runs import Runs  # noqa: PLC0415
+    from replay.runs.folder import Runs  # noqa: PLC0415
 
     with Runs(folder) as opened:
         return dict(opened.sql("SELECT run, succeeded FROM runs ORDER BY run").rows())

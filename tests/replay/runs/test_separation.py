@@ -17,7 +17,7 @@ from pycram.language import failure_handling
 from pycram.reasoning.choosing import choosing
 from recorder import record
 from replay.cli.main import main
-from replay.runs.runs import Runs
+from replay.runs.folder import Runs
 from replay.runs.separation import Chance, evidence, separate
 from replay.runs.statistics import difference, wilson
 from tests.measures import seeded

@@ -17,9 +17,8 @@ from mcap.reader import make_reader
 import replay
 from recorder.records import Mutation, Query, Task
 from replay.cli.main import main
-from replay.runs.folder import Folder, NotRead
+from replay.runs.folder import Folder, NotRead, Refused, Runs
 from replay.runs.rows import write_rows
-from replay.runs.runs import Refused, Runs
 from tests.replay.file.test_newer import forge
 from tests.replay.runs.conftest import COUNT
 
