@@ -40,7 +40,7 @@ class ArmChain:
     fingers: tuple[Joint, ...]  # joints below the last link
 
 
-class Tree:
+class JointTree:
     """The tree of a robot's movable joints."""
 
     def __init__(self, urdf: Urdf) -> None:
@@ -172,7 +172,7 @@ def _short_names(runs: list[list[str]], robot: str) -> list[str]:
     return names if len(set(names)) == len(names) else [f"arm{number}" for number in range(1, len(runs) + 1)]
 
 
-def fingers_of(tree: Tree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[Joint]]]:
+def fingers_of(tree: JointTree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[Joint]]]:
     """Yield the links of an arm's finger tips that have a shape, and the joints that move each."""
     hand = {joint.name for joint in arm.fingers}
     for joint in arm.fingers:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.describing.chains import ArmChain, Tree, fingers_of, limits
+from pycram.describing.chains import ArmChain, JointTree, fingers_of, limits
 from pycram.models.robots.gripper import Gripper
 from pycram.models.shapes import pieces_of
 from recorder import geometry
@@ -121,7 +121,7 @@ class HandGuess:
     underside: float  # m from the tool frame down to the lowest point
 
 
-def guess_hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | str:
+def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | str:
     """Return the gripper of an arm, or why no gripper that closes from two sides was recognised."""
     if not arm.fingers:
         return "no movable joint is below it"
@@ -142,7 +142,7 @@ def guess_hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | str:
     )
 
 
-def _fingers(tree: Tree, tips: Sequence[tuple[str, list[Joint]]], corners: Corners) -> HandGuess | None:
+def _fingers(tree: JointTree, tips: Sequence[tuple[str, list[Joint]]], corners: Corners) -> HandGuess | None:
     """Return a gripper whose two or more fingers all move; None if they don't close from two sides."""
     joints = list({joint.name: joint for _, moving in tips for joint in moving}.values())
     palm = joints[0].parent
@@ -166,7 +166,7 @@ def _openings(closed: Mapping[str, float], widest: Mapping[str, float]) -> Itera
         yield {name: value + share * (widest[name] - value) for name, value in closed.items()}
 
 
-def _one_jaw(tree: Tree, corners: Corners, jaw: str, joint: Joint) -> HandGuess | None:
+def _one_jaw(tree: JointTree, corners: Corners, jaw: str, joint: Joint) -> HandGuess | None:
     """Return a gripper with one moving and one fixed jaw; None if the jaw doesn't close against a link."""
     palm = joint.parent
     still = [link for link in tree.urdf.links if link in corners and tree.moved_by(link) is tree.moved_by(palm)]
@@ -199,7 +199,7 @@ def _one_jaw(tree: Tree, corners: Corners, jaw: str, joint: Joint) -> HandGuess 
 
 
 def _fitted(
-    tree: Tree,
+    tree: JointTree,
     corners: Corners,
     palm: str,
     between: tuple[Array, Quaternion],
@@ -233,7 +233,7 @@ def _gripper(hand: HandGuess) -> Gripper:
 
 
 def _ends(
-    tree: Tree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[Joint]]]
+    tree: JointTree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[Joint]]]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return joint positions when closed and when open: an open finger is far from the others."""
     joints = {joint.name: joint for _, moving in tips for joint in moving}

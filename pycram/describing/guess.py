@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from pycram.describing.chains import ARM, ArmChain, Tree
+from pycram.describing.chains import ARM, ArmChain, JointTree
 from pycram.describing.grippers import TIPS, Corners, HandGuess, guess_hand
 from recorder import geometry
 from recorder.geometry import IDENTITY
@@ -48,7 +48,7 @@ class Guess:
 
 def guess(model: Model) -> Guess:
     """Return the parts of a robot that can be recognised."""
-    tree = Tree(model.urdf)
+    tree = JointTree(model.urdf)
     corners = Corners(model)
     arms = tree.arms()
     camera = tree.camera()

@@ -100,7 +100,9 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array) -> I
     edges = np.concatenate([piece.corners[piece.corners[:, 2] > height - 2 * _THICK, :2] for piece in tops])
     if (np.ptp(edges @ turn, axis=0) < _SIDE).any():
         return
-    hull = _hull(edges @ turn)
+    corners = edges @ turn
+    rounded = geometry.convex_hull(corners)
+    hull = corners[[np.abs(corners - corner).sum(axis=1).argmin() for corner in rounded]]
     if _area(hull) < AREA:
         return
     around = (bounds[:, 0, :2] < edges.max(axis=0)) & (bounds[:, 1, :2] > edges.min(axis=0))
@@ -180,13 +182,6 @@ def _apart(values: Array) -> Array:
     ordered = np.unique(values)
     kept: Array = ordered[np.concatenate([[True], np.diff(ordered) > _GAP])]
     return kept
-
-
-def _hull(corners: Array) -> Array:
-    """Return the corners of the convex hull of points (n, 2), counter-clockwise."""
-    rounded = geometry.convex_hull(corners)
-    hull: Array = corners[[np.abs(corners - corner).sum(axis=1).argmin() for corner in rounded]]
-    return hull
 
 
 def _area(outline: Array) -> float:

@@ -65,13 +65,9 @@ def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[
     Raises:
         AssetError: The content can't be parsed, or a number isn't finite or is too large for metres.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            image = None if cover is None else read_image(io.BytesIO(cover))
-            found = list((_dae_parts if file.suffix.lower() == ".dae" else _obj_parts)(file, content, image))
-    except Exception as error:  # parsers raise errors of any type for broken files
-        raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
+    with _parsing(file):
+        image = None if cover is None else read_image(io.BytesIO(cover))
+        found = list((_dae_parts if file.suffix.lower() == ".dae" else _obj_parts)(file, content, image))
     by_color: dict[Rgba | None, list[Array]] = {}
     for triangles, rgba in found:
         if len(triangles):
@@ -117,7 +113,7 @@ def _obj_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterato
         return
     has_materials = b"mtllib" in content
     resolver = trimesh.resolvers.FilePathResolver(str(file))
-    with _quiet():
+    with _without_log():
         meshes = trimesh.load_scene(io.BytesIO(content), file_type="obj", resolver=resolver, process=False).dump()
     for mesh in meshes:
         if not isinstance(mesh, trimesh.Trimesh):
@@ -189,14 +185,23 @@ def _check_vertices(file: Path, vertices: Array) -> None:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Suppress warnings and logged tracebacks of mesh libraries; errors are raised as AssetError anyway."""
-    log = trimesh.util.log
-    before, log.disabled = log.disabled, True
+def _parsing(file: Path) -> Iterator[None]:
+    """Raise any error of a parser as AssetError, and suppress warnings."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
+    except Exception as error:  # parsers raise errors of any type for broken files
+        raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
+
+
+@contextmanager
+def _without_log() -> Iterator[None]:
+    """Suppress the tracebacks that trimesh logs."""
+    log = trimesh.util.log
+    before, log.disabled = log.disabled, True
+    try:
+        yield
     finally:
         log.disabled = before
 
@@ -215,11 +220,8 @@ def parse(file: Path) -> trimesh.Trimesh:
         merged = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
         merged.merge_vertices()
         return merged
-    try:
-        with _quiet():
-            loaded = trimesh.load(io.BytesIO(content), file_type=file.suffix.lower()[1:], force="mesh", process=False)
-    except Exception as error:  # trimesh's parsers raise errors of any type for broken files
-        raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
+    with _parsing(file), _without_log():
+        loaded = trimesh.load(io.BytesIO(content), file_type=file.suffix.lower()[1:], force="mesh", process=False)
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
         raise AssetError(file, "has no faces")
     _check_vertices(file, loaded.vertices)

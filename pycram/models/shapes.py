@@ -67,7 +67,8 @@ def shapes_of(path: Path, role: str = "visual") -> Shapes:
     links = _read(path, role)
     triangles = LazySequence([partial(_corners_of, tuple(parts), path.parent) for parts in links.values()])
     colors = LazySequence([partial(_colors_of, tuple(parts), path.parent) for parts in links.values()])
-    ends = np.array([_bounds_of(parts, path.parent) for parts in links.values()]).reshape(-1, 2, 3)
+    every = [[_ends(part, path.parent) for part in parts] for parts in links.values()]
+    ends = np.array([each[0] if len(each) == 1 else bounds(np.array(each)) for each in every]).reshape(-1, 2, 3)
     return Shapes(tuple(links), triangles, colors, ends[:, 0], ends[:, 1])
 
 
@@ -121,12 +122,6 @@ def bounds(corners: Array) -> tuple[Array, Array]:
         return few.min(axis=0), few.max(axis=0)
     x, y, z = (np.ascontiguousarray(corners[..., axis]) for axis in range(3))
     return np.array([x.min(), y.min(), z.min()]), np.array([x.max(), y.max(), z.max()])
-
-
-def _bounds_of(parts: Sequence[Shape], folder: Path) -> Array:
-    """Return lowest and highest corner (2, 3) of a box around shapes, in the link's frame."""
-    ends = [_ends(part, folder) for part in parts]
-    return np.array(ends[0] if len(ends) == 1 else bounds(np.array(ends)))
 
 
 def _ends(shape: Shape, folder: Path) -> Ends:

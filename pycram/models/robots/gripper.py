@@ -99,17 +99,17 @@ class Gripper:
 
     def _ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> dict[str, Vector]:
         """Return the motion of each finger's point that is at the tool frame's origin when closed, in m."""
+        in_tool: list[dict[str, Pose]] = []  # poses of the fingers, open and closed
+        for share in (1.0, 0.0):
+            positions = self.at(share)
+            tool = geometry.multiply(urdf.forward_kinematics(positions, tool_frame), tool_offset)
+            inverse = geometry.invert(tool)
+            in_tool.append({f: geometry.multiply(inverse, urdf.forward_kinematics(positions, f)) for f in self.fingers})
         ways: dict[str, Vector] = {}
         for finger in self.fingers:
-            opened, closed = (self._in_tool(urdf, tool_frame, tool_offset, finger, share) for share in (1.0, 0.0))
-            x, y, z = geometry.multiply(opened, geometry.invert(closed))[0]
+            x, y, z = geometry.multiply(in_tool[0][finger], geometry.invert(in_tool[1][finger]))[0]
             ways[finger] = -x, -y, -z
         return ways
-
-    def _in_tool(self, urdf: Urdf, tool_frame: str, tool_offset: Pose, finger: str, share: float) -> Pose:
-        positions = self.at(share)
-        tool = geometry.multiply(urdf.forward_kinematics(positions, tool_frame), tool_offset)
-        return geometry.multiply(geometry.invert(tool), urdf.forward_kinematics(positions, finger))
 
 
 def _is_across(way: Vector) -> bool:
