@@ -217,15 +217,92 @@ class Behavior(Enum):
     """The body runs once more for each of the pulses."""
 
 
+class _Seen:
+    """A state that a counter of changes has seen, after an earlier one.
+
+    Its pulses are counted when they are read, as the functions of networks never run while a fluent changes.
+    """
+
+    __slots__ = ("before", "count", "state", "value")
+
+    def __init__(self, state: State, before: _Seen | None) -> None:
+        self.state: State | None = state  # None once the value is known
+        self.before = before
+        self.value: Value = None
+        self.count = 0  # pulses up to here
+
+    def read(self, of: Expression, is_pulse: Callable[[Value, Value], bool]) -> int:
+        """Return the number of pulses up to this state; an error of a network's function is raised once."""
+        unread = [self]
+        while (before := unread[-1].before) is not None and before.state is not None:
+            unread.append(before)
+        for seen in reversed(unread):
+            state, before = seen.state, seen.before  # once each: another thread may read them as well
+            if state is None:
+                continue
+            try:
+                value = of.value(state)
+                count = 0 if before is None else before.count + is_pulse(before.value, value)
+            except Exception:  # the function of a network, which may succeed in the next state
+                if before is not None:
+                    seen.value, seen.count = before.value, before.count
+                raise
+            else:
+                seen.value, seen.count = value, count
+            finally:
+                seen.state = seen.before = None
+        return self.count
+
+
+class Pulses(NamedTuple):
+    """What a counter holds: pulses that were counted directly, less those that were handled, and states to read."""
+
+    direct: int
+    seen: _Seen | None
+
+
+def changes(before: Value, after: Value) -> bool:
+    """Whether a value differs from the value before."""
+    if before is after:
+        return False
+    try:
+        return bool(before != after)
+    except ValueError:  # arrays, which compare element by element
+        return True
+
+
+def rises(before: Value, after: Value) -> bool:
+    """Whether a value becomes true."""
+    return not before and bool(after)
+
+
+def falls(before: Value, after: Value) -> bool:
+    """Whether a value stops being true."""
+    return bool(before) and not after
+
+
 class PulseCounter(Leaf):
-    """Counts the unhandled pulses of an expression; its value is True while there are any, else None."""
+    """Counts the unhandled pulses of an expression; its value is True while there are any, else None.
 
-    __slots__ = ("missed",)
+    Args:
+        of: The expression.
+        missed: How ``whenever`` handles pulses that come while it handles an earlier pulse.
+        is_pulse: :func:`changes`, :func:`rises` or :func:`falls`: whether a new value is a pulse, given the old value.
+            By default each assignment to a variable is a pulse, and each change of a network's own value.
+    """
 
-    def __init__(self, of: Expression, missed: Behavior) -> None:
-        super().__init__((of,), 0)
+    __slots__ = ("is_pulse", "kind", "missed")
+
+    def __init__(
+        self, of: Expression, missed: Behavior, is_pulse: Callable[[Value, Value], bool] | None = None
+    ) -> None:
         self.missed = missed
+        self.kind = "pulsed" if is_pulse is None else _METHODS[is_pulse]
+        counted = isinstance(of, Variable) or (isinstance(of, PulseCounter) and of.is_pulse is None)
+        #: None if pulses are counted directly.
+        self.is_pulse: Callable[[Value, Value], bool] | None = changes if is_pulse is None and not counted else is_pulse
         with lock:
+            super().__init__((of,), Pulses(0, None if self.is_pulse is None else _Seen(of.state(), None)))
             for expression in _reachable(
                 (of,), lambda below: () if isinstance(below, PulseCounter) else below.operands
             ):
@@ -235,27 +312,45 @@ class PulseCounter(Leaf):
 
     def value(self, state: State) -> Value:
         """Return the value in a state."""
-        return True if super().value(state) else None
+        return True if self._count(super().value(state)) > 0 else None
 
     def text(self, depth: int = 0) -> str:
         """Return the name."""
-        return f"{self.operands[0].text(depth + 1)}.pulsed({self.missed.name})"
+        return f"{self.operands[0].text(depth + 1)}.{self.kind}({self.missed.name})"
+
+    def pulse(self, without_change: bool) -> None:
+        """Count a pulse, or note the new state, which may be a pulse; the lock is held."""
+        direct, seen = self.held
+        if self.is_pulse is None or (without_change and self.kind == "pulsed"):
+            self.held = Pulses(direct + 1, seen)
+        elif not without_change:
+            self.held = Pulses(direct, _Seen({leaf: leaf.held for leaf in self.operands[0].leaves}, seen))
 
     def take(self) -> None:
         """Start handling a pulse, if there is one."""
-        self._change(lambda count: max(count - 1, 0))
+        self._handle(lambda count: min(count, 1))
 
     def settle(self) -> None:
         """Finish handling a pulse, and drop the pulses that came meanwhile, depending on the behavior."""
         if self.missed is not Behavior.ALWAYS:
             kept = 1 if self.missed is Behavior.ONCE else 0
-            self._change(lambda count: min(count, kept))
+            self._handle(lambda count: max(count - kept, 0))
 
-    def _change(self, pulses: Callable[[int], int]) -> None:
-        with lock:
-            if not isinstance(self.held, Ended):
-                self.held = pulses(self.held)
-                notify((self,))
+    def _count(self, held: Pulses) -> int:
+        return held.direct + (0 if held.seen is None else held.seen.read(self.operands[0], self.is_pulse or changes))
+
+    def _handle(self, handled: Callable[[int], int]) -> None:
+        held = self.held
+        if not isinstance(held, Ended):
+            number = handled(self._count(held))  # functions of the plan may run, so without the lock
+            with lock:
+                if not isinstance(self.held, Ended):
+                    self.held = self.held._replace(direct=self.held.direct - number)
+                    notify((self,))
+
+
+#: Methods of fluents that make counters, by their pulses.
+_METHODS: Final[dict[object, str]] = {changes: "changed", rises: "rising", falls: "falling"}
 
 
 def _reachable(given: Iterable[Expression], next_to: Callable[[Expression], Iterable[Expression]]) -> list[Expression]:
@@ -282,11 +377,11 @@ def counters_on(pulsed: Collection[Expression]) -> list[PulseCounter]:
     return cast("list[PulseCounter]", _reachable(pulsed, _counters)[len(pulsed) :])
 
 
-def pulse(pulsed: Collection[Expression]) -> None:
+def pulse(pulsed: Collection[Expression], *, without_change: bool = False) -> None:
     """Count one pulse in every counter of these expressions, and notify waiters; the lock is held."""
     counters = [counter for counter in counters_on(pulsed) if not isinstance(counter.held, Ended)]
     for counter in counters:
-        counter.held += 1
+        counter.pulse(without_change)
     notify((*pulsed, *counters))
 
 
@@ -370,7 +465,7 @@ def pulse_unchanged(expression: Expression) -> None:
         if record is not None:
             record.before_json = record.after_json
             span.emit(record)
-        pulse((expression,))
+        pulse((expression,), without_change=True)
 
 
 def end(leaves: Collection[Leaf], ended: Ended) -> None:

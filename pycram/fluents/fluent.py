@@ -14,8 +14,9 @@ IS_NOT give True or None, never False, as waits end at a value that is not None.
 (yet): every order relation with None is None, and so is a sum with None. AND and OR read their second operand only if
 they have to, as in ``(speed != 0).AND(distance / speed < 10)``.
 
-Setting a fluent pulses it, even if the value stays the same, and pulses the networks made of it. :meth:`Fluent.pulsed`
-counts pulses, and :func:`~pycram.fluents.whenever.whenever` handles them.
+Setting a fluent pulses it, even if the value stays the same; a network pulses when its own value changes.
+:meth:`Fluent.pulsed` counts pulses, :meth:`Fluent.rising`, :meth:`Fluent.falling` and :meth:`Fluent.changed` count
+changes, and :func:`~pycram.fluents.whenever.whenever` handles them.
 
 A wait never misses a value, however short it lasts, and ends immediately when the branch is cancelled: a change only
 appends the new state, and the waiting thread computes the values. Functions of networks run in the thread that reads or
@@ -26,6 +27,7 @@ fluents that follow a world.
 from __future__ import annotations
 
 import operator
+import warnings
 from collections import deque
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
@@ -39,8 +41,11 @@ from pycram.fluents.expressions import (
     Value,
     Variable,
     assign,
+    changes,
+    falls,
     lock,
     pulse_unchanged,
+    rises,
 )
 from pycram.foundation import checks
 from pycram.foundation.errors import export, qualified_name
@@ -50,6 +55,7 @@ from pycram.language.nesting import await_turn
 from pycram.scheduling.cancellation import checkpoint, wait_until
 from pycram.scheduling.future import unwrap
 from pycram.scheduling.schedule import Condition, Deadline, scheduler
+from recorder.tracing.call_stack import call_site
 from recorder.tracing.span import span
 
 if TYPE_CHECKING:
@@ -59,7 +65,7 @@ if TYPE_CHECKING:
     from pycram.fluents.expressions import Expression, State, Value
 
 
-__all__ = ["Behavior", "Fluent", "NotSettable", "NotTrueOrFalse", "network"]
+__all__ = ["Behavior", "FalseEndsWait", "Fluent", "NotSettable", "NotTrueOrFalse", "network"]
 
 
 class NotSettable(UsageError):
@@ -70,6 +76,10 @@ class NotSettable(UsageError):
         super().__init__(f"{fluent} can't be set: its value {cause}")
         self.fluent = fluent  # its name
         self.of_world = of_world  # whether it follows a world
+
+
+class FalseEndsWait(RuntimeWarning):
+    """A wait ended immediately, as the value was False."""
 
 
 class NotTrueOrFalse(UsageError):
@@ -182,8 +192,8 @@ class Fluent:
     def wait_for(self, timeout: float | None = None) -> bool:
         """Wait until the value is not None; after :meth:`pulsed`, until there is a pulse to handle.
 
-        False and 0 are values: ``Fluent(False).wait_for()`` returns immediately. To wait for a true value, start with
-        None, or wait for ``fluent == True``.
+        False and 0 are values: ``Fluent(False).wait_for()`` returns immediately, and warns. To wait for a true value,
+        start with None, or wait for ``fluent == True``.
 
         Args:
             timeout: In seconds; None for no limit.
@@ -200,6 +210,12 @@ class Fluent:
         limit = None if timeout is None else checks.number("timeout", timeout)
         await_turn()
         state = self.expression.state()
+        if state.get(self.expression) is False:
+            text = (
+                f"{self.name} is False, which is a value, so wait_for() returns immediately; "
+                f"to wait until it is true, wait for ({self.name} == True), or begin with None"
+            )
+            warnings.warn_explicit(text, FalseEndsWait, *call_site())
         values = {leaf.text(): held for leaf, held in state.items() if not isinstance(held, Ended)}
         with span("wait", self.name, values | ({} if limit is None else {"timeout": limit})) as task:
             task.result = happened = first_value(self.expression, limit) is not None
@@ -216,7 +232,8 @@ class Fluent:
     def pulsed(self, handle_missed: Behavior = Behavior.ONCE) -> Fluent:
         """Return a fluent that counts the pulses of this one from now on: True while any pulse is unhandled, else None.
 
-        Each ``whenever`` needs a fluent of its own; two with the same fluent would share the pulses.
+        A fluent with a value of its own pulses whenever it is set, also to the same value; a network when its value
+        changes. Each ``whenever`` needs a fluent of its own; two with the same fluent would share the pulses.
 
         Args:
             handle_missed: How to handle pulses that come while an earlier pulse is handled.
@@ -224,9 +241,30 @@ class Fluent:
         Raises:
             BadArgument: ``handle_missed`` isn't a behavior.
         """
+        return self._counted(handle_missed)
+
+    def changed(self, handle_missed: Behavior = Behavior.ONCE) -> Fluent:
+        """Return a fluent that counts the changes of the value, as :meth:`pulsed` counts pulses."""
+        return self._counted(handle_missed, changes)
+
+    def rising(self, handle_missed: Behavior = Behavior.ONCE) -> Fluent:
+        """Return a fluent that counts how often the value becomes true: not None, False, 0 or empty.
+
+        Run a body once each time that a condition becomes true::
+
+            for _ in whenever((battery < 20).rising()):
+                charge()
+        """
+        return self._counted(handle_missed, rises)
+
+    def falling(self, handle_missed: Behavior = Behavior.ONCE) -> Fluent:
+        """Return a fluent that counts how often the value stops being true; see :meth:`rising`."""
+        return self._counted(handle_missed, falls)
+
+    def _counted(self, handle_missed: Behavior, is_pulse: Callable[[Value, Value], bool] | None = None) -> Fluent:
         if not isinstance(handle_missed, Behavior):
             raise BadArgument("handle_missed", handle_missed, "Behavior.NEVER, ONCE or ALWAYS")
-        return Derived(PulseCounter(self.expression, handle_missed))
+        return Derived(PulseCounter(self.expression, handle_missed, is_pulse))
 
     # --- networks --------------------------------------------------------------------------------------------------
 
@@ -347,7 +385,7 @@ def _comparison(
     return _network(f"{{}} {sign} {{}}", lambda values: True if test(*values) else None, left, right, same=same)
 
 
-export("pycram.fluent", NotSettable, NotTrueOrFalse)
+export("pycram.fluent", FalseEndsWait, NotSettable, NotTrueOrFalse)
 
 
 class StateStream:

@@ -29,15 +29,17 @@ def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
 
 @lazy("`s(whenever, fluent, body)`: without a body it returns an iterator for a `for` loop")
 def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
-    """Run a body whenever a fluent's value is not None, repeatedly while it stays so.
+    """Run a body whenever a fluent's value is not None, again and again while it stays so.
 
-    With :meth:`Fluent.pulsed`, one run handles each pulse, or several pulses if their behavior says so::
+    To run the body once each time that a condition becomes true, count its changes: :meth:`Fluent.rising`,
+    :meth:`Fluent.falling`, :meth:`Fluent.changed` and :meth:`Fluent.pulsed`. One run handles each of them, or several
+    if their behavior says so::
 
         for _ in whenever(door.pulsed()):
             look_at(door)
 
         with pursue as s:
-            s(whenever, battery < 20, charge)
+            s(whenever, (battery < 20).rising(), charge)
             s(plan)
 
     Both forms run in the thread that calls them. They end when the branch is cancelled, as the block around is decided,

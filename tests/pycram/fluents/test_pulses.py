@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from pycram.failures import Unreachable
@@ -115,3 +116,62 @@ def test_an_error_of_the_body_ends_whenever() -> None:
 
     with pytest.raises(Unreachable):
         whenever(fluent, body)
+
+
+def handled(pulsed: Fluent) -> int:
+    """Return how many pulses there are to handle."""
+    count = 0
+    for _ in whenever(pulsed):
+        count += 1
+        if pulsed.get_value() is None:
+            break
+    return count
+
+
+@pytest.mark.parametrize(
+    ("count", "expected"),
+    [(Fluent.rising, 2), (Fluent.falling, 1), (Fluent.changed, 3), (Fluent.pulsed, 3)],
+)
+def test_each_crossing_of_a_limit_counts_once(count: Callable[[Fluent, Behavior], Fluent], expected: int) -> None:
+    height = Fluent(1.0, "height")
+    counted = count(height < 0.5, Behavior.ALWAYS)
+    for value in (0.9, 0.4, 0.3, 0.2, 0.2, 0.8, 1.0, 0.1):
+        height.set_value(value)
+    assert handled(counted) == expected
+
+
+def test_a_fluent_with_a_value_of_its_own_pulses_whenever_it_is_set_and_changes_only_to_other_values() -> None:
+    door = Fluent("shut", "door")
+    pulsed, changed = door.pulsed(Behavior.ALWAYS), door.changed(Behavior.ALWAYS)
+    for state in ("shut", "open", "open"):
+        door.set_value(state)
+    door.pulse()
+    assert (handled(pulsed), handled(changed)) == (4, 1)
+    assert [fluent.name for fluent in (pulsed, changed)] == ["door.pulsed(ALWAYS)", "door.changed(ALWAYS)"]
+
+
+def test_a_change_back_while_nobody_waits_is_two_crossings() -> None:
+    level = Fluent(10)
+    low, high = (level < 5).rising(), (level < 5).falling()
+    level.set_value(3)
+    level.set_value(10)
+    assert (low.get_value(), high.get_value()) == (True, True)
+    assert (handled(low), handled(high)) == (1, 1)
+
+
+def test_an_error_of_a_network_is_raised_once_and_later_changes_count() -> None:
+    ahead = Fluent(2.0)
+    near = (1 / ahead > 1).rising()
+    ahead.set_value(0.0)
+    with pytest.raises(ZeroDivisionError):
+        near.wait_for(0)
+    assert near.get_value() is None
+    ahead.set_value(0.5)
+    assert handled(near) == 1
+
+
+def test_changes_of_arrays_count() -> None:
+    place = Fluent(np.zeros(3))
+    changed = place.changed()
+    place.set_value(np.ones(3))
+    assert changed.get_value() is True
