@@ -187,7 +187,12 @@ class McapSink:
         self._watched.check(self._writer.size)
         buffered, self._buffer = self._buffer, []
         self._pending = self._size = 0
-        self._writer.add_messages([*self._messages(buffered)])
+        messages, lines, log = [], self._lines, self._channels[_LINES]
+        for key, seq, time_ns, payload, record in buffered:
+            messages.append((self._channels.get(key) or self._channel(key), seq, time_ns, payload))
+            if record is not None and (line := lines.of(record, time_ns)) is not None:
+                messages.append((log, seq, time_ns, line))  # after the record
+        self._writer.add_messages(messages)
         self._lines = Lines()
         self._writer.flush()
         if self._durable:
@@ -199,14 +204,6 @@ class McapSink:
             if self._pending and not self._closed:
                 with self._guarded():
                     self._flush()
-
-    def _messages(self, buffered: list[_Buffered]) -> Iterator[tuple[int, int, int, bytes]]:
-        """Yield buffered messages as the writer takes them, each log line after its record."""
-        lines, channels, log = self._lines, self._channels, self._channels[_LINES]
-        for key, seq, time_ns, payload, record in buffered:
-            yield channels.get(key) or self._channel(key), seq, time_ns, payload
-            if record is not None and (line := lines.of(record, time_ns)) is not None:
-                yield log, seq, time_ns, line
 
     def _channel(self, key: _Key) -> int:
         channel = self._channels.get(key)

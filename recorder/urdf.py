@@ -36,7 +36,7 @@ class Urdf:
     name: str
     root: str
     links: tuple[str, ...]  # names of the links: the root, then depth first in the document's order
-    joints: Mapping[str, Joint] = field(repr=False)  # the joints by name, in the document's order
+    joints: Mapping[str, UrdfJoint] = field(repr=False)  # the joints by name, in the document's order
     movable: tuple[str, ...] = field(repr=False)  # names of the joints with a value, in the document's order
 
     @classmethod
@@ -52,21 +52,21 @@ class Urdf:
         """
         return _parse(text, chains)
 
-    def joint(self, name: str) -> Joint:
+    def joint(self, name: str) -> UrdfJoint:
         """Return a joint by its name; raise :class:`UrdfError` if there is no such joint."""
         try:
             return self.joints[name]
         except KeyError:
             raise UrdfError(self.name, f"it has no joint {name!r}; {suggestion(name, self.joints)}") from None
 
-    def parent_joint(self, link: str) -> Joint | None:
+    def parent_joint(self, link: str) -> UrdfJoint | None:
         """Return the joint whose child is a link, None for the root; raise :class:`UrdfError` if there is no link."""
         joint = self._parents.get(link)
         if joint is None and link != self.root:
             raise UrdfError(self.name, f"it has no link {link!r}; {suggestion(link, self.links)}")
         return joint
 
-    def chain(self, base_link: str, tip_link: str) -> tuple[Joint, ...]:
+    def chain(self, base_link: str, tip_link: str) -> tuple[UrdfJoint, ...]:
         """Return all joints from a link to a descendant; raise :class:`UrdfError` if it isn't one."""
         self.parent_joint(base_link)
         self.parent_joint(tip_link)
@@ -138,15 +138,15 @@ class Urdf:
         return MappingProxyType(found)
 
     @cached_property
-    def _above(self) -> dict[str, tuple[Joint, ...]]:
-        above: dict[str, tuple[Joint, ...]] = {self.root: ()}
+    def _above(self) -> dict[str, tuple[UrdfJoint, ...]]:
+        above: dict[str, tuple[UrdfJoint, ...]] = {self.root: ()}
         for link in self.links[1:]:  # parents come before their children
             joint = self._parents[link]
             above[link] = (*above[joint.parent], joint)
         return above
 
     @cached_property
-    def _parents(self) -> dict[str, Joint]:
+    def _parents(self) -> dict[str, UrdfJoint]:
         return {joint.child: joint for joint in self.joints.values()}
 
 
@@ -195,10 +195,10 @@ def _unique(robot: str, kind: str, names: Iterable[str]) -> list[str]:
     return list(unique)
 
 
-def _ends(robot: str, links: list[str], joints: list[Joint]) -> tuple[dict[str, Joint], dict[str, list[str]]]:
+def _ends(robot: str, links: list[str], joints: list[UrdfJoint]) -> tuple[dict[str, UrdfJoint], dict[str, list[str]]]:
     """Return the parent joint of each link, and the child links of each link."""
     names = set(links)
-    parents: dict[str, Joint] = {}
+    parents: dict[str, UrdfJoint] = {}
     children: dict[str, list[str]] = {}
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
@@ -234,7 +234,7 @@ class Mimic(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Joint:
+class UrdfJoint:
     """The connection of a link to its parent."""
 
     name: str
@@ -267,7 +267,7 @@ class Joint:
         return self.origin[0], geometry.product(self.origin[1], (x * s, y * s, z * s, math.cos(half)))
 
 
-def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> Joint:
+def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> UrdfJoint:
     """Parse the element of a joint; with ``chains`` it may be planar or floating.
 
     Raises:
@@ -296,7 +296,7 @@ def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> Join
         multiplier = _number(robot, name, "mimic multiplier", mimicking.get("multiplier", "1"))
         offset = _number(robot, name, "mimic offset", mimicking.get("offset", "0"))
         mimic = Mimic(mimicking.get("joint", ""), multiplier, offset)
-    return Joint(
+    return UrdfJoint(
         name=name,
         type=kind,
         parent=ends["parent"],

@@ -12,7 +12,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from recorder.urdf import Joint, Urdf
+    from recorder.urdf import Urdf, UrdfJoint
 
 ARM: Final = 4
 """Minimum number of successive joints of an arm."""
@@ -36,8 +36,8 @@ class ArmChain:
     """An arm in a URDF."""
 
     name: str
-    joints: tuple[Joint, ...]  # from the shoulder to the wrist
-    fingers: tuple[Joint, ...]  # joints below the last link
+    joints: tuple[UrdfJoint, ...]  # from the shoulder to the wrist
+    fingers: tuple[UrdfJoint, ...]  # joints below the last link
 
 
 class JointTree:
@@ -45,8 +45,8 @@ class JointTree:
 
     def __init__(self, urdf: Urdf) -> None:
         self.urdf = urdf
-        self._next: dict[str, list[Joint]] = {"": []}
-        self._above: dict[str, Joint | None] = {}
+        self._next: dict[str, list[UrdfJoint]] = {"": []}
+        self._above: dict[str, UrdfJoint | None] = {}
         for link in urdf.links[1:]:  # parents come before their children
             joint = urdf.parent_joint(link)
             if joint is None or not self._moves(joint):
@@ -57,26 +57,26 @@ class JointTree:
             if not _WHEEL.search(joint.name):
                 self._next[above.name if above else ""].append(joint)
 
-    def _moves(self, joint: Joint) -> bool:
+    def _moves(self, joint: UrdfJoint) -> bool:
         """Return whether a joint moves parts of the robot relative to each other, not the robot in the world."""
         return joint.movable and not self._is_free(joint)
 
-    def _is_free(self, joint: Joint) -> bool:
+    def _is_free(self, joint: UrdfJoint) -> bool:
         part = _FREE.fullmatch(joint.name)
         return part is not None and all(f"{part[1]}_{axis}_link" in self.urdf.links for axis in "xy")
 
-    def moved_by(self, link: str) -> Joint | None:
+    def moved_by(self, link: str) -> UrdfJoint | None:
         """Return the nearest joint that moves a link; None if there is none."""
         joint = self.urdf.parent_joint(link)
         while joint is not None and not self._moves(joint):
             joint = self.urdf.parent_joint(joint.parent)
         return joint
 
-    def above(self, joint: Joint) -> Joint | None:
+    def above(self, joint: UrdfJoint) -> UrdfJoint | None:
         """Return the nearest movable joint above a joint."""
         return self._above[joint.name]
 
-    def below(self, joint: Joint) -> list[Joint]:
+    def below(self, joint: UrdfJoint) -> list[UrdfJoint]:
         """Return all movable joints below a joint."""
         found = []
         for child in self._next[joint.name]:
@@ -105,7 +105,7 @@ class JointTree:
         names = _short_names([[joint.name for joint in run] for run, _ in found], self.urdf.name)
         return [ArmChain(name, tuple(run), tuple(below)) for name, (run, below) in zip(names, found, strict=True)]
 
-    def _begins_hand(self, joint: Joint, leading: set[str]) -> bool:
+    def _begins_hand(self, joint: UrdfJoint, leading: set[str]) -> bool:
         """Return whether the next joint is a finger's.
 
         A joint with a finger's name is a wrist's if several fingers are below it, or if it turns farther than a jaw.
@@ -116,11 +116,11 @@ class JointTree:
         named = _FINGER_LINK.search(after.child) or (not wrist and _FINGER.search(after.name))
         return after.name in leading or after.name in self.urdf.mimics or bool(named)
 
-    def _upright(self, joint: Joint) -> bool:
+    def _upright(self, joint: UrdfJoint) -> bool:
         _, turn = self.urdf.forward_kinematics({}, joint.child)
         return abs(geometry.rotate(turn, joint.axis)[2]) > _UPRIGHT
 
-    def torso(self, arms: list[ArmChain]) -> Joint | None:
+    def torso(self, arms: list[ArmChain]) -> UrdfJoint | None:
         """Return the joint that lifts the arms; None if there is none."""
         for arm in arms:
             joint = self._above[arm.joints[0].name]
@@ -172,7 +172,7 @@ def _short_names(runs: list[list[str]], robot: str) -> list[str]:
     return names if len(set(names)) == len(names) else [f"arm{number}" for number in range(1, len(runs) + 1)]
 
 
-def fingers_of(tree: JointTree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[Joint]]]:
+def fingers_of(tree: JointTree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[UrdfJoint]]]:
     """Yield the links of an arm's finger tips that have a shape, and the joints that move each."""
     hand = {joint.name for joint in arm.fingers}
     for joint in arm.fingers:
@@ -185,6 +185,6 @@ def fingers_of(tree: JointTree, arm: ArmChain, with_shape: set[str]) -> Iterator
         yield joint.child, moving
 
 
-def limits(joint: Joint) -> tuple[float, float]:
+def limits(joint: UrdfJoint) -> tuple[float, float]:
     """Return the limits of a joint; without limits, -pi and pi."""
     return max(joint.lower, -math.pi), min(joint.upper, math.pi)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from pycram.models.load import Model
     from recorder.geometry import Pose, Quaternion
-    from recorder.urdf import Joint
+    from recorder.urdf import UrdfJoint
 
     Array = NDArray[np.float64]
 
@@ -142,7 +142,7 @@ def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | 
     )
 
 
-def _fingers(tree: JointTree, tips: Sequence[tuple[str, list[Joint]]], corners: Corners) -> HandGuess | None:
+def _fingers(tree: JointTree, tips: Sequence[tuple[str, list[UrdfJoint]]], corners: Corners) -> HandGuess | None:
     """Return a gripper whose two or more fingers all move; None if they don't close from two sides."""
     joints = list({joint.name: joint for _, moving in tips for joint in moving}.values())
     palm = joints[0].parent
@@ -166,7 +166,7 @@ def _openings(closed: Mapping[str, float], widest: Mapping[str, float]) -> Itera
         yield {name: value + share * (widest[name] - value) for name, value in closed.items()}
 
 
-def _one_jaw(tree: JointTree, corners: Corners, jaw: str, joint: Joint) -> HandGuess | None:
+def _one_jaw(tree: JointTree, corners: Corners, jaw: str, joint: UrdfJoint) -> HandGuess | None:
     """Return a gripper with one moving and one fixed jaw; None if the jaw doesn't close against a link."""
     palm = joint.parent
     still = [link for link in tree.urdf.links if link in corners and tree.moved_by(link) is tree.moved_by(palm)]
@@ -233,7 +233,7 @@ def _gripper(hand: HandGuess) -> Gripper:
 
 
 def _ends(
-    tree: JointTree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[Joint]]]
+    tree: JointTree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[UrdfJoint]]]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return joint positions when closed and when open: an open finger is far from the others."""
     joints = {joint.name: joint for _, moving in tips for joint in moving}

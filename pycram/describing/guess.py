@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pycram.models.load import Model
-    from recorder.urdf import Joint
+    from recorder.urdf import UrdfJoint
 
 _WIDTH: Final = 110  # characters per line
 _DIGITS: Final = 4
@@ -40,7 +40,7 @@ class Guess:
 
     model: Model
     arms: Sequence[tuple[ArmChain, HandGuess | str]]  # with the gripper, or why none was recognised
-    torso: Joint | None  # the joint that lifts the arms
+    torso: UrdfJoint | None  # the joint that lifts the arms
     camera: str  # the link of a camera; "" for none
     head: Mapping[str, str]  # the joints "pan" and "tilt"
     drives: bool  # whether the base can drive

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pycram.models.load import Model
     from pycram.models.shapes import Ends
     from recorder.geometry import Pose
-    from recorder.urdf import Joint, Urdf
+    from recorder.urdf import Urdf, UrdfJoint
 
 _HIGHEST: Final = 1.8  # m above the lowest point; higher surfaces are out of reach and out of sight
 _GROUND: Final = 10.0  # m^2; larger surfaces are floors
@@ -123,7 +123,7 @@ class _Search:
 
     def __init__(self, urdf: Urdf, poses: Mapping[str, Pose], every: Sequence[Piece], offered: Sequence[Face]) -> None:
         self._urdf, self._poses, self._every, self._offered = urdf, poses, every, offered
-        self._movers: dict[str, Joint | None] = {}  # the nearest movable joint above each link
+        self._movers: dict[str, UrdfJoint | None] = {}  # the nearest movable joint above each link
         for link in urdf.links:
             joint = urdf.parent_joint(link)
             if joint is None or joint.movable:
@@ -152,7 +152,7 @@ class _Search:
         }
         return self._named(kept, drawers | solid)
 
-    def _drawer(self, link: str) -> Joint | None:
+    def _drawer(self, link: str) -> UrdfJoint | None:
         """Return the joint that moves a link like a drawer; None if there is none."""
         joint = self._movers[link]
         if joint is None or joint.type != "prismatic" or not _TRAVEL[0] <= joint.upper - joint.lower <= _TRAVEL[1]:
@@ -214,7 +214,7 @@ class _Search:
         outline = tuple((float(a), float(b)) for a, b in face.outline)
         return Surface(name, face.link, position, orientation, outline, face.clearance, container)
 
-    def _container(self, name: str, kind: str, joint: Joint, surfaces: Sequence[Surface]) -> Container:
+    def _container(self, name: str, kind: str, joint: UrdfJoint, surfaces: Sequence[Surface]) -> Container:
         inside = tuple(surface.name for surface in surfaces if surface.container == name)
         return Container(
             name,
@@ -227,7 +227,7 @@ class _Search:
             inside,
         )
 
-    def _handle(self, joint: Joint) -> str:
+    def _handle(self, joint: UrdfJoint) -> str:
         """Return the moved link with the name of a handle; "" if there is none."""
         moved = [link for link, mover in self._movers.items() if mover is joint and link != joint.child]
         return next((link for word in _HANDLE for link in moved if word in link.casefold()), "")

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from recorder.geometry import Pose, Quaternion, Vector
-    from recorder.urdf import Joint
+    from recorder.urdf import UrdfJoint
 
 DRAWER: Final = "drawer"
 DOOR: Final = "door"
@@ -66,12 +66,12 @@ NONE: Final = Furniture()
 """The furniture of a model without surfaces and containers."""
 
 
-def closed_position(joint: Joint) -> float:
+def closed_position(joint: UrdfJoint) -> float:
     """Return the joint position of a closed door or drawer, rad or m: the position within its limits nearest to 0."""
     return min(max(joint.lower, 0.0), joint.upper)
 
 
-def open_position(joint: Joint) -> float:
+def open_position(joint: UrdfJoint) -> float:
     """Return the joint position of an open door or drawer, rad or m: the limit farther from the closed position."""
     closed = closed_position(joint)
     return max((joint.lower, joint.upper), key=lambda position: abs(position - closed))

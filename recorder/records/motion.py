@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from recorder.geometry import Pose
     from recorder.records import BodyState, Following, Record
-    from recorder.urdf import Joint, Urdf
+    from recorder.urdf import Urdf, UrdfJoint
 
 
 ROOT: Final = "world"
@@ -69,9 +69,9 @@ class _Body:
         self.model = model
         self.frame = Frame(ROOT, frame_name(world, name), name, "")
         self._names = world, name
-        self._links: dict[str, tuple[Joint, Frame]] = {}  # by joint
+        self._links: dict[str, tuple[UrdfJoint, Frame]] = {}  # by joint
 
-    def links(self, model: Urdf, joints: Iterable[str]) -> Iterator[tuple[Joint, Frame]]:
+    def links(self, model: Urdf, joints: Iterable[str]) -> Iterator[tuple[UrdfJoint, Frame]]:
         """Yield the joints of these names, with the frames of their child links."""
         for name in joints:
             link = self._links.get(name)

@@ -52,13 +52,13 @@ class Marks:
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
-        self._scene = scene
+        self.scene = scene
         self._paths: list[str] = []
 
     def add(self, world: str, parts: Sequence[str], now: TimePoint, *shapes: rr.AsComponents) -> None:
         """Show shapes from now on, as the entity of these names below the world's entity."""
         path = self._columns.path(world, *parts)
-        self._columns.set_frame(path, self._scene.frame(world))
+        self._columns.set_frame(path, self.scene.frame(world))
         self._columns.send(path, now, *shapes)
         self._paths.append(path)
 
@@ -162,9 +162,9 @@ def points_at(
     return rr.Points3D(positions, colors=[color], radii=[radius], labels=labels or None)
 
 
-def line_through(positions: Sequence[Vector], color: Color, radius: float = _LINE) -> rr.AsComponents:
+def line_through(positions: Sequence[Vector], color: Color, radius: float = _LINE, label: str = "") -> rr.AsComponents:
     """Return a line of one colour; radius in m."""
-    return rr.LineStrips3D([positions], colors=[color], radii=[radius])
+    return rr.LineStrips3D([positions], colors=[color], radii=[radius], labels=[label] if label else None)
 
 
 def _arrow(start: Vector, vector: Vector, color: Color) -> rr.AsComponents:
@@ -201,12 +201,9 @@ class Attachments:
         )
         self._paths[world, attachment.carrier, attachment.body] = path
         self._columns.set_frame(path, self._scene.frame(world, attachment.carrier, attachment.carrier_link))
-        line = [(0.0, 0.0, 0.0), tuple(attachment.position)]
-        self._columns.send(
-            path,
-            now,
-            rr.LineStrips3D([line], colors=[YELLOW], radii=[_ATTACHMENT_LINE], labels=[f"holds {attachment.body}"]),
-        )
+        x, y, z = attachment.position
+        line = line_through([(0.0, 0.0, 0.0), (x, y, z)], YELLOW, _ATTACHMENT_LINE, f"holds {attachment.body}")
+        self._columns.send(path, now, line)
 
 
 def _attachment_changes(
@@ -386,21 +383,30 @@ class TrajectoryPaths:
     def _begin(self, world: str, following: Following, now: TimePoint) -> None:
         begin = following.begin
         self._clear(self._stopped.pop((world, begin.body), ()), now)
-        paths = list(self._paths_of(world, following))
-        self._followed[world][begin.number] = _Followed(following, paths)
-        for path in paths:
-            path.driven.append(path.now())
-            self._draw(path.entity, path.planned, BLUE, now, _PLANNED, path.label)
+        followed = self._followed[world][begin.number] = _Followed(following, [])
+        for name, frame, position_now, points in self._lines_of(world, following):
+            planned, driven = (
+                self._columns.path(world, PATHS, begin.body, name, what) for what in ("planned", "driven")
+            )
+            self._columns.set_frame(planned, frame)
+            self._columns.set_frame(driven, self._scene.frame(world))
+            label = f"{name} {begin.trajectory.times[-1]:.1f} s"
+            followed.paths.append(_Path(position_now, planned, driven, label, points, [position_now()]))
+            self._columns.send(planned, now, line_through(points, BLUE, _PLANNED, label))
 
-    def _paths_of(self, world: str, following: Following) -> Iterator[_Path]:
-        """Yield the paths of a trajectory: of the body's base, or of the tools that its joints move."""
+    def _lines_of(
+        self, world: str, following: Following
+    ) -> Iterator[tuple[str, str, Callable[[], Vector], Sequence[Vector]]]:
+        """Yield the lines of a trajectory: of the body's base, or of the tools that its joints move.
+
+        A line has a name, a frame, a function for the current position in the world, and points in the frame.
+        """
         begin, scene = following.begin, self._scene
         trajectory, body = begin.trajectory, scene.bodies.get(world, {}).get(begin.body)
         if body is None:
             return
         width = len(trajectory.joints or BASE_COORDINATES)
         rows = [trajectory.positions[at : at + width] for at in range(0, len(trajectory.positions), width)]
-        seconds = f"{trajectory.times[-1]:.1f} s"
         if not trajectory.joints:
 
             def on_floor() -> Vector:
@@ -408,8 +414,7 @@ class TrajectoryPaths:
                 return x, y, z + _ABOVE_FLOOR
 
             height = on_floor()[2]
-            points = [(x, y, height) for x, y, _ in rows]
-            yield self._path(world, begin.body, "base", scene.frame(world), on_floor, points, seconds)
+            yield "base", scene.frame(world), on_floor, [(x, y, height) for x, y, _ in rows]
             return
         for arm, described in table(body.loaded, "arms").items():
             link, tool = str(described.get("tool_frame", "")), offset(described, "tool_offset")
@@ -422,23 +427,7 @@ class TrajectoryPaths:
                 def at_tool(tool_of: Callable[..., Vector] = tool_of) -> Vector:
                     return geometry.transform(body.pose, tool_of({}))
 
-                frame = scene.frame(world, begin.body)
-                yield self._path(world, begin.body, arm, frame, at_tool, points, seconds)
-
-    def _path(
-        self,
-        world: str,
-        body: str,
-        name: str,
-        frame: str,
-        now: Callable[[], Vector],
-        points: Sequence[Vector],
-        seconds: str,
-    ) -> _Path:
-        planned, driven = (self._columns.path(world, PATHS, body, name, what) for what in ("planned", "driven"))
-        self._columns.set_frame(planned, frame)
-        self._columns.set_frame(driven, self._scene.frame(world))
-        return _Path(now, planned, driven, f"{name} {seconds}", points)
+                yield arm, scene.frame(world, begin.body), at_tool, points
 
     def _end(self, world: str, number: int, now: TimePoint, driven: float) -> None:
         """End a trajectory after ``driven`` seconds of it."""
@@ -451,7 +440,7 @@ class TrajectoryPaths:
             return
         self._stopped.setdefault((world, begin.body), []).extend(followed.paths)
         for path in followed.paths:
-            self._draw(path.entity, path.planned, GREY, now, _PLANNED, path.label)
+            self._columns.send(path.entity, now, line_through(path.planned, GREY, _PLANNED, path.label))
             self._draw_driven(path, now)
 
     def _remove(self, world: str, body: str | None, now: TimePoint) -> None:
@@ -463,13 +452,7 @@ class TrajectoryPaths:
 
     def _draw_driven(self, path: _Path, now: TimePoint) -> None:
         if len(path.driven) > 1:
-            self._draw(path.driven_entity, path.driven, GREEN, now, _DRIVEN)
-
-    def _draw(
-        self, entity: str, points: Sequence[Vector], color: Color, now: TimePoint, radius: float, label: str = ""
-    ) -> None:
-        labels = [label] if label else None
-        self._columns.send(entity, now, rr.LineStrips3D([points], colors=[color], radii=[radius], labels=labels))
+            self._columns.send(path.driven_entity, now, line_through(path.driven, GREEN, _DRIVEN))
 
     def _clear(self, paths: Sequence[_Path], now: TimePoint) -> None:
         for path in paths:

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from recorder.records.log_pb2 import Grid
     from recorder.viewer.marks import Values
     from recorder.viewer.rerun_stream import Color, Columns, TimePoint
-    from recorder.viewer.scene import ViewerScene
 
 
 QUERIES: Final = "queries"
@@ -141,24 +140,17 @@ _MAX_LABELS: Final = 200
 _COLORS: Final = {TAKEN: GREEN, NOT_TRIED: GREY}
 
 
-class QueryPlaces:
+class QueryPlaces(Marks):
     """The map and the samples of the last query for places, until the next such query or motion."""
-
-    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
-        self._marks = Marks(columns, scene)
-
-    def clear(self, now: TimePoint) -> None:
-        """Remove the map and the samples."""
-        self._marks.clear(now)
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show a query for places; raise ValueError for an invalid map."""
         if not record.HasField("grid"):
             return
-        self._marks.clear(now)
+        self.clear(now)
         cells = _cells(record)
         if cells is not None:
-            self._marks.add(record.world, (PLACES, record.name, "map"), now, cells)
+            self.add(record.world, (PLACES, record.name, "map"), now, cells)
         spots = spots_of(record.grid) + np.array([0.0, 0.0, _ABOVE])
         if len(spots):
             names = list(fates(record))
@@ -170,8 +162,8 @@ class QueryPlaces:
                 labels=labels,
                 show_labels=False,
             )
-            self._marks.add(record.world, (PLACES, record.name, "samples"), now, points)
-            self._marks.add(record.world, (PLACES, record.name, "taken"), now, *_taken(record, spots, names))
+            self.add(record.world, (PLACES, record.name, "samples"), now, points)
+            self.add(record.world, (PLACES, record.name, "taken"), now, *_taken(record, spots, names))
 
 
 def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[rr.AsComponents]:
@@ -254,20 +246,12 @@ _NO: Final = ("false", "null", "[]", "")
 _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}  # by the evidence that names the bodies
 
 
-class QueryMarks:
+class QueryMarks(Marks):
     """Target, posture, contacts and obstacles of the last query, until the next task begins."""
-
-    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
-        self._scene = scene
-        self._marks = Marks(columns, scene)
-
-    def clear(self, now: TimePoint) -> None:
-        """Remove the last query's marks."""
-        self._marks.clear(now)
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show a query."""
-        self._marks.clear(now)
+        self.clear(now)
         if not record.world:
             return
         values, evidence = argument_values(record.arguments, strict=True), argument_values(record.evidence, strict=True)
@@ -275,12 +259,12 @@ class QueryMarks:
             return
         good = not evidence["obstacles"] if "obstacles" in evidence else record.answer_json not in _NO
         for name, shape in self._shapes(record, values, evidence, GREEN if good else RED):
-            self._marks.add(record.world, (_ANSWERS, record.name, name), now, shape)
+            self.add(record.world, (_ANSWERS, record.name, name), now, shape)
 
     def _shapes(
         self, record: Query, values: Values, evidence: Values, color: Color
     ) -> Iterator[tuple[str, rr.AsComponents]]:
-        scene, world = self._scene, record.world
+        scene, world = self.scene, record.world
         body = target_position(scene, world, {name: value for name, value in values.items() if name != "camera"})
         target = position(evidence.get("position")) or body
         if target is not None:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pycram.physics.body import LoadedBody
     from pycram.physics.engine import Engine
     from recorder.geometry import Pose
-    from recorder.urdf import Joint, Urdf
+    from recorder.urdf import Urdf, UrdfJoint
 
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
@@ -247,7 +247,7 @@ class Drivers:
 def drivers(path: Path, joints: tuple[str, ...]) -> Drivers:
     """Return the assignment of links to moving joints for a model with a canonical URDF."""
     urdf = stored_tree(path)
-    moving: list[Joint] = []
+    moving: list[UrdfJoint] = []
     of_links: dict[str, int] = {}
     for link in urdf.links:  # parents come before their children
         joint = urdf.parent_joint(link)

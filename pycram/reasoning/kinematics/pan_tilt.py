@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from pycram.models.robots.description import CameraDescription
     from recorder.geometry import Pose, Vector
-    from recorder.urdf import Joint, Urdf
+    from recorder.urdf import Urdf, UrdfJoint
 
 _ITERATIONS: Final = 30
 _DERIVATIVE_STEP: Final = 1e-5  # rad
@@ -89,12 +89,12 @@ def look(
 
 def _neck(
     urdf: Urdf, joints: Sequence[str], camera: CameraDescription, now: Mapping[str, float]
-) -> tuple[Sequence[tuple[Pose, Joint]], Pose]:
+) -> tuple[Sequence[tuple[Pose, UrdfJoint]], Pose]:
     """Return the joints that turn the camera, each with its pose after the previous joint, and the camera's pose.
 
     The fixed parts of the chain are computed once.
     """
-    turning: list[tuple[Pose, Joint]] = []
+    turning: list[tuple[Pose, UrdfJoint]] = []
     behind = geometry.IDENTITY
     for joint in urdf.chain(urdf.root, camera.frame):
         if joint.name in joints:

@@ -408,7 +408,7 @@ def test_no_viewer_opens_without_a_screen(plan: Callable[..., Plan]) -> None:
 )
 def test_an_invalid_target_is_refused_at_once(tmp_path: Path, wrong: str) -> None:
     with (
-        pytest.raises(recorder.RecordingError, match="say spawn, connect"),
+        pytest.raises(recorder.RecordingError, match="use spawn, connect"),
         recorder.record(tmp_path / "x.mcap", live=wrong),
     ):
         pass
