@@ -1,9 +1,13 @@
 """Write records into an MCAP file that survives the death of its process.
 
-A killed process loses what isn't in a closed and flushed chunk. So a chunk is closed after 50 records, 50 ms after its
-first record, immediately after a failure and after the start or end of the run, and before native code that blocks all
-threads (:meth:`McapSink.flush`). Chunks are handed to the operating system unbuffered. After that, only a failure of
-the computer can lose them; with ``durable``, not even that.
+A killed process loses the records that aren't in a closed and flushed chunk. So a chunk is closed
+
+- after 50 records, and 50 ms after its first record;
+- immediately after a failure, and after the start or end of the run;
+- before native code that blocks all threads (:meth:`McapSink.flush`).
+
+Chunks are handed to the operating system unbuffered. After that, only a failure of the computer can lose them; with
+``durable``, not even that.
 """
 
 from __future__ import annotations
@@ -87,7 +91,7 @@ class McapSink:
         self._durable = durable
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # since the last chunk was closed
-        self._lines = Lines()  # of what is in the buffer
+        self._lines = Lines()  # of the buffered records
         self._size = 0  # bytes in the buffer
         self._pending = 0  # records in the buffer
         self._count = 0

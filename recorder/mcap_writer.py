@@ -5,8 +5,8 @@ package's own writer needs an object and a dozen calls for each message, and thr
 makes two or three messages.
 
 Every message is in a chunk. Every chunk is compressed with Zstandard and has a CRC and message indexes. The summary
-indexes everything, and all bytes before it have a CRC, too. Highly compressible records could inflate to so much more
-than the file that readers would reject it as a decompression bomb, so some of their chunks aren't compressed.
+indexes everything, and all bytes before it have a CRC, too. Readers reject files that inflate too much, as these could
+be decompression bombs. So some chunks of highly compressible records aren't compressed.
 
 Several recordings can share the models of their robots and objects: :class:`SharedModels`.
 """

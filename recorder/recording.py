@@ -95,8 +95,7 @@ def record(
 
     Raises:
         RecordingError: the file can't be written, at the start or later, or another program has deleted, replaced or
-            changed it, so a plan never runs unrecorded unnoticed. Also for a missing source or an invalid argument,
-            but not for a missing viewer.
+            changed it. Also for a missing source or an invalid argument, but not for a missing viewer.
         Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does, and the program doesn't handle it.
     """
     given = sys.argv[1:] if arguments is None else arguments

@@ -1,4 +1,4 @@
-"""Others delete, replace or change the file while a plan is recorded: that is said, at the next chunk and at the end."""
+"""Another program changes the file during a recording: reported at the next chunk and at the end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""kill -9 at any moment, or a full disk: the file opens, little is missing, and nothing before a failure."""
+"""kill -9 at any moment, or a full disk: the file opens, few records are missing, and none before a failure."""
 
 from __future__ import annotations
 

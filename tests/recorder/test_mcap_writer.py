@@ -1,4 +1,4 @@
-"""The file is sound by MCAP's own rules."""
+"""The file follows MCAP's own rules."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recording tells of its run: arguments, directory, seeds, revisions of plan and PyCRAM, computer."""
+"""The origin of a run in its recording: arguments, directory, seeds, revisions of plan and PyCRAM, computer."""
 
 from __future__ import annotations
 

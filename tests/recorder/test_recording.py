@@ -1,4 +1,4 @@
-"""``recorder.record``: what it records of worlds and tasks, and which files it refuses to write."""
+"""``recorder.record``: the recorded worlds and tasks, and the files that it refuses to write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings that begin or end in the middle of tasks say which, and are sound."""
+"""Recordings that begin or end during tasks list these tasks, and are sound."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names of frames, as other tools and the viewer see them: each body and link has its own, in one tree."""
+"""Names of frames for other tools and the viewer: each body and link has its own name, in one tree."""
 
 from __future__ import annotations
 

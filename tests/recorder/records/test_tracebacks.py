@@ -1,4 +1,4 @@
-"""Tracebacks in records: as Python prints them, bounded, and each place in the code formatted once for all of them."""
+"""Tracebacks in records: as Python prints them, bounded, and each line of code is formatted only once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values and errors of users as records hold them: JSON that keeps every bit, and never breaks a plan."""
+"""Values and errors of users in records: JSON that keeps every bit, and never breaks a plan."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The task tree: the live one of a plan and the recorded one are the same."""
+"""The task tree: the tree of a running plan and the tree of its recording are equal."""
 
 # ruff: noqa: PT012  the plans under test have bodies
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Each task records the whole call stack of the plan that led to it, in whatever thread it runs."""
+"""Each task records the plan's whole call stack that led to it, in any thread."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ctrl-C at any moment, and forks: the log stays whole, and says what the world is."""
+"""Ctrl-C at any moment, and forks: the log stays complete, and matches the world."""
 
 from __future__ import annotations
 

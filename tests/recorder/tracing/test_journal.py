@@ -1,4 +1,4 @@
-"""The journal numbers records without a gap, in order, whatever threads and clocks do."""
+"""The journal numbers records in order, without a gap, with any threads and clocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Local variables at a raise: which are recorded, how values are written, and that no code of users is called for it."""
+"""Local variables of raised errors: which are recorded, how they are written, and that no user code runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a plan prints and logs: streams behave as before, and each line is a record with its task and the plan's line."""
+"""Printed and logged lines: streams behave as before, and each line is a record with task and plan line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Room on the call stack is asked for before what has to be recorded whole."""
+"""Before a record that must be complete, the stack is checked for room."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SIGTERM, SIGHUP and a second Ctrl-C: the recording has its end, folders are removed, and nothing looks like a crash."""
+"""SIGTERM, SIGHUP and a second Ctrl-C: the recording is complete, and there is no traceback."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands in an .rrd file, for tests: values of components by entity and moment."""
+"""The content of an .rrd file, for tests: values of components by entity and moment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies beside a recording, shown beside it: the fork of a run, and what a run imagined."""
+"""Recordings that are shown together with a recording: the fork of a run, and projections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings are translated into files for the viewer: what goes wrong is reported, and leaves nothing behind."""
+"""Recordings are translated into files for the viewer: errors are reported, and leave no files."""
 
 from __future__ import annotations
 

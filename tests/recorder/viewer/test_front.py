@@ -1,4 +1,4 @@
-"""Of several worlds in a recording, the one in front is that which is looked at."""
+"""If a recording has several worlds, the view of the active world is in front."""
 
 from __future__ import annotations
 

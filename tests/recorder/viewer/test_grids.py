@@ -1,4 +1,4 @@
-"""Maps of places that a stranger has written are refused, or read as they are; never trusted."""
+"""Maps of places in a stranger's recording are validated, and invalid maps are refused."""
 
 from __future__ import annotations
 

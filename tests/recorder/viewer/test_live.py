@@ -1,4 +1,4 @@
-"""Live viewing: a viewer gets everything; one that is slow, stalls, dies, comes late or never costs the plan nothing."""
+"""Live viewing: a viewer gets all records; a slow, stalled, dead, late or missing one doesn't delay the plan."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What waits for a viewer: in order, bounded, and what matters stays longest."""
+"""The queue for a viewer: in order, bounded, and important records are dropped last."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A plan in the browser: live, on this machine alone."""
+"""A plan in the browser: live, and on this machine only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motions that take time in the viewer: they are animated on simulated time, and their paths are drawn."""
+"""Motions that take time, in the viewer: they are animated on simulated time, and their paths are drawn."""
 
 from __future__ import annotations
 

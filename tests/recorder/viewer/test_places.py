@@ -1,4 +1,4 @@
-"""Places that were considered, in the viewer: a coloured map on the floor, and what became of each sample."""
+"""Considered places in the viewer: a coloured map on the floor, and the result of each sample."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The file that is made for the viewer: when it is kept, and what is reported where it can't be made, or not whole."""
+"""The viewer's file: when it is kept, and which errors are reported if it is missing or incomplete."""
 
 from __future__ import annotations
 

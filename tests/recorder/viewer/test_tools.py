@@ -1,4 +1,4 @@
-"""Other people's tools read a recording as it is: by the public readers, and what the recording says of itself."""
+"""Other people's tools read a recording with public readers, and find its facts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings in the viewer: what is shown is what is on record, at every step and on all time lines."""
+"""Recordings in the viewer: it shows the recorded values, at every step and on all time lines."""
 
 from __future__ import annotations
 
