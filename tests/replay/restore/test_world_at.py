@@ -110,10 +110,10 @@ def test_restoring_needs_only_the_file(planned: Path) -> None:
     """In another process, with all resources and the robot's package out of reach."""
     script = """
 import sys
-from pycram.models import load
+from pycram.models import files, load
 def gone(*_):
     raise AssertionError("looked for a model outside of the recording")
-files.find = files.resources = gone
+files.find = load.find = files.resources = gone
 import replay
 with replay.open(sys.argv[1]) as log:
     world = log.world_at(-3)
