@@ -1,8 +1,8 @@
-"""How motions are carried out: at once, as in the thesis, or in simulated time.
+"""Executions of motions: instantaneous, as in the thesis, or in simulated time.
 
-Process modules decide what is to get where, and look at what came of it; an execution gets it there. What it is asked
-for is planned when it is asked, with the world's lock held, so that a motion fails before anything has moved; it is
-done when what was returned is called, without the lock.
+A process module decides where joints and bases go, and checks the outcome; an execution moves them. Its methods plan
+immediately, with the world's lock held, so a motion fails before anything has moved. They return a step, which moves
+when it is called, without the lock.
 """
 
 from __future__ import annotations
@@ -35,41 +35,39 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Vector
 
 
-#: Does what was planned.
+#: Carries out a plan.
 Step: TypeAlias = Callable[[], None]
 
 TIMEOUT: Final = 5
-"""Seconds of simulated time within which all has to be at rest."""
+"""Seconds of simulated time within which everything has to come to rest."""
 
-_STRAIGHT: Final = (0.1, 0.06, 0.03)  # m of straight line that are tried
-_BACK: Final = (-1.0, 0.0, 0.0)  # out of what the tool is in, in its frame
-_UP: Final = (0.0, 0.0, 1.0)
-_LOOKS: Final = 15  # a second, at which it is looked whether two parts of a robot meet
-_SAME: Final = 1e-4  # rad or m between positions of a joint that is to stay
+_STRAIGHT: Final = (0.1, 0.06, 0.03)  # m, lengths of straight lines to try
+_BACK: Final = (-1.0, 0.0, 0.0)  # in the tool's frame
+_UP: Final = (0.0, 0.0, 1.0)  # in the world
+_SAMPLES: Final = 15  # a second, at which two moving parts of a robot are checked for contact
+_SAME: Final = 1e-4  # rad or m between equal positions of a joint
 
 
 class Execution(ABC):
-    """How joints and bases get from where they are to where they shall be.
+    """Moves joints and bases to their targets.
 
-    All but :meth:`whole` and :meth:`settle` return what does it, and raise PlanFailure if there is no way there.
-
-    Attributes:
-        takes_time: Whether simulated time passes meanwhile, in which others move too.
+    All methods but :meth:`whole` and :meth:`settle` return a step, and raise PlanFailure if there is no way.
     """
 
     takes_time: bool
+    """Whether simulated time passes meanwhile, so other motions go on."""
 
     @abstractmethod
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:
-        """Return the context that all of a motion is carried out in."""
+        """Return the context for all steps of a motion."""
 
     @abstractmethod
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
-        """Get the base to a pose: xyz in m, xyzw."""
+        """Move the base to a pose: xyz in m, xyzw."""
 
     @abstractmethod
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Get joints to positions in rad or m by name, past what is in the way."""
+        """Move joints to positions in rad or m by name, around obstacles."""
 
     @abstractmethod
     def approach(
@@ -83,29 +81,29 @@ class Execution(ABC):
         ignored: Sequence[Object] = (),
         ignored_links: Sequence[tuple[Object, str]] = (),
     ) -> Step:
-        """Get an arm to a posture, the last centimetres straight.
+        """Move an arm to a posture, the last centimetres straight.
 
         Args:
             robot: The robot.
             arm: The arm.
             posture: Positions in rad or m by joint.
-            direction: From which the tool comes: a unit vector in the tool frame of that posture.
-            opened: Positions of the gripper's joints, to which it is brought before.
-            ignored: What the hand may touch on the last centimetres.
-            ignored_links: The same, by objects and links of theirs.
+            direction: Unit vector in the tool frame of that posture; the tool comes from there.
+            opened: Positions of the gripper's joints, reached before.
+            ignored: Objects that the hand may touch on the last centimetres.
+            ignored_links: Links that the hand may touch there, each with its object.
         """
 
     @abstractmethod
     def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Get a gripper's joints to positions where nothing stops the fingers."""
+        """Move a gripper's joints to positions where nothing stops the fingers."""
 
     @abstractmethod
     def open(self, robot: Object, arm: Arm) -> Step:
-        """Open a gripper as far as it gets."""
+        """Open a gripper as far as possible."""
 
     @abstractmethod
     def close(self, robot: Object, arm: Arm) -> Step:
-        """Close a gripper as far as it gets."""
+        """Close a gripper as far as possible."""
 
     @abstractmethod
     def pull(
@@ -116,35 +114,35 @@ class Execution(ABC):
         values: Sequence[float],
         postures: Sequence[Mapping[str, float]],
     ) -> Step:
-        """Get an arm that holds a handle through postures, and the handle's joint through their values (rad or m)."""
+        """Move an arm that holds a handle through postures, and the handle's joint through its values (rad or m)."""
 
     @abstractmethod
     def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
-        """Draw a hand straight back out of what it has let go of; None if it stays where it is.
+        """Draw a hand straight back from a released object; return None if it stays in place.
 
         Args:
             robot: The robot.
             arm: The arm.
-            ignored_links: What the hand may touch on its way, by objects and links of theirs.
+            ignored_links: Links that the hand may touch on its way, each with its object.
         """
 
     @abstractmethod
     def lift(self, robot: Object, arm: Arm) -> Step | None:
-        """Raise what an arm has taken off what it stands on; None if it stays where it is."""
+        """Lift an object, just grasped, off its support; return None if it stays in place."""
 
     @abstractmethod
     def settle(self, world: BulletWorld) -> Sequence[Object]:
-        """Let simulated time pass until everything is at rest, at most :data:`TIMEOUT`; return what isn't.
+        """Let simulated time pass until everything is at rest, at most :data:`TIMEOUT`; return restless objects.
 
         Raises:
-            WorldClosed: Another thread has ended the world meanwhile.
+            WorldClosed: Another thread has closed the world meanwhile.
         """
 
 
 class InstantExecution(Execution):
-    """Joints and bases are there at once: each change is exact, and no time passes but to settle.
+    """Joints and bases jump to their targets: each change is exact, and time passes only to settle.
 
-    The world's lock is held over a motion, so nobody sees half of it.
+    The world's lock is held over a motion, so no other thread sees half of it.
     """
 
     takes_time = False
@@ -154,17 +152,17 @@ class InstantExecution(Execution):
         return world.lock
 
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
-        """Put the robot there."""
+        """Put the robot at the pose."""
         return partial(robot.set_position_and_orientation, position, orientation)
 
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Put the joints there."""
+        """Put the joints to their positions."""
         return partial(robot.set_joint_positions, positions)
 
     def approach(
         self,
         robot: Object,
-        arm: Arm,  # noqa: ARG002  as below: no way leads there
+        arm: Arm,  # noqa: ARG002  there is no path
         posture: Mapping[str, float],
         direction: Vector,  # noqa: ARG002
         *,
@@ -172,7 +170,7 @@ class InstantExecution(Execution):
         ignored: Sequence[Object] = (),  # noqa: ARG002
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step:
-        """Put gripper and arm there."""
+        """Put gripper and arm to their positions."""
 
         def step() -> None:
             if opened is not None:
@@ -182,15 +180,15 @@ class InstantExecution(Execution):
         return step
 
     def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Put the fingers there."""
+        """Put the fingers to their positions."""
         return partial(robot.set_joint_positions, positions)
 
     def open(self, robot: Object, arm: Arm) -> Step:
-        """Put the fingers as far apart as they get where nothing is."""
+        """Put the fingers fully apart."""
         return partial(robot.set_joint_positions, arm.gripper.positions("open"))
 
     def close(self, robot: Object, arm: Arm) -> Step:
-        """Put the fingers together, or through what is between them."""
+        """Put the fingers together, even through an object between them."""
         return partial(robot.set_joint_positions, arm.gripper.positions("close"))
 
     def pull(
@@ -212,15 +210,15 @@ class InstantExecution(Execution):
 
     def retreat(
         self,
-        robot: Object,  # noqa: ARG002  as above
+        robot: Object,  # noqa: ARG002
         arm: Arm,  # noqa: ARG002
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step | None:
-        """Leave the hand where it is."""
+        """Leave the hand in place."""
         return None
 
-    def lift(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002  as above
-        """Leave it where it is."""
+    def lift(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002
+        """Leave the object in place."""
         return None
 
     def settle(self, world: BulletWorld) -> Sequence[Object]:
@@ -235,26 +233,26 @@ INSTANT: Final = InstantExecution()
 
 
 class ContinuousExecution(Execution):
-    """Motors follow trajectories on paths without collision, while simulated time passes and others move too.
+    """Motors follow collision-free trajectories while simulated time passes; other motions go on meanwhile.
 
-    The last centimetres to what is grasped, put down or opened are a straight line of the tool: there the hand may
-    touch what it is for, and there alone.
+    The tool moves straight on the last centimetres to an object, a place or a handle. Only there may the hand touch
+    the object or handle.
     """
 
     takes_time = True
 
-    def whole(self, world: BulletWorld) -> AbstractContextManager[None]:  # noqa: ARG002  locks none: others go on
-        """Return a context of no effect: others go on meanwhile."""
+    def whole(self, world: BulletWorld) -> AbstractContextManager[None]:  # noqa: ARG002
+        """Return a context without effect: other motions go on meanwhile."""
         return nullcontext()
 
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
-        """Drive there around what stands there."""
+        """Drive to the pose around obstacles."""
         return _following(robot, partial(planning.base_motion, robot, position, orientation))
 
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Move the joints past what is in the way; where no path leads out, each hand is drawn straight back first.
+        """Move the joints around obstacles; if there is no path, draw each hand straight back first.
 
-        A hand around an object, as when putting it down was cancelled, has but a narrow way out, which searches miss.
+        After a cancelled placing, a hand may be around an object. Its narrow way out is missed by path searches.
         """
         plan = partial(planning.joint_motion, robot, positions)
         try:
@@ -280,7 +278,7 @@ class ContinuousExecution(Execution):
         ignored: Sequence[Object] = (),
         ignored_links: Sequence[tuple[Object, str]] = (),
     ) -> Step:
-        """Open the gripper, move to some centimetres before the posture, and straight on from there."""
+        """Open the gripper, move to a few centimetres before the posture, and straight on from there."""
         now = robot.get_joint_positions()
         before = {joint: at for joint, at in (opened or {}).items() if abs(at - now[joint]) > _SAME}
         lifted = {
@@ -293,7 +291,7 @@ class ContinuousExecution(Execution):
         end = start | dict(posture)
         ways = (geometry.rotate(_tool_pose(robot, arm, end)[1], direction), _UP)
         line = _line(robot, arm, end, ways, ignored, ignored_links)
-        if line is None:  # between the open fingers, what they are for isn't in the way
+        if line is None:  # the open fingers have room around the object
             goal = {joint: posture[joint] for joint in arm.joints}
             way = partial(planning.joint_motion, robot, goal, start=start, ignored_links=ignored_links)
             return _all((*steps, _following(robot, way)))
@@ -301,7 +299,7 @@ class ContinuousExecution(Execution):
         return _all((*steps, partial(_along, (robot, line[::-1]))))
 
     def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Move the fingers there."""
+        """Move the fingers to their positions."""
         if not positions:
             return _all(())
         return partial(_along, (robot, [_now(robot, positions), _led(robot, positions)]))
@@ -326,7 +324,7 @@ class ContinuousExecution(Execution):
         return partial(_along, (robot, postures), (container, [{joint: value} for value in values]))
 
     def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
-        """Draw the hand straight back as far as nothing is in the way; None if there is something at once."""
+        """Draw the hand straight back, as far as the way is free; return None if there is no free way."""
         line = self._line_back(robot, arm, ignored_links)
         return None if line is None else partial(_along, (robot, line))
 
@@ -339,12 +337,12 @@ class ContinuousExecution(Execution):
         return _line(robot, arm, now, ways, (), ignored_links)
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:
-        """Raise it straight as far as nothing is in the way; None if there is something at once."""
+        """Lift the object straight, as far as the way is free; return None if there is no free way."""
         line = _line(robot, arm, _now(robot, arm.joints), (_UP,))
         return None if line is None else partial(_along, (robot, line))
 
     def settle(self, world: BulletWorld) -> Sequence[Object]:
-        """Wait until everything is at rest, while others move on."""
+        """Wait until everything is at rest, while other motions go on."""
         with world.lock:
             detector, end = RestDetector(world), world.sim_step + TIMEOUT * STEPS_PER_SECOND
         simulation.wait(world, lambda: detector.sample() or world.sim_step >= end)
@@ -354,22 +352,22 @@ class ContinuousExecution(Execution):
 
 
 def _led(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return positions without those of joints that mimic others of them: motors leave these a little apart."""
+    """Return positions without joints that mimic another joint among them: motors leave these slightly apart."""
     mimics = robot.urdf.mimics if robot.model.loading.mimic else {}
     return {name: at for name, at in positions.items() if name not in mimics or mimics[name].leader not in positions}
 
 
 def _now(robot: Object, joints: Iterable[str]) -> dict[str, float]:
-    """Return where joints are now, within their limits, to which motors keep but nearly; see :func:`_led`."""
+    """Return joint positions now, clipped to the limits, which motors may slightly exceed; see :func:`_led`."""
     now = robot.get_joint_positions()
     limits = {name: robot.joint_limits(name) for name in _led(robot, {name: now[name] for name in joints})}
     return {name: min(max(lower, now[name]), upper) for name, (lower, upper) in limits.items()}
 
 
 def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Step:
-    """Return what follows a plan, made now, and anew if what moves stands elsewhere when its turn has come.
+    """Return a step that follows a plan, made now, and again if the robot has moved before the step begins.
 
-    If the robot's other parts would cross its way, it waits until they have passed.
+    If other moving parts of the robot would cross the path, the step waits until they have passed.
     """
     planned = plan()
 
@@ -380,14 +378,14 @@ def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Ste
         active = robot.world.trajectories.active
         while _is_crossed(robot, planned.trajectory):
             simulation.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
-            planned = plan()  # they stand elsewhere now
+            planned = plan()  # from the new posture
         _follow(robot.world, [(robot, planned)])
 
     return step
 
 
 def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
-    """Return whether parts of a robot that move already would meet those that a trajectory moves, if it began now."""
+    """Return whether moving parts of a robot would meet the parts of a trajectory that begins now."""
     with robot.world.lock:
         active = robot.world.trajectories.active.values()
         others = [each for each in active if each.body is robot and each.joints]
@@ -395,8 +393,8 @@ def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
             return False
         postures = []
         duration = max(trajectory.duration, *(each.trajectory.duration - each.time for each in others))
-        for number in range(math.ceil(duration * _LOOKS) + 1):
-            time = number / _LOOKS
+        for number in range(math.ceil(duration * _SAMPLES) + 1):
+            time = number / _SAMPLES
             posture = dict(zip(trajectory.joints, trajectory.at(time)[0], strict=True))
             for each in others:
                 positions = each.trajectory.at(each.time + time)[0]
@@ -409,7 +407,7 @@ def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
 
 
 def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:
-    """Move bodies together along way points: joint values in rad or m by name, from where they are on."""
+    """Move bodies together along way points, from their present state: joint values in rad or m by name."""
     world = paths[0][0].world
     with world.lock:
         planned = planning.together([(body, _unwound(body, way_points)) for body, way_points in paths])
@@ -417,7 +415,7 @@ def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:
 
 
 def _follow(world: BulletWorld, motions: Sequence[tuple[Object, planning.PlannedMotion]]) -> None:
-    """Follow what was planned, together, if all still stand where it begins."""
+    """Follow plans together, if all bodies are still at their beginnings."""
     for body, planned in motions:
         displaced = _displacement(body, planned)
         if displaced is not None:
@@ -431,7 +429,7 @@ def _displacement(body: Object, planned: planning.PlannedMotion) -> tuple[str, f
 
 
 def _unwound(body: Object, way_points: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
-    """Return way points with joints that turn endlessly at the turn that is nearest to the one before."""
+    """Return way points in which endlessly turning joints take the nearest equivalent angle."""
     before: Mapping[str, float] = body.get_joint_positions()
     unwound: list[Mapping[str, float]] = []
     for way_point in way_points:
@@ -446,7 +444,7 @@ def _unwound(body: Object, way_points: Sequence[Mapping[str, float]]) -> list[Ma
 
 
 def _all(steps: Sequence[Step]) -> Step:
-    """Return what does one after the other."""
+    """Return a step of steps, one after the other."""
 
     def step() -> None:
         for each in steps:
@@ -463,18 +461,18 @@ def _line(
     ignored: Sequence[Object] = (),
     ignored_links: Sequence[tuple[Object, str]] = (),
 ) -> list[Mapping[str, float]] | None:
-    """Return the first straight line of those tried on which nothing is touched, from a posture on.
+    """Return the first collision-free straight line of the tool, from a posture.
 
     Args:
         robot: The robot; its world's lock is held.
-        arm: The arm whose tool moves.
-        start: The posture: positions in rad or m by joint; what isn't named is as it is now.
-        ways: Unit vectors in the world, the directions that are tried.
-        ignored: Objects that may be touched, but where the line ends. Where it begins, everything may.
-        ignored_links: The same, by objects and links of theirs.
+        arm: The arm.
+        start: The posture: positions in rad or m by joint; other joints keep their present positions.
+        ways: Unit vectors in the world, the directions to try.
+        ignored: Objects that may be touched before the line's end. At its beginning, all objects may be touched.
+        ignored_links: Links that may be touched, each with its object.
 
     Returns:
-        Postures of the arm from the first on; None if there is no such line.
+        Postures of the arm, including the first; None if there is no such line.
     """
     tool = _tool_pose(robot, arm, start)
     for way, length in itertools.product(ways, _STRAIGHT):
@@ -489,7 +487,7 @@ def _line(
 
 
 def _tool_pose(robot: Object, arm: Arm, positions: Mapping[str, float]) -> Pose:
-    """Return the pose in the world that the tool frame of an arm has in a posture."""
+    """Return the pose of an arm's tool frame in a posture, in the world."""
     base_T_link = robot.urdf.forward_kinematics(robot.get_joint_positions() | dict(positions), arm.tool_frame)
     return arm.tool_pose(geometry.multiply(robot.get_position_and_orientation(), base_T_link))
 
@@ -501,7 +499,7 @@ def _is_free(
     ignored: Sequence[Object] = (),
     ignored_links: Sequence[tuple[Object, str]] = (),
 ) -> bool:
-    """Return whether nothing is touched in postures, but what may be."""
+    """Return whether the postures are free of forbidden contacts."""
     every = [{**start, **posture} for posture in postures]
     with CollisionChecker(robot, start, ignored, ignored_links=ignored_links) as checker:
         return not any(

@@ -1,22 +1,22 @@
 """Resources: the parts of the robot that a motion needs, and the queue in which motions wait for them.
 
-A robot's resources are its base, head, arms and grippers. A motion *moves* some of them, and needs some others *at
-rest*: its outcome would differ if they moved meanwhile. Two motions conflict if one moves what the other moves or
-needs. A motion takes its place in the queue when it is requested, and is granted all its resources at once, as soon as
-no earlier motion conflicts with it. So conflicting motions run in the order of the plan, others run concurrently, and
-as each waits for earlier ones only, there is no deadlock.
+A robot's resources are its base, head, arms and grippers. A motion *moves* some of them, and needs others *at rest*,
+because its outcome would differ if they moved meanwhile. Two motions conflict if one moves a resource that the other
+moves or needs. A motion enters the queue when it is requested. It gets all its resources together, as soon as no
+earlier motion conflicts with it. So conflicting motions run in the order of the plan, and others run concurrently.
+There is no deadlock, because each motion waits for earlier motions only.
 
-The needs of a motion are certain when it is resolved and its process module is chosen, which is when its turn has come.
-Until then it has those of its designator, or the whole robot if these are unknown. Then its resources are corrected,
-*before* it moves anything. If it needs more, it releases what it has, keeps its place, and also waits for later motions
-that run already. These wait for nothing in this queue, so there is still no deadlock.
+The needs of a motion are certain when it is resolved and its process module is chosen, at its turn. Until then, it
+requests the resources of its designator, or the whole robot if these are unknown. Then its resources are corrected,
+*before* it moves anything. If it needs more, it releases its resources, keeps its place, and also waits for later
+motions that already run. These wait for nothing in this queue, so there is still no deadlock.
 
-Each world has a queue of its own, and a motion may perform others in another world. Where such motions would wait for
-each other, the last one is refused.
+Each world has a queue of its own, and a motion may perform motions in another world. If such motions would wait for
+each other, the last of them is refused.
 
-In a ``par`` block as in the thesis' Listing 5.3 (park the arms, move the base, look at a place, detect), the base
-starts when the arms are parked, as their posture decides whether the robot fits there; the head turns when the base
-has arrived, as it looks at a place in the world; and detecting, which needs the whole robot at rest, comes last.
+Example: the ``par`` block of the thesis' Listing 5.3 parks the arms, moves the base, looks at a place and detects. The
+base starts when the arms are parked, because their posture decides whether the robot fits. The head turns when the
+base has arrived, because it looks at a place in the world. Detecting needs the whole robot at rest, so it comes last.
 """
 
 from __future__ import annotations
@@ -40,15 +40,9 @@ WHOLE_ROBOT: Final = "the whole robot"
 
 
 class ResourceError(UsageError):
-    """A motion that is part of another one needs more of the robot than that one has.
+    """A motion that is part of another motion needs resources that the outer motion doesn't hold.
 
-    If it waited for the rest, two such motions could wait for each other for ever.
-
-    Attributes:
-        motion: Name of the inner motion.
-        moves: What it moves and the outer motion doesn't.
-        at_rest: What it needs at rest and the outer motion doesn't have.
-        held: The outer motion's resources.
+    If it waited for these, two such motions could wait for each other forever.
     """
 
     def __init__(self, motion: str, excess: Resources, held: Resources) -> None:
@@ -56,46 +50,36 @@ class ResourceError(UsageError):
             f"{motion} {excess}, but the motion that it is part of {held}; "
             "perform it before that one, or have resources() of that one's process module return those of both"
         )
-        self.motion = motion
-        self.moves = sorted(excess.moves)
-        self.at_rest = sorted(excess.at_rest)
-        self.held = held
+        self.motion = motion  # name of the inner motion
+        self.moves = sorted(excess.moves)  # resources that it moves and the outer motion doesn't hold
+        self.at_rest = sorted(excess.at_rest)  # resources that it needs at rest and the outer motion doesn't hold
+        self.held = held  # the outer motion's resources
 
 
 class Deadlock(UsageError):
-    """A motion waits for one that waits, in another world, for a motion that the first one is part of.
-
-    Attributes:
-        motion: Name of the motion that would wait.
-        blocker: Name of the one that it would wait for.
-    """
+    """A motion would wait for a motion that waits, in another world, for the first motion's own outer motion."""
 
     def __init__(self, motion: str, blocker: str) -> None:
         super().__init__(
             f"{motion} can't wait for {blocker}, which waits for what {motion} is part of: each performs motions in "
             "the other's world; perform them there before or after the motion, or in a world that none else uses"
         )
-        self.motion = motion
-        self.blocker = blocker
+        self.motion = motion  # its name
+        self.blocker = blocker  # name of the motion that it would wait for
 
 
 @dataclass(frozen=True, slots=True)
 class Resources:
-    """What a motion needs of the robot.
-
-    Attributes:
-        moves: Names such as "base", "head", "left-arm", "right-gripper", ..., or :data:`WHOLE_ROBOT`.
-        at_rest: Names of what must not move meanwhile.
+    """The resources that a motion needs, as any collections of names.
 
     Raises:
         BadArgument: They aren't names.
     """
 
-    moves: AbstractSet[str] = frozenset()
-    at_rest: AbstractSet[str] = frozenset()
+    moves: AbstractSet[str] = frozenset()  # "base", "head", "left-arm", "right-gripper", ..., or WHOLE_ROBOT
+    at_rest: AbstractSet[str] = frozenset()  # resources that must not move meanwhile
 
     def __post_init__(self) -> None:
-        """Accepts any collection of names."""
         for field in ("moves", "at_rest"):
             names = getattr(self, field)
             if isinstance(names, str) or not isinstance(names, Iterable) or not all(isinstance(n, str) for n in names):
@@ -103,11 +87,11 @@ class Resources:
             object.__setattr__(self, field, frozenset(names))
 
     def conflicts(self, other: Resources) -> bool:
-        """Whether the two can't be granted at the same time."""
+        """Return whether the two can't be granted together."""
         return _overlap(self.moves, other.moves | other.at_rest) or _overlap(other.moves, self.at_rest)
 
     def beyond(self, outer: Resources) -> Resources:
-        """Return what these have and ``outer`` doesn't."""
+        """Return the resources that ``outer`` doesn't have."""
         return Resources(_without(self.moves, outer.moves), _without(self.at_rest, outer.moves | outer.at_rest))
 
     def __bool__(self) -> bool:
@@ -119,7 +103,7 @@ class Resources:
 
 
 EVERYTHING: Final = Resources(moves=frozenset({WHOLE_ROBOT}))
-"""Resources of a motion of unknown needs."""
+"""Resources of a motion with unknown needs."""
 
 
 def _overlap(a: AbstractSet[str], b: AbstractSet[str]) -> bool:
@@ -144,10 +128,10 @@ class ResourceQueue:
         self._outer = outer
 
     def within(self, resources: Resources | None, motion: str) -> Resources:
-        """Return what a motion gets that requests resources; None requests all.
+        """Return the resources that a motion gets for its request; None requests all.
 
         Raises:
-            ResourceError: The outer motion doesn't hold all of this.
+            ResourceError: The outer motion doesn't hold all of them.
             BadArgument: They aren't resources.
         """
         if resources is None:
@@ -174,27 +158,23 @@ class Ticket:
 
     Args:
         queue: The queue.
-        resources: What the motion needs; None for all.
+        resources: The resources that the motion needs; None for all.
         motion: Its name, for messages.
 
-    Attributes:
-        resources: What it requests.
-        granted: Whether its turn has come.
-
     Raises:
-        ResourceError: The outer motion doesn't hold all of this.
+        ResourceError: The outer motion doesn't hold all of them.
     """
 
     def __init__(self, queue: ResourceQueue, resources: Resources | None, motion: str = "the motion") -> None:
         self.resources = queue.within(resources, motion)
-        self.granted = False
+        self.granted = False  # whether it is its turn
         self._queue = queue
         self._motion = motion
         self._outer = _around.get()
         self._waiting: dict[Ticket, None] = {}  # parts of this motion that wait for their turn
 
     def enqueue(self) -> None:
-        """Take the last place, unless it has one, without waiting; leave it also if Ctrl-C interrupts this."""
+        """Take the last place, unless it has a place, without waiting."""
         with self._queue.lock:
             if self not in self._queue.tickets:
                 self._queue.tickets.append(self)
@@ -204,7 +184,7 @@ class Ticket:
         """Enqueue if need be, wait for the turn, run the ``with`` block, and leave.
 
         Raises:
-            Deadlock: It would wait for ever.
+            Deadlock: It would wait forever.
             Cancelled: The branch was cancelled while it waited.
         """
         try:
@@ -219,8 +199,8 @@ class Ticket:
         """Change the resources of a granted ticket before anything has moved; wait again if need be.
 
         Raises:
-            ResourceError: The outer motion doesn't hold all of this.
-            Deadlock: It would wait for ever.
+            ResourceError: The outer motion doesn't hold all of them.
+            Deadlock: It would wait forever.
             Cancelled: The branch was cancelled while it waited.
         """
         given = self._queue.within(resources, self._motion)
@@ -240,7 +220,7 @@ class Ticket:
             self._queue.changed.notify_all()
 
     def _wait(self) -> None:
-        """Wait until no earlier ticket conflicts, and no granted later one."""
+        """Wait until no earlier ticket and no granted later ticket conflicts."""
         for outer in self._outer:
             outer._waiting[self] = None  # noqa: SLF001  same class
         try:
@@ -252,12 +232,12 @@ class Ticket:
                 outer._waiting.pop(self, None)  # noqa: SLF001  same class
 
     def _grant(self) -> bool:
-        with self._queue.lock:  # of two that conflict with each other only, one is granted
+        with self._queue.lock:  # of two conflicting tickets, only one is granted
             self.granted = next(self._blockers(), None) is None
             return self.granted
 
     def _blockers(self) -> Iterator[Ticket]:
-        """Yield the tickets that it has to wait for."""
+        """Yield the tickets for which it waits."""
         earlier = True
         for known in list(self._queue.tickets):
             if known is self:
