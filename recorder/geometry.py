@@ -133,6 +133,12 @@ def lean(a: Numbers, b: Numbers) -> float:
     return math.acos(max(-1.0, min(1.0, sum(x * y for x, y in zip(up, other_up, strict=True)))))
 
 
+def yaw_of(rotation: Numbers) -> float:
+    """Return the angle in rad about the vertical by which a rotation turns the x axis."""
+    x, y, _ = rotate(rotation, (1.0, 0.0, 0.0))
+    return math.atan2(y, x)
+
+
 def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
     """Return the rotation for URDF's roll, pitch, yaw: about the fixed axes x, then y, then z, in rad."""
     sr, cr = math.sin(roll / 2.0), math.cos(roll / 2.0)

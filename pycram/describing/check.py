@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.models.robots.description import Arm, RobotDescription
-    from pycram.models.robots.gripper import Gripper
+    from pycram.models.robots.description import Arm, Gripper, RobotDescription
     from pycram.world.object import Object
 
     Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.describing.chains import ArmChain, JointTree, fingers_of, limits
-from pycram.models.robots.gripper import Gripper
+from pycram.models.robots.description import Gripper
 from pycram.models.shapes import pieces_of
 from recorder import geometry
 from recorder.geometry import IDENTITY

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from pycram.models.robots.description import Arm
-    from pycram.models.robots.gripper import Gripper
+    from pycram.models.robots.description import Arm, Gripper
     from pycram.physics.body import LoadedBody
     from pycram.physics.engine import Engine
     from pycram.reasoning.collision.simulation_clone import Part, PosingClone

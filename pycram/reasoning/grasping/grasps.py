@@ -349,15 +349,9 @@ def grasp_orientation(grasp: str, robot: Object, base: Pose | None = None) -> Qu
 
 def heading(robot: Object, base: Pose | None = None) -> Quaternion:
     """Return a robot's orientation about the vertical, as it stands or with its base at another pose."""
-    return geometry.from_rpy(0.0, 0.0, yaw(robot) if base is None else yaw_of(base[1]))
+    return geometry.from_rpy(0.0, 0.0, yaw(robot) if base is None else geometry.yaw_of(base[1]))
 
 
 def yaw(body: Object) -> float:
     """Return the angle in rad about the vertical of an object's x axis."""
-    return yaw_of(body.get_orientation())
-
-
-def yaw_of(orientation: Sequence[float]) -> float:
-    """Return the angle in rad about the vertical by which an orientation turns the x axis."""
-    x, y, _ = geometry.rotate(orientation, (1.0, 0.0, 0.0))
-    return math.atan2(y, x)
+    return geometry.yaw_of(body.get_orientation())

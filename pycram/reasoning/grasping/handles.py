@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.models.robots.description import Arm
-    from pycram.models.robots.gripper import Gripper
+    from pycram.models.robots.description import Arm, Gripper
     from pycram.physics.body import LoadedBody
     from pycram.reasoning.choosing import Choice
     from pycram.reasoning.collision.checker import Pair, PostureCandidate

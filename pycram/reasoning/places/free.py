@@ -20,7 +20,7 @@ from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import placing
 from pycram.reasoning.grasping.fingers import held
-from pycram.reasoning.grasping.grasps import candidates, yaw_of
+from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.goals import PutDown, Putting, description_of
@@ -215,7 +215,7 @@ class SurfaceSearch(Search):
             yaw = start + 2 * math.pi * step / _YAWS
             turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
             pose = (x, y, height - float(self._turned_corners(turn)[:, 2].min())), turn
-            spots.append(Spot(f"[{x:.3f}, {y:.3f}]", pose, yaw_of(turn), float(scores[cell])))
+            spots.append(Spot(f"[{x:.3f}, {y:.3f}]", pose, geometry.yaw_of(turn), float(scores[cell])))
         return searched, batch.draw(grid, scores, spots)
 
     # --- maps: all places together -----------------------------------------------------------------------------------
@@ -252,7 +252,7 @@ class SurfaceSearch(Search):
         """Return a natural yaw of the object in rad: its present yaw, or the direction of a narrow surface."""
         width, along = geometry.narrowest_width(searched.outline())
         _, outer = maps.radii(self._turned_corners(self._turn)[:, :2])
-        return along if width < 2 * (outer + EDGE) else yaw_of(self._body.get_orientation())
+        return along if width < 2 * (outer + EDGE) else geometry.yaw_of(self._body.get_orientation())
 
     def _turned_corners(self, turn: Quaternion) -> Array:
         """Return the object's corners (n, 3) in m from its origin, turned."""
