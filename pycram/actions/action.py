@@ -1,8 +1,8 @@
 """Actions: goals of a robot, as plain functions of the plan language (CRAM).
 
-``@action("fetching")`` makes a function the action of that type, in place of an earlier function. Slots, defaults and
-units are those of its signature and docstring. Its *choices* yield values for the open slots, the best first, each
-found when it is needed.
+``@action("fetching")`` makes a function the action of that type, in place of an earlier function. Its signature and
+docstring define slots, defaults and units. Its *choices* yield values for the open slots, the best first, each found
+when it is needed.
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ class ActionType(SlotTable):
 
 
 def arguments(function: Callable[..., Any], slots: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those slots as keyword arguments that are parameters of a function."""
+    """Return the slots that are parameters of a function, as keyword arguments."""
     names = {slot_name(name): name for name in inspect.signature(function).parameters}
     return {names[slot]: value for slot, value in slots.items() if slot in names}
 
@@ -179,11 +179,11 @@ def action(
 
     Args:
         name: The type, as "fetching".
-        choices: A generator function that yields values of slots by name, the best first; each tried in turn. It is
-            called with those slots that are its parameters.
-        prepare: Called in the same way before choices are found, for example to search an object. If it is a generator
+        choices: A generator function that yields values of slots by name, the best first; each is tried in turn. It
+            is called with the slots that are its parameters.
+        prepare: Called with its slots before choices are found, for example to search an object. If it is a generator
             function, the code after its only ``yield`` runs when the action has succeeded or failed.
-        checked: Checks of slots that PyCRAM's own actions don't have, by name.
+        checked: Checks of slots by name; PyCRAM knows the slots of its own actions.
 
     Raises:
         BadArgument: The name is invalid, or the function has positional-only or variable parameters.
@@ -283,7 +283,7 @@ def _checked(designator: ActionDesignator) -> tuple[ActionType, dict[str, Any]]:
 
 
 def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
-    """Prepare an action before its choices are found; after the ``with`` block, finish that."""
+    """Prepare an action before its choices are found; after the ``with`` block, finish the preparation."""
     try:
         kind, given = _checked(designator)
     except DesignatorError:  # a resolver of the plan may know it

@@ -1,4 +1,4 @@
-"""Carrying objects: transporting fetches and delivers; fetching clears away the objects that are in its way."""
+"""Carrying objects: transporting fetches and delivers; fetching clears obstacles away."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ if TYPE_CHECKING:
 
 
 _MAX_PLACES: Final = 6  # places with room for the hand that are tried before others
-_MOVED: Final = 0.05  # m from where an object is believed to be, at which it isn't there any more
-_IN_THE_WAY: Final = 2  # things that are cleared away, one after the other
-_BESIDE: Final = 0.5  # m between things one of which may be in the way of the other
-_NEAREST: Final = 3  # surfaces to which something is cleared away
-_STANCES: Final = 2  # places to stand at that are tried for one place of the object
-_MAX_UNREACHABLE: Final = 6  # places of the object that are reached from nowhere, after which no others are tried
-_CLOSING_TRIES: Final = 4  # that closing may fail
+_MOVED: Final = 0.05  # m between an object and its belief, above which the belief is wrong
+_IN_THE_WAY: Final = 2  # objects that are cleared away, one after the other
+_BESIDE: Final = 0.5  # m, maximum distance of an obstacle from an object
+_NEAREST: Final = 3  # surfaces to which an obstacle may be cleared away
+_STANCES: Final = 2  # places of the robot that are tried for a place of the object
+_MAX_UNREACHABLE: Final = 6  # unreachable places of the object, after which the search ends
+_CLOSING_TRIES: Final = 4  # failed tries of closing
 
 #: Objects that wait until other objects are cleared away, outermost first.
 _waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=())
 
 
 def _find_and_open(object: Any) -> list[Access]:  # noqa: A002  the slot's name
-    """Find an object, open its container and fold the arms; return the containers that were opened.
+    """Find an object, open its container and fold the arms; return the opened containers.
 
-    Places to stand are searched with folded arms.
+    The search for places of the robot needs folded arms.
     """
     arms()
     closed = [access for access, _ in containers() if access.is_closed]
@@ -86,7 +86,7 @@ def _fetching_choices(
     place: LocationDesignator | None = None,
     grasp: str | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places to stand and arms to take an object; then those from which it can be reached after clearing away."""
+    """Yield places of the robot and arms to take an object; finally those that need obstacles cleared away."""
     body = object_of(object)
     if holder(body) is not None:
         yield {}
@@ -101,7 +101,7 @@ def _fetching_choices(
     except NoPlace as failure:
         nowhere = failure
     if holder(body) is None and _crowded(body):
-        if not drives(BulletWorld.current_robot()):  # there is no other place, whatever is in the way
+        if not drives(BulletWorld.current_robot()):  # there is no other place
             yield from ({"arm": each, "clear": True} for each in free)
         else:
             with suppress(NoPlace):
@@ -113,7 +113,7 @@ def _fetching_choices(
 def _from_places(
     body: Object, free: Sequence[str], reach: Target, grasp: str | None = None
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places from which a target is reached, and arms, until an arm has taken the object."""
+    """Yield places from which a target is reachable, and arms, until an arm has taken the object."""
     robot = BulletWorld.current_robot()
     for spot in itertools.islice(standing_places(robot, reach=[reach], arms=free, grasp=grasp), _MAX_PLACES):
         for arm in spot.arms:
@@ -134,14 +134,14 @@ def fetching(
     place: Any = None,
     clear: bool = False,
 ) -> Any:
-    """Goes where it reaches an object, and takes it; what is in the way it puts elsewhere.
+    """Drives to a place where it reaches an object, and takes it; clears obstacles away.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        arm: Name of the arm; by default each is tried that is free.
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
-        place: Where the robot stands then, a LocationDesignator; by default places from which it reaches the object.
-        clear: Whether to clear away at once what is in the way; by default only when that is the reason for a failure.
+        arm: Name of the arm; by default all free arms are tried.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
+        place: Place of the robot, a LocationDesignator; by default places from which it reaches the object.
+        clear: Whether to clear obstacles away first; by default only after they caused a failure.
     """
     body = object_of(object)
     if holder(body) is not None:
@@ -152,7 +152,7 @@ def fetching(
     for attempt in failure_handling(_IN_THE_WAY).on(Blocked, lambda _: _clear_away(body, arm)):
         with attempt:
             go(place)
-            with suppress(PlanFailure):  # what is hidden from here is taken to be where it was believed to be
+            with suppress(PlanFailure):  # if the object is hidden from here, its belief is used
                 perform(ActionDesignator(type="perceiving", object=body))
             perform(ActionDesignator(type="picking-up", object=body, arm=arm, grasp=grasp))
     park()
@@ -160,7 +160,7 @@ def fetching(
 
 
 def _crowded(body: Object) -> bool:
-    """Return whether an object that can be cleared away is near."""
+    """Return whether there is a possible obstacle near an object."""
     others = [each for each in body.world.objects if each is not body and not each.fixed and not each.is_robot]
     free = [each for each in others if each.carrier is None and each not in _waiting.get()]
     return any(math.dist(each.get_position(), body.get_position()) < _BESIDE for each in free)
@@ -193,7 +193,7 @@ def _clear_away(body: Object, arm: str | None) -> None:
 
 
 def _surfaces_beside(body: Object) -> list[Surface]:
-    """Return the surfaces nearest to an object that are in no container and extend beyond the object."""
+    """Return the nearest surfaces to an object that are outside of containers and extend beyond the object."""
     position = body.get_position()
     found = [
         (math.dist(furniture.surface_pose(surface)[0], position), surface)
@@ -205,7 +205,7 @@ def _surfaces_beside(body: Object) -> list[Surface]:
 
 
 def _beyond(furniture: Object, surface: Surface, position: Sequence[float]) -> bool:
-    """Return whether a surface extends beyond a position's neighbourhood; a fridge's top doesn't, for its inside."""
+    """Return whether a surface extends beyond the neighbourhood of a position; the top of a small fridge doesn't."""
     pose = furniture.surface_pose(surface)
     corners = (geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline)
     return any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners)
@@ -216,7 +216,7 @@ def _delivering_choices(
     target: Any,
     place: LocationDesignator | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places for the object, and places to stand; an empty choice ends them when a try has lost the object."""
+    """Yield places for the object and places of the robot; end with an empty choice if a try has lost the object."""
     body, robot = object_of(object), BulletWorld.current_robot()
     arm = holding_arm(body)
     unreachable: list[NoPlace] = []
@@ -231,7 +231,7 @@ def _delivering_choices(
             for found in itertools.islice(standing_places(robot, reach=[goal], arms=[arm.name]), _STANCES):
                 reached = True
                 yield {"put": there, "place": _stance(found)}
-                if holder(body) is None:  # it fell, or leans: fetch it again, perhaps with another arm
+                if holder(body) is None:  # it fell or leans: fetch it again, perhaps with another arm
                     yield {}
                     return
         except NoPlace as failure:
@@ -244,16 +244,16 @@ def _delivering_choices(
 
 @action("delivering", choices=_delivering_choices, prepare=park, checked={"target": place_for_an_object})
 def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> Any:  # noqa: A002  the slot's name
-    """Goes where it reaches a place, puts down there what a hand holds, and folds the arms.
+    """Drives to a place where it reaches a target, puts down an object that a hand holds, and folds the arms.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
-        put: The exact place, a LocationDesignator with a position; by default those that the target stands for.
-        place: Where the robot stands then, a LocationDesignator; by default places from which it reaches that place.
+        put: The exact place, a LocationDesignator with a position; by default the places of the target.
+        place: Place of the robot, a LocationDesignator; by default places from which it reaches the target.
     """
     body = object_of(object)
-    if holder(body) is None:  # it was put down, but doesn't stand where it should
+    if holder(body) is None:  # it was put down, but at a wrong place
         perform(ActionDesignator(type="fetching", object=body))
         return perform(ActionDesignator(type="delivering", object=body, target=target, put=put, place=place))
     go(place)
@@ -263,7 +263,7 @@ def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> 
 
 
 def _prepare_transporting(object: Any, target: Any, close: bool = True) -> Iterator[None]:  # noqa: A002  the slot's name
-    """Check that the target has room before the object is fetched; in the end close the containers that were opened."""
+    """Check that the target has room before the object is fetched; finally close the opened containers."""
     arms()
     check_target(candidates_of(object)[0], target)
     opened = _find_and_open(object)
@@ -276,7 +276,7 @@ def _prepare_transporting(object: Any, target: Any, close: bool = True) -> Itera
 
 
 def _close(opened: Sequence[Access]) -> None:
-    """Close containers; one that can't be closed from anywhere stays open."""
+    """Close containers; those that can't be closed from any place stay open."""
     for access in opened:
         with suppress(PlanFailure):
             perform(ActionDesignator(type="closing", container=access.name, budget=_CLOSING_TRIES))
@@ -295,25 +295,25 @@ def transporting(
     grasp: str | None = None,
     place: Any = None,
     clear: bool = False,
-    close: bool = True,  # noqa: ARG001  done in the end
+    close: bool = True,  # noqa: ARG001  used by _prepare_transporting
 ) -> Any:
-    """Fetches an object and delivers it; the drawer or door that was opened for it is closed again.
+    """Fetches an object and delivers it; opens its drawer or door, and closes it finally.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        target: Where it is to be put: a LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
-        arm: Name of the arm; by default each is tried that is free.
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
-        place: Where the robot stands to take it, a LocationDesignator; by default places from which it reaches it.
-        clear: Whether to clear away at once what is in the way of it.
-        close: Whether what is opened for it is closed in the end, where that can be done.
+        target: Its new place: a LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        arm: Name of the arm; by default all free arms are tried.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
+        place: Place of the robot when it takes the object, a LocationDesignator; by default places within reach.
+        clear: Whether to clear obstacles away first.
+        close: Whether to close opened drawers and doors finally, if possible.
     """
     body = object_of(object)
     perform(ActionDesignator(type="fetching", object=body, arm=arm, grasp=grasp, place=place, clear=clear))
     deliver = ActionDesignator(type="delivering", object=body, target=target)
     try:
         return perform(deliver)
-    except (NoPlace, ActionFailed):  # for the arm that holds it
+    except (NoPlace, ActionFailed):  # with the arm that holds it
         if holder(body) is None or not any(held_by(other) is None for other in arms()):
             raise
         perform(ActionDesignator(type="handing-over", object=body))  # another arm may reach farther

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from pycram.motions.slots import Check
 
 
-_PLACES: Final = 3  # to stand at, that are tried for each width
-_SAME: Final = (0.005, math.radians(0.5))  # m and rad within which the robot stands where it is to stand
+_PLACES: Final = 3  # places of the robot to try for each width
+_SAME: Final = (0.005, math.radians(0.5))  # m and rad, maximum distance of a robot that is at a place
 _CLOSED: Final = 0.1  # m or rad
 
 
@@ -57,12 +57,12 @@ class Access:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the opening is too narrow for a hand or a look."""
+        """Whether the opening is too narrow for a hand or a camera."""
         return abs(self.position - self.closed) < _CLOSED
 
 
 def known_container(name: str, value: Any) -> Any:
-    """A container of furniture, its name, or an Object, of which joint or handle say what is meant."""
+    """Check a container: of furniture, its name, or an Object, whose joint or handle selects the container."""
     if isinstance(value, Object):
         return BODY(name, value)
     known = containers()
@@ -152,9 +152,9 @@ def _handle_choices(
     Args:
         access: The drawer or door.
         arm: The arm; None for any.
-        values: Positions of its joint, rad or m, the best first.
-        place: Where the robot is to stand, m; None for places from which it reaches.
-        orientation: Of its base there; the present one by default.
+        values: Target positions of its joint, rad or m, the best first.
+        place: Place of the robot, m; None to search places.
+        orientation: Of its base there; its present orientation by default.
 
     Raises:
         AccessFailed: No arm is free.
@@ -189,7 +189,7 @@ def _choice(
 
 
 def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:
-    """Return the arms, or the wanted arm, that have a gripper and hold nothing."""
+    """Return all arms, or only the given arm, that have a gripper and hold nothing."""
     arms = robot.description.arms.values() if robot.description else ()
     chosen = [arm for arm in arms if wanted in (None, arm.name) and arm.hand is not None]
     held = {each.carrier_link: each.body.name for each in robot.carried}
@@ -216,12 +216,12 @@ def _move(access: Access, arm: str, distance: float, place: Sequence[float], ori
             distance=distance,
         )
     )
-    with suppress(PlanFailure):  # the arm stays where the door itself is in its way
+    with suppress(PlanFailure):  # the door itself may block the arm
         perform(MotionDesignator([("type", "move-arm-joints"), (f"{arm}-arm", "park")]))
 
 
-_WIDE: Final = {True: 0.4, False: 1.2}  # m of what slides, as what is at its back is to be reached; rad of what turns
-_SHARES: Final = (1.0, 0.75, 0.5)  # of that, that are tried
+_WIDE: Final = {True: 0.4, False: 1.2}  # m of a drawer, so that its back can be reached; rad of a door
+_SHARES: Final = (1.0, 0.75, 0.5)  # of this width, to try
 
 
 def _opening_choices(
@@ -249,15 +249,15 @@ def opening(
     place: Sequence[float] | None = None,
     orientation: Sequence[float] | None = None,
 ) -> str:
-    """Opens a drawer or door by its handle, from a place from which an arm holds it all the way; returns the arm.
+    """Opens a drawer or door by its handle, from a place where an arm can hold it all the way; returns the arm.
 
     Args:
         container: A container of furniture, its name, or the furniture itself with joint and handle.
-        joint: Name of its joint, where the furniture itself is given.
-        handle: Link of its handle, where the furniture itself is given.
-        arm: Name of the arm; by default any that reaches.
-        distance: How wide, in m, or rad of what turns; by default up to 0.4 m or 1.2 rad, or down to half as wide.
-        place: Where the robot stands, [x, y, z] of its base in m; by default where the handle can be held all the way.
+        joint: Name of its joint, if the furniture itself is given.
+        handle: Link of its handle, if the furniture itself is given.
+        arm: Name of the arm; by default any arm that reaches.
+        distance: Width in m, or angle in rad of a door; by default up to 0.4 m or 1.2 rad, or down to half of this.
+        place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
         orientation: A quaternion [x, y, z, w] of the robot's base there.
     """
     assert arm is not None and distance is not None and place is not None and orientation is not None  # noqa: S101, PT018  chosen
@@ -287,14 +287,14 @@ def closing(
     place: Sequence[float] | None = None,
     orientation: Sequence[float] | None = None,
 ) -> None:
-    """Closes a drawer or door by its handle, from a place from which an arm holds it all the way.
+    """Closes a drawer or door by its handle, from a place where an arm can hold it all the way.
 
     Args:
         container: A container of furniture, its name, or the furniture itself with joint and handle.
-        joint: Name of its joint, where the furniture itself is given.
-        handle: Link of its handle, where the furniture itself is given.
-        arm: Name of the arm; by default any that reaches.
-        place: Where the robot stands, [x, y, z] of its base in m; by default where the handle can be held all the way.
+        joint: Name of its joint, if the furniture itself is given.
+        handle: Link of its handle, if the furniture itself is given.
+        arm: Name of the arm; by default any arm that reaches.
+        place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
         orientation: A quaternion [x, y, z, w] of the robot's base there.
     """
     assert arm is not None and place is not None and orientation is not None  # noqa: S101, PT018  chosen

@@ -46,12 +46,12 @@ def arms() -> list[Arm]:
 
 
 def held_by(arm: Arm) -> Object | None:
-    """Return the object that an arm of the current robot holds; None for none."""
+    """Return the object that an arm of the current robot holds, or None."""
     return attachment.attached_to(BulletWorld.current_robot(), arm.tool_frame)
 
 
 def holder(body: Object) -> Arm | None:
-    """Return the arm of the current robot that holds an object; None if none does."""
+    """Return the arm of the current robot that holds an object, or None."""
     return next((arm for arm in arms() if held_by(arm) is body), None)
 
 
@@ -59,7 +59,7 @@ def holding_arm(body: Object) -> Arm:
     """Return the arm of the current robot that holds an object, to put it down.
 
     Raises:
-        PlaceFailed: None does.
+        PlaceFailed: No arm holds it.
     """
     arm = holder(body)
     if arm is None:
@@ -68,11 +68,11 @@ def holding_arm(body: Object) -> Arm:
 
 
 def free_arms(name: str | None = None) -> list[str]:
-    """Return the names of all arms that hold nothing, or of the wanted arm.
+    """Return the names of all arms that hold nothing, or only of the given arm.
 
     Raises:
         MissingPart: The robot has no arm.
-        ReasoningError: None is free.
+        ReasoningError: No arm is free.
     """
     wanted = [arm for arm in arms() if name is None or arm.name == name]
     found = [arm.name for arm in wanted if held_by(arm) is None]
@@ -83,18 +83,18 @@ def free_arms(name: str | None = None) -> list[str]:
 
 
 _AHEAD: Final = (0.55, 0.45, 0.65)  # m before the shoulders
-_DOWN: Final = (0.2, 0.35, 0.05)  # m below them
+_DOWN: Final = (0.2, 0.35, 0.05)  # m below the shoulders
 _TURNS: Final = (30, 60, 0, 90)  # degrees by which the giving hand points inward
-_EACH: Final = 4  # ways to hold it that are tried before the robot turns
-_AWAY: Final = (180, 90, -90)  # degrees by which the robot turns where something is before it
+_EACH: Final = 4  # poses of the giving hand that are tried before the robot turns
+_AWAY: Final = (180, 90, -90)  # degrees by which the robot turns away from obstacles
 
 
 def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
-    """Yield poses of the giving hand and the arm that takes; in the end with the robot turned away."""
+    """Yield poses of the giving hand, with the taking arm; finally with the robot turned away."""
     body = object_of(object)
     robot = BulletWorld.current_robot()
     giver = _giver(robot, body)
-    assert robot.description is not None  # noqa: S101  as it has arms
+    assert robot.description is not None  # noqa: S101  it has arms
     others = [each for each in robot.description.arms.values() if each is not giver and each.hand is not None]
     takers = [each for each in others if arm in (None, each.name)]
     if arm == giver.name:
@@ -129,18 +129,18 @@ def handing_over(
     orientation: Sequence[float] | None = None,
     place: Any = None,
 ) -> Object:
-    """Passes what one hand holds to another one, in front of the robot, and returns it.
+    """Passes an object from one hand to another hand, in front of the robot, and returns it.
 
-    The other hand takes it beside the first one, which lets go then. It fails where the robot doesn't hold the object,
-    or has no other gripper, before anything moves.
+    The other hand grasps it next to the first hand, which then releases it. If the robot doesn't hold the object, or
+    has no other gripper, the action fails before anything moves.
 
     Args:
-        object: An Object, an ObjectDesignator, or a type of objects: what a hand holds.
-        arm: Name of the arm that takes it; by default any other.
-        target: Where the giving hand holds it then, [x, y, z] of its tool in m; by default where both arms get.
+        object: An Object, an ObjectDesignator, or a type of objects; in a hand.
+        arm: Name of the arm that takes it; by default any other arm.
+        target: Place of the giving hand's tool, [x, y, z] in m; by default a place that both arms reach.
         orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
-        place: Where the robot stands then, a LocationDesignator; by default where it is, or turned there
-            if something is in the way.
+        place: Place of the robot, a LocationDesignator; by default its present place, turned away from obstacles
+            if need be.
     """
     body = object_of(object)
     giver = _giver(BulletWorld.current_robot(), body)
@@ -197,7 +197,7 @@ def _between(robot: Object, giver: Arm, taker: Arm) -> Iterator[Pose]:
 def _middle(robot: Object, giver: Arm, taker: Arm) -> tuple[Vector, int]:
     """Return the middle between the shoulders in the robot's frame, and the sign of an inward turn of the giving arm.
 
-    The sign is 1 for the right arm: its hand points inward when it turns to the left.
+    The sign is 1 for the right arm, whose hand points inward after a turn to the left.
     """
     base = geometry.invert(robot.get_position_and_orientation())
     shoulders = []
@@ -214,12 +214,12 @@ def _arms(arm: str | None = None) -> Iterator[Mapping[str, Any]]:
 
 @action("picking-up", choices=_arms, checked={"object": portable})
 def picking_up(object: Any, arm: str | None = None, grasp: str | None = None) -> Any:  # noqa: A002  the slot's name
-    """Takes an object with a gripper, from where the robot stands.
+    """Takes an object with a gripper, without driving.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        arm: Name of the arm; by default each of the robot's is tried that is free.
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest.
+        arm: Name of the arm; by default all free arms are tried.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
     """
     return perform(MotionDesignator(type="pick-up", object=object_of(object), arm=arm, grasp=grasp))
 
@@ -238,14 +238,14 @@ def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Ma
     if not isinstance(target, LocationDesignator):
         yield {"position": target, "orientation": None}
         return
-    wanted = target.prop_value("orientation")  # else the hand's natural one: the found orientation is one of many
+    wanted = target.prop_value("orientation")  # the found orientation is one of many
     if target.for_objects:
         reached = [] if arm is None else [("reachable-for", BulletWorld.current_robot()), ("arm", arm.name)]
         target = target.copy([("for", body), *reached])
     for place in target.solutions():
         yield {"position": place["position"], "orientation": wanted}
         if arm is not None and held_by(arm) is not body:
-            return  # it was put down, but doesn't stand as it should
+            return  # it was put down, but not as wanted
 
 
 def check_target(body: Object, target: Any) -> None:
@@ -273,7 +273,7 @@ def check_target(body: Object, target: Any) -> None:
 
 
 def _closed_at(target: Any) -> list[str]:
-    """Return the names of the closed containers that block a target."""
+    """Return the names of closed containers around a target."""
     if not isinstance(target, LocationDesignator) or not target.for_objects:
         place = target.reference()["position"] if isinstance(target, LocationDesignator) else target
         container = enclosing_at(place)
@@ -292,7 +292,7 @@ def _places(object: Any, target: Any, orientation: Sequence[float] | None = None
 
 @action("placing", choices=_places, checked={"target": place_for_an_object})
 def placing(object: Any, target: Any, orientation: Sequence[float] | None = None) -> Any:  # noqa: A002  the slot's name
-    """Puts down what a hand holds, from where the robot stands, and folds the arm.
+    """Puts down an object that a hand holds, without driving.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.

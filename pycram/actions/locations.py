@@ -120,16 +120,16 @@ _SLOTS: Final = SlotTable(
     designator="a LocationDesignator",
 )
 _AWAY: Final = 0.4  # m
-_MAX_NEAR: Final = 20  # places in a row that may be too near; then the search ends
+_MAX_NEAR: Final = 20  # places in a row that are too near, after which the search ends
 _EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on", "visible-for"), ("in", "visible-for"))
 
 
 class LocationDesignator(ResolvedDesignator):
-    """A place: for an object to be put down, if ``on`` or ``in`` is said, else for the robot to stand at.
+    """A place: for putting down an object, if ``on`` or ``in`` is given, else for the robot to stand.
 
-    For example ``LocationDesignator(on="island", near=[-0.8, 1])``, ``LocationDesignator(reachable_for=milk)``. Its
-    solutions have ``position`` and ``orientation`` in the world frame, and the ``arms`` that reach, found one by one,
-    the best first.
+    Examples: ``LocationDesignator(on="island", near=[-0.8, 1])``, ``LocationDesignator(reachable_for=milk)``. Its
+    solutions have ``position`` and ``orientation`` in the world frame, and the ``arms`` that reach the place. They are
+    found one by one, the best first.
     """
 
     takes: ClassVar[SlotTable] = _SLOTS
@@ -148,7 +148,7 @@ class LocationDesignator(ResolvedDesignator):
         return any(name in ("on", "in") for name, _ in self._slots)
 
     def middle(self) -> list[float]:
-        """Return the middle, xyz in m in the world, of the largest surface of a place for objects."""
+        """Return the middle of the largest surface of a place for objects, xyz in m in the world."""
         body, surface = max(self.surfaces(), key=lambda each: math.prod(each[1].size))
         return list(body.surface_pose(surface)[0])
 
@@ -159,7 +159,7 @@ class LocationDesignator(ResolvedDesignator):
         return found
 
     def values_for(self, slot: str, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-        """Yield the places that it may stand for, with the orientations there."""
+        """Yield its possible places, with the orientations there."""
         body = given.get("object")
         needs_body = self.for_objects and self.prop_value("for") is None and body is not None
         for solution in (self.copy([("for", body)]) if needs_body else self).solutions():

@@ -1,4 +1,4 @@
-"""Driving to a place, and folding the arms before that."""
+"""Driving to a place, with folded arms."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
 
 
-_THERE: Final = (1e-3, 1e-3)  # m and rad within which the robot is at a place
-_PARKED: Final = 0.01  # rad or m that a joint of a parked arm may be off
+_THERE: Final = (1e-3, 1e-3)  # m and rad, maximum distance of a robot that is at a place
+_PARKED: Final = 0.01  # rad or m, maximum deviation of a joint of a parked arm
 
 
 def _places(target: Any, orientation: Sequence[float] | None = None) -> Iterator[Mapping[str, Any]]:
@@ -54,7 +54,7 @@ def navigating(target: Any, orientation: Sequence[float] | None = None) -> None:
 
 
 def go(place: LocationDesignator | None) -> None:
-    """Fold the arms and drive to a place, if there is one and the robot drives."""
+    """Fold the arms and drive to a place, if it isn't None and the robot drives."""
     description = BulletWorld.current_robot().description
     if place is not None and description is not None and description.drives:
         park()
@@ -62,14 +62,14 @@ def go(place: LocationDesignator | None) -> None:
 
 
 def park() -> None:
-    """Fold the arms; if that fails, they stay as they are."""
+    """Fold the arms; if this fails, they keep their posture."""
     with suppress(PlanFailure):
         perform(ActionDesignator(type="parking-arms"))
 
 
 @action("parking-arms")
 def parking_arms(arm: str | None = None) -> None:
-    """Folds the arms that aren't folded, together if they can; with what they hold.
+    """Folds the arms that aren't folded, together if possible, with the objects that they hold.
 
     Args:
         arm: Name of the arm; all by default.

@@ -31,9 +31,9 @@ _SLOTS: Final = SlotTable(
 
 
 class ObjectDesignator(ResolvedDesignator):
-    """An object, as ``ObjectDesignator(type="milk")``: stands for what is believed, in the order of the latest look.
+    """An object, as ``ObjectDesignator(type="milk")``, resolved by the robot's beliefs, the latest look first.
 
-    Its solutions have ``object``, ``position`` and ``orientation``: the object, and where it is believed to be.
+    Its solutions have ``object``, ``position`` and ``orientation``: the object, and its believed pose.
     """
 
     takes: ClassVar[SlotTable] = _SLOTS
@@ -51,7 +51,7 @@ class ObjectDesignator(ResolvedDesignator):
         _candidates(self)
 
     def values_for(self, slot: str, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:  # noqa: ARG002
-        """Yield the objects that it may stand for."""
+        """Yield its possible objects."""
         for solution in self.solutions():
             yield {slot: solution["object"]}
 
@@ -73,7 +73,11 @@ def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
 
 
 def _candidates(designator: ObjectDesignator) -> list[Object]:
-    """Return the objects of the world that a designator describes; DesignatorError if there are none."""
+    """Return the objects of the world that a designator describes.
+
+    Raises:
+        DesignatorError: There are none.
+    """
     given = {key: unwrap(value) for key, value in designator.description if value is not None}
     wanted = _SLOTS.checked(given)
     world = BulletWorld.current_robot().world

@@ -1,4 +1,4 @@
-"""Perceiving: looking at objects and places, and searching an object on surfaces and in closed containers."""
+"""Perceiving: turning the camera to objects and places, and searching objects on surfaces and in containers."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ if TYPE_CHECKING:
     from recorder.geometry import PoseLike, Quaternion, Vector
 
 
-_FAR: Final = 3.0  # m, maximum distance of a look from where the robot stands
-_NEAR: Final = 1.6  # m, maximum distance of a look from a place to stand
-_STRIDE: Final = 0.8  # m between the points of a surface; a camera sees as much from 1 m
-_PLACES: Final = 2  # places to stand that are tried for a point
-_SEEING: Final = 4  # places to stand that are examined for a sight of hidden points
+_FAR: Final = 3.0  # m, maximum distance of a look from the robot's present place
+_NEAR: Final = 1.6  # m, maximum distance of a look from a place near the surface
+_STRIDE: Final = 0.8  # m between points of a surface; a camera sees this much from 1 m
+_PLACES: Final = 2  # places of the robot that are tried for a point
+_SEEING: Final = 4  # places of the robot that are examined for a view of hidden points
 _TRIES: Final = 4  # budget of opening and of closing
 
 
 @action("perceiving")
 def perceiving(object: Any) -> Object:  # noqa: A002  the slot's name
-    """Turns the camera to where an object is believed to be, and detects it there; returns the object.
+    """Turns the camera to the believed place of an object, and detects it there; returns the object.
 
-    Of what nothing is believed it is detected in what the camera sees now. A robot without a camera is told where it is
-    by the state of the world. It fails with PerceptionError if the object isn't seen.
+    Without a belief, the object is detected in the present view. A robot without a camera gets its place from the state
+    of the world. The action fails with PerceptionError if the object isn't seen.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -63,10 +63,10 @@ def has_camera() -> bool:
 
 
 def detected(bodies: Sequence[Object]) -> Object:
-    """Return the object of several of a type that the robot's camera sees best in its present direction.
+    """Return the object, of several of a type, that the robot's camera sees best in its present direction.
 
     Raises:
-        PerceptionError: It sees none of them, or only others.
+        PerceptionError: It sees none of these objects.
     """
     kind = bodies[0].type
     sees = has_camera()
@@ -128,12 +128,12 @@ class _Point:
 
 @action("searching")
 def searching(object: Any) -> Object:  # noqa: A002  the slot's name
-    """Looks for an object until the camera sees it, and returns it.
+    """Searches an object until the camera sees it, and returns it.
 
-    It looks where the object is believed to be, then over all surfaces, the nearest first: at first from where the
-    robot stands, then from places beside them; then it opens what is closed, looks into it, also from before it where a
-    door or a front hides some of it, and closes it again. It fails with ObjectNotFound, which says where it was looked
-    for. A robot without a camera asks the state of the world.
+    The search begins at the object's believed place. Then it covers all surfaces, the nearest first: from the robot's
+    present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside, if need be
+    from the front, and closes them again. The action fails with ObjectNotFound, which names the searched places. A
+    robot without a camera asks the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -166,7 +166,7 @@ class _Search:
         self._stood: list[Vector] = []
 
     def where_believed(self) -> Iterator[None]:
-        """Look where the objects are believed to be: from here, then from nearby."""
+        """Look at the believed places of the objects: from here, then from nearby."""
         for belief in [belief for belief in beliefs() if belief.object in self._bodies]:
             point = _Point(f"where {belief.object.name} was {belief.source}", belief.position, "")
             self._look(point)
@@ -202,7 +202,7 @@ class _Search:
                 hidden = [
                     point for point in points if not self._in_sight(point, self._robot.get_position_and_orientation())
                 ]
-                if hidden:  # a door or a front may be before it
+                if hidden:  # a door or a front may hide points
                     yield from self._from_before(access, hidden)
                 self._close(access, opened)
 

@@ -35,20 +35,22 @@ if TYPE_CHECKING:
     from pycram.motions.designator import Solution
 
 
-AT_ONCE: Final = (1, 4)
-"""Numbers of choices that are imagined in parallel: in the first batch, as the best choice mostly succeeds; and later.
+BUDGET: Final = 20
+"""Default number of tries of an action, including those of its subactions, that may fail."""
 
-They don't depend on the number of cores, so a run has the same records everywhere.
-"""
-
-_BUDGET: Final = 8
+_ENDLESS: Final = 10**9  # retries
+_MAX_REASONS: Final = 4  # kinds of failures in the message of an ActionFailed
+_MAX_IMAGINED: Final = 8  # choices of an action that are imagined by default
+#: Choices that are imagined in parallel: in the first batch, because the best choice mostly succeeds, and later.
+#: The numbers don't depend on the number of cores, so a run has the same records everywhere.
+_IN_PARALLEL: Final = (1, 4)
 
 
 @dataclass(frozen=True, slots=True)
 class Thinking:
     """Limits of imagining choices."""
 
-    budget: int = _BUDGET  # choices of an action
+    budget: int = _MAX_IMAGINED  # choices of an action
     seconds: float | None = None  # simulated time of all choices; None for no limit
 
 
@@ -56,7 +58,7 @@ _thinking: ContextVar[Thinking | None] = ContextVar("pycram_thinking", default=N
 _ended: ContextVar[bool] = ContextVar("pycram_thought", default=False)
 
 
-def projecting(budget: int = _BUDGET, *, seconds: float | None = None) -> Binding[Thinking | None]:
+def projecting(budget: int = _MAX_IMAGINED, *, seconds: float | None = None) -> Binding[Thinking | None]:
     """Imagine the best choices of the actions in the ``with`` block before one is performed.
 
     For example::
@@ -90,7 +92,7 @@ def thinking(*, wanted: bool | None) -> Thinking | None:
     """Return the limits of imagining an action's choices here; None if they are not imagined.
 
     Args:
-        wanted: Whether the action itself asks for it; None if it has no such slot.
+        wanted: The action's slot ``projected``; None if it isn't given.
     """
     if _ended.get() or wanted is False:
         return None
@@ -127,13 +129,6 @@ class _Imagined:
             return self._kind.call(self._solution)
 
 
-BUDGET: Final = 20
-"""Number of tries of an action, including those of its subactions, that may fail by default."""
-
-_ENDLESS: Final = 10**9  # retries
-_MAX_REASONS: Final = 4  # kinds of failures in the message of an ActionFailed
-
-
 @dataclass(frozen=True, slots=True)
 class Try:
     """A choice that failed."""
@@ -144,14 +139,7 @@ class Try:
 
 
 class ActionFailed(PlanFailure):
-    """No choice that was tried has done, or the budget was spent.
-
-    Attributes:
-        action: Type of the action.
-        tried: What was tried, in that order, and what came of it.
-        spent: Whether the budget was spent: there may be other choices.
-        last: What could not be chosen in the end, and why; None if there was nothing more to choose from.
-    """
+    """All tried choices failed, or the budget was spent."""
 
     def __init__(
         self, action: str, tried: Sequence[Try], *, spent: bool = False, last: BaseException | None = None
@@ -159,17 +147,17 @@ class ActionFailed(PlanFailure):
         count = f"{len(tried)} {'try' if len(tried) == 1 else 'tries'}"
         ending = "the budget is spent" if spent else "there is nothing else to try"
         super().__init__(f"{action} failed after {count}, {ending}{_summary(tried, last)}")
-        self.action = action
-        self.tried = list(tried)
-        self.spent = spent
-        self.last = last
+        self.action = action  # type of the action
+        self.tried = list(tried)  # the failed choices, in order, each with its failure
+        self.spent = spent  # whether the budget was spent: there may be other choices
+        self.last = last  # why no further choice was found; None if there are no further choices
 
 
 export("pycram.actions", ActionFailed)
 
 
 def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
-    """Return the failures of tries as text, equal ones counted."""
+    """Return the failures of tries as text; equal failures are counted."""
     groups: dict[str, int] = {}
     for each in tried:
         reason = _reason(each.failure)
@@ -181,7 +169,7 @@ def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
 
 
 def _reason(failure: BaseException) -> str:
-    """Return a failure as one line; of a failed action the first failure in it."""
+    """Return a failure as one line; for a failed action, its first failure."""
     while isinstance(failure, ActionFailed) and failure.tried:
         failure = failure.tried[0].failure
     return format_error(failure).partition("\n")[0]
@@ -208,7 +196,7 @@ _budget: ContextVar[_Budget | None] = ContextVar("pycram_budget", default=None)
 
 
 def perform(designator: Designator) -> Any:
-    """Perform an action or a motion, and return its result; in the body of a block that has branches, a future.
+    """Perform an action or a motion, and return its result, or a future in the body of a block with branches.
 
     An action's choices are tried in order, until one succeeds.
 
@@ -234,15 +222,10 @@ def _act(designator: Designator) -> _Act:
         problem = f"perform takes a designator of an action or a motion, not {designator!r}"
         raise DesignatorError(problem, value=designator)
     BulletWorld.current_robot()
-    if next(designator.branches(), None) is None:
-        _check(designator)  # before anything else is done
+    kinds = [cls for cls in type(designator).__mro__ if issubclass(cls, ActionDesignator)]
+    if next(designator.branches(), None) is None and not any(cls.resolvers for cls in kinds):
+        designator.check()  # a resolver of the plan could know other slots
     return _Act(designator)
-
-
-def _check(designator: ActionDesignator) -> None:
-    """Check an action's slots, unless resolvers of the plan's own may know better."""
-    if not any(cls.resolvers for cls in type(designator).__mro__ if issubclass(cls, ActionDesignator)):
-        designator.check()
 
 
 class _Act:
@@ -263,7 +246,8 @@ class _Act:
 
     def _carried_out(self) -> Any:
         slots = dict(self._designator.description)
-        budget = self._room(slots.get("budget"))
+        asked, around = slots.get("budget"), _budget.get()
+        budget = around if around is not None and asked is None else _Budget(BUDGET if asked is None else asked, around)
         ahead = thinking(wanted=slots.get("projected"))
         with Binding(_budget, budget), prepared(self._designator):
             solutions = self._solutions()
@@ -292,21 +276,13 @@ class _Act:
         yield first
         yield from itertools.islice(self._designator.solutions(), 1, None)
 
-    @staticmethod
-    def _room(asked: int | None) -> _Budget:
-        """Return the budget of an action: its own, or that of the action around it."""
-        around = _budget.get()
-        if around is not None and asked is None:
-            return around
-        return _Budget(BUDGET if asked is None else asked, around)
-
 
 class _Tries(FailureHandling):
     """The choices of an action, tried in order.
 
     Args:
         kind: The action.
-        given: Its slots; other values in its solutions are chosen.
+        given: Its given slots; its solutions choose values for the others.
         solutions: Its solutions, at least one.
         budget: The number of tries that may still fail.
         ahead: The limits of imagining choices first; None if they are not imagined.
@@ -328,7 +304,7 @@ class _Tries(FailureHandling):
         self._found = solutions
         self._solutions = solutions if ahead is None else self._imagined(ahead)
         self._solution: Solution = {}
-        self._spent = False  # whether there may be choices beyond the limits
+        self._spent = False  # whether the limits left out choices
 
     @property
     def fields(self) -> dict[str, object]:
@@ -342,7 +318,7 @@ class _Tries(FailureHandling):
             ActionFailed: None succeeded.
         """
         self.parameters = self._next()
-        with not_projecting():  # neither in imagined choices nor after them
+        with not_projecting():  # subactions of imagined choices imagine nothing
             return self.run(lambda **_: type_of(self._solution).call(self._solution))
 
     def recover(self, failure: BaseException) -> Mapping[str, Any]:
@@ -374,7 +350,7 @@ class _Tries(FailureHandling):
         """Yield the solutions that succeed in projections, in order."""
         imagined, seconds = 0, 0.0
         while imagined < ahead.budget and (ahead.seconds is None or seconds < ahead.seconds):
-            batch, self._found = _taken(self._found, min(AT_ONCE[imagined > 0], ahead.budget - imagined))
+            batch, self._found = _taken(self._found, min(_IN_PARALLEL[imagined > 0], ahead.budget - imagined))
             if not batch:
                 return
             outcomes = imagine([(type_of(each), each, self._choice(each)) for each in batch])
@@ -403,7 +379,7 @@ def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], It
 
 
 def _chosen(solution: Solution, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the chosen values of a solution: those of the action's open slots."""
+    """Return the values of a solution for the action's open slots."""
     chosen: dict[str, Any] = {}
     for slot, value in solution.items():
         asked = given.get(slot)

@@ -1,6 +1,6 @@
-"""The ten process modules of the thesis (table 4.15), for any robot that has a description, in simulation.
+"""The ten process modules of the thesis (table 4.15), for simulated robots with a description.
 
-They serve two execution environments, which differ in how what they decide is done (:mod:`pycram.motions.execution`).
+They serve two execution environments, with different executions of their decisions (:mod:`pycram.motions.execution`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = [
 
 
 def default_modules(execution: Execution = INSTANT) -> Mapping[str, ProcessModule]:
-    """New process modules, by the ``cmd`` that they take; one set serves one robot."""
+    """Return new process modules, by the ``cmd`` that they take; one set serves one robot."""
     return {
         "navigate": Navigation(execution),
         "pick": PickUp(execution),

@@ -35,14 +35,14 @@ if TYPE_CHECKING:
     from pycram.reasoning.grasping.handles import HandlePath
     from pycram.world.object import Object
 
-_STEP: Final = 0.1  # m or rad of the opened joint from one posture to the next
-_STILL: Final = 0.01  # m or rad by which it may move while the hand comes
+_STEP: Final = 0.1  # m or rad of the joint between two postures
+_STILL: Final = 0.01  # m or rad, maximum motion of the joint while the hand approaches
 
 
 class Accessing(SimulatedModule):
-    """Grips a handle and moves it along the joint's own motion, as wide as asked, with what lies inside.
+    """Grips a handle and moves it along its joint's path to the given distance, together with the contents.
 
-    With a distance of 0 it closes. Everything is planned before anything moves: a failure leaves the world as it was.
+    With a distance of 0 it closes. Everything is planned before anything moves, so a failure changes nothing.
     """
 
     failures = (AccessFailed, HandleUnreachable, HandleBlocked, MissingPart)
@@ -102,11 +102,11 @@ class Accessing(SimulatedModule):
 
     @staticmethod
     def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> HandlePath:
-        """Return the arm's path; with the torso at another height if there is none at the present one.
+        """Return the arm's path; if there is none, try other heights of the torso.
 
         Raises:
-            HandleUnreachable: the arm doesn't get there.
-            HandleBlocked: something would be in the way.
+            HandleUnreachable: The arm doesn't reach the whole path.
+            HandleBlocked: An obstacle is in the way.
         """
         found = plan(robot, arm, handle, values, choice=choice)
         swept = list(_swept(handle, values))
@@ -129,7 +129,7 @@ class Accessing(SimulatedModule):
 
 
 def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequence[str]) -> AccessFailed:
-    """Return the failure that says where the arm's path ends, and what would do."""
+    """Return the failure: where the arm's path ends, and the remedies."""
     details = {
         "handle": handle.link,
         "arm": arm.name,
@@ -153,9 +153,9 @@ def _in_the_way(pairs: Sequence[CollisionPair]) -> str:
 
 
 def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, CollisionPair]]:
-    """Yield what a drawer or door would push away, and at which value; what lies in it moves along.
+    """Yield obstacles that a drawer or door would push away, each with the joint's value; its contents move along.
 
-    What hands hold counts: they stay where they are.
+    Objects in hands are obstacles, because hands don't give way.
     """
     container = handle.container
     moved = attachment.moved_links(container.urdf, [handle.joint])

@@ -1,4 +1,4 @@
-"""Finding objects: by looking, or in the state of the world."""
+"""Finding objects: with the camera, or in the state of the world."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from recorder.records import Plain
 
 RECOGNISABLE: Final = 0.5
-"""Share of an object that has to be seen to know it."""
+"""Minimum visible share of an object that is recognised."""
 
 
 class Detecting(SimulatedModule):
-    """Finds the object of a type that the robot's camera sees best, as it is directed now."""
+    """Finds the object of a type that the robot's camera sees best in its present direction."""
 
     failures = (PerceptionError, MissingPart)
 
@@ -56,19 +56,19 @@ class Detecting(SimulatedModule):
 
 
 def _sightings(robot: Object, source: str, bodies: Iterable[Object]) -> dict[str, Plain]:
-    """Return as evidence where objects are."""
+    """Return poses of objects as evidence."""
     return sightings(robot.name, source, {body.name: body.get_position_and_orientation() for body in bodies})
 
 
 def _reason(evidence: dict[str, Any]) -> str:
-    """Return in words why an object isn't seen."""
+    """Return the reason why an object isn't seen."""
     share, hiders = evidence["share"], ", ".join(evidence["hidden_by"])
     reason = evidence.get("reason") or (f"is seen to {share:.0%} only" if share else "is not seen")
     return f"{reason} (behind {hiders})" if hiders else reason
 
 
 class WorldStateDetecting(SimulatedModule):
-    """Finds an object of a type in the state of the world, the nearest one; it need not be seen."""
+    """Finds the nearest object of a type in the state of the world, even a hidden one."""
 
     failures = (PerceptionError,)
 

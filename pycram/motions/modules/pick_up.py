@@ -37,17 +37,17 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import PoseLike
 
-_MAX_SEARCHED: Final = 3  # to which a path is searched in vain
-_MOVING: Final = (0.3, 3.0)  # m/s, rad/s from which on it falls or rolls; what rocks after it was set down can be taken
-_STILL: Final = (0.005, math.radians(5))  # m and rad by which it may move while the hand comes
-_BEHIND: Final = (-1.0, 0.0, 0.0)  # where the gripper comes from, in the tool frame
+_MAX_SEARCHED: Final = 3  # grasps without a path, after which the search ends
+_MOVING: Final = (0.3, 3.0)  # m/s, rad/s of falling or rolling; objects still rocking after placement can be grasped
+_STILL: Final = (0.005, math.radians(5))  # m and rad, maximum motion of the object while the hand approaches
+_BEHIND: Final = (-1.0, 0.0, 0.0)  # direction from which the gripper approaches, in the tool frame
 
 
 class PickUp(SimulatedModule):
-    """Reaches for an object, closes the gripper around it and takes it: with a finger on both sides, touching no more.
+    """Moves the gripper to an object, closes it and takes the object, with a finger on each side and no other contact.
 
-    Everything is planned before anything moves, and looked at again when the hand is there and when it has closed. From
-    another hand of the robot it takes an object beside that hand, which then lets go and is drawn back.
+    Everything is planned before anything moves, and checked again before and after the gripper closes. It also takes an
+    object from another hand of the robot: this hand then releases the object and is drawn back.
     """
 
     failures = (GraspFailed, DoesNotFit, Unreachable, Blocked, GripperBlocked, MissingPart)
@@ -122,7 +122,7 @@ class PickUp(SimulatedModule):
                     raise GraspFailed(arm.name, body.name, inside)
 
     def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike, giver: Arm | None) -> None:
-        """Check that an object is where it was when the hand set out for it, and free, or still in the other hand."""
+        """Check that an object hasn't moved while the hand approached, and is free, or still in the other hand."""
         if giver is not None and self.held(robot, giver) is not body:
             raise GraspFailed(arm.name, body.name, f"the {giver.name} one has let go of it while the hand came")
         if giver is None and body.carrier is not None:
@@ -134,9 +134,9 @@ class PickUp(SimulatedModule):
             raise GraspFailed(arm.name, body.name, f"it was moved by {by} while the hand came; pick it up again")
 
     def _holder(self, robot: Object, arm: Arm, body: Object) -> str:
-        """Return what holds an object already, and how to hand it over."""
+        """Return the holder of an object, and the ways to hand it over, for messages."""
         holder = body.carrier
-        assert holder is not None  # noqa: S101  as was asked before
+        assert holder is not None  # noqa: S101  checked by the callers
         free = f"{holder.name}.detach({body.name}) lets go of it"
         for other in self.description(robot).arms.values():
             if self.held(robot, other) is body:
@@ -162,14 +162,15 @@ def _plan(
     choice: Choice,
     giver: Arm | None,
 ) -> tuple[Step, Mapping[str, float]]:
-    """Return what brings the arm to an object, and the posture of its closed gripper, for the grasp that touches least.
+    """Return the step to the best grasp of an object, and the posture of the closed gripper there.
 
-    A hand that holds the object isn't touched either.
+    The gripper doesn't touch another hand that holds the object.
 
     Raises:
-        GraspFailed: No side fits, or the fingers wouldn't hold it from any.
-        Unreachable: No posture brings the gripper there; Blocked if something is in the way.
-        NoPath: No path was found to where it would be taken.
+        GraspFailed: No side fits, or the fingers don't hold the object from any side.
+        Unreachable: No posture brings the gripper there.
+        Blocked: All such postures are in collision.
+        NoPath: No path to a grasp was found.
     """
     failures: list[PlanFailure] = []
     searched = 0
@@ -189,7 +190,7 @@ def _plan(
         else:
             choice.take(str(grasp), position=short(grasp.position), orientation=short(grasp.orientation))
             return reach, closing.positions
-    raise failures[0]  # of the grasp that touches least
+    raise failures[0]  # of the best grasp
 
 
 def _check_sides(robot: Object, arm: Arm, body: Object) -> None:
@@ -200,7 +201,7 @@ def _check_sides(robot: Object, arm: Arm, body: Object) -> None:
 
 
 def _meeting(robot: Object, arm: Arm, giver: Arm, posture: Mapping[str, float]) -> list[CollisionPair]:
-    """Return which links of two hands would meet, where one takes what the other holds: their hulls are tight."""
+    """Return the contacts between the links of two hands, where one takes an object from the other; hulls are tight."""
     hands = [{each.gripper.palm, *each.gripper.fingers} for each in (arm, giver)]
     opened = arm.gripper.positions("open")
     with CollisionChecker(robot, [*posture, *opened]) as checker:
@@ -214,10 +215,10 @@ def _meeting(robot: Object, arm: Arm, giver: Arm, posture: Mapping[str, float]) 
 
 
 def _release(robot: Object, giver: Arm, body: Object) -> Mapping[str, float]:
-    """Return the posture in which a gripper has let go of an object.
+    """Return the posture in which a gripper has released an object.
 
     Raises:
-        GripperBlocked: Something stops its fingers before.
+        GripperBlocked: Something stops its fingers earlier.
     """
     motion = fingers.moved(robot, giver, 1.0, release=body)
     if motion.stopped_by and motion.gap < fingers.CLEAR:

@@ -1,4 +1,4 @@
-"""Putting an object down that a gripper holds, and looking at where it came to rest."""
+"""Putting down an object that a gripper holds, and checking where it comes to rest."""
 
 from __future__ import annotations
 
@@ -35,35 +35,28 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Pose, PoseLike
 
-_AWAY: Final = 0.02  # m from where it was let go
-_TURNED: Final = math.radians(10)  # from the orientation that was asked for, or from upright
-_TOUCHING: Final = 1e-3  # m of air that count as touching
-_LOAD: Final = 0.01  # of its weight that a finger bears which holds it up
-_MAX_SEARCHED: Final = 3  # postures to which a path is searched in vain
-_ABOVE: Final = (0.0, 0.0, 1.0)  # where it is lowered from
+_AWAY: Final = 0.02  # m, maximum distance from the place of release
+_TURNED: Final = math.radians(10)  # maximum turn from the given orientation, or from upright
+_TOUCHING: Final = 1e-3  # m, maximum gap between touching objects
+_LOAD: Final = 0.01  # share of its weight on a hand, above which the object leans on the hand
+_MAX_SEARCHED: Final = 3  # postures without a path, after which the search ends
+_ABOVE: Final = (0.0, 0.0, 1.0)  # direction from which it is lowered
 
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """How an object is put down.
+    """A plan for putting an object down."""
 
-    Attributes:
-        lower: brings the arm there.
-        pose: of the object when it is let go of.
-        opened: joint values of the open gripper by name.
-    """
-
-    lower: Step
-    pose: Pose
-    opened: Mapping[str, float]
+    lower: Step  # moves the arm to the place
+    pose: Pose  # of the object at its release
+    opened: Mapping[str, float]  # joint values of the open gripper, by name
 
 
 class Place(SimulatedModule):
-    """Puts a held object down on what is there: upright if no orientation is given.
+    """Puts a held object down on its support; upright if no orientation is given.
 
-    It has succeeded when everything that it set in motion is at rest again, the object stands where it was let go, and
-    what it touched there stands as it stood. If it leans on the hand, the hand is drawn back, and what comes of that
-    counts: only time tells whether it stands without.
+    It succeeds if all moved objects come to rest again, the object stands where it was released, and its neighbours
+    haven't moved. If it leans on the hand, the hand is drawn back, and the object has to stand afterwards.
     """
 
     failures = (PlaceFailed, Unreachable, MissingPart)
@@ -117,7 +110,7 @@ class Place(SimulatedModule):
             raise PlaceFailed(body.name, target, f"the {arm.name} gripper doesn't hold it")
 
     def _retreat(self, robot: Object, arm: Arm, body: Object) -> Step | None:
-        """Return what draws the hand back out of an object that leans on it; None if it can't be."""
+        """Return the step that draws the hand back from an object that leans on it; None if there is no way."""
         with choosing("retreat", robot.world, object=body, arm=arm.name) as choice:
             posture = placing.retreat(robot, arm, choice)
         return None if posture is None else self.execution.move(robot, posture)
@@ -132,20 +125,20 @@ def _plan(
     lower: Callable[[Mapping[str, float], Pose], Step],
     choice: Choice,
 ) -> _Plan:
-    """Return the first posture in which nothing is in the way, not even when the fingers open.
+    """Return the first plan without collision, also while the fingers open.
 
     Args:
-        robot: the robot; its world's lock is held.
-        arm: the arm.
-        body: the object.
+        robot: The robot; its world's lock is held.
+        arm: The arm.
+        body: The object.
         target: xyz in m.
         orientation: xyzw; None for upright.
-        lower: plans how the arm gets to a posture, with the tool at a pose there.
-        choice: gets what won't do, and why.
+        lower: Plans the arm's way to a posture, with the tool at a pose.
+        choice: Records the rejected postures.
 
     Raises:
-        PlaceFailed: There is none, or no room.
-        NoPath: No path was found to the first few.
+        PlaceFailed: There is no free posture, or no room.
+        NoPath: No path was found to the first postures.
         Unreachable: No posture brings the object there.
     """
     refusals = Refusals()
@@ -159,10 +152,10 @@ def _plan(
 
 
 def _way(lower: Callable[[], Step], name: str, refusals: Refusals, choice: Choice) -> Step | None:
-    """Return what brings the arm to a posture; None if no path was found.
+    """Return the step to a posture; None if no path was found.
 
     Raises:
-        NoPath: Nor was one found to others: the search is given up.
+        NoPath: No path was found to several postures; the search ends.
     """
     try:
         return lower()
@@ -177,7 +170,7 @@ def _way(lower: Callable[[], Step], name: str, refusals: Refusals, choice: Choic
 def _refused(
     arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None, refusals: Refusals
 ) -> PlanFailure:
-    """Return the failure that says why an object can't be put down."""
+    """Return the failure of an object that can't be put down."""
     if refusals.no_path:
         return refusals.no_path[0]
     if refusals.pairs:
@@ -198,18 +191,18 @@ def _reasons(
     neighbours: Mapping[Object, PoseLike],
     restless: Sequence[Object],
 ) -> list[str]:
-    """Say why an object doesn't stand where it was let go; nothing if it does.
+    """Return the reasons why a placing failed; none if it succeeded.
 
     Args:
-        body: the object.
-        target: where it was to be put.
-        wanted: its pose when it was let go.
-        orientation: that was asked for; None for upright.
-        neighbours: what it touched when it was let go, with the poses then.
-        restless: what still moves.
+        body: The object.
+        target: The given place, xyz in m.
+        wanted: Its pose at the release.
+        orientation: The given orientation; None for upright.
+        neighbours: Objects that it touched at the release, with their poses then.
+        restless: Objects that still move.
     """
     position, turn = body.get_position_and_orientation()
-    away = min(math.dist(position, wanted[0]), math.dist(position, target))  # it may slide to where it was wanted
+    away = min(math.dist(position, wanted[0]), math.dist(position, target))  # it may slide to the given place
     turned = geometry.angle(turn, wanted[1])
     lean = geometry.lean(turn, wanted[1])
     near = {body.name, *(pair.body for pair in _touching(body, body.world.objects))} if restless else set()
@@ -229,7 +222,7 @@ def _reasons(
 def _failure(
     body: Object, target: Sequence[float], wanted: Pose, orientation: Sequence[float] | None, reasons: Sequence[str]
 ) -> PlaceFailed:
-    """Return the failure that says why an object doesn't stand where it was let go, and what it touches."""
+    """Return the failure, with the reasons and the contacts of the object."""
     touching = _touching(body, body.world.objects)
     at = ", ".join(pair.body_link + " of " * bool(pair.body_link) + pair.body for pair in touching) or "nothing"
     return PlaceFailed(
@@ -244,7 +237,7 @@ def _failure(
 
 
 def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:
-    """Return in words which of some objects are no longer as they stood."""
+    """Return a reason for each neighbour that has moved."""
     found = []
     for other, (position, turn) in neighbours.items():
         now, turned = other.get_position_and_orientation()
@@ -255,7 +248,7 @@ def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:
 
 
 def _load(robot: Object, body: Object) -> float:
-    """Return the share of an object's weight with which it presses on a robot."""
+    """Return the share of an object's weight that rests on a robot."""
     engine = body.world.engine
     force = sum(contact.force for contact in engine.contacts(body.handle) if contact.other == robot.handle.id)
     weight = engine.center_of_mass(body.handle)[1] * math.hypot(*body.world.gravity) if force else 0.0
@@ -263,7 +256,7 @@ def _load(robot: Object, body: Object) -> float:
 
 
 def _touching(body: Object, others: Iterable[Object]) -> list[CollisionPair]:
-    """Return which other objects an object touches, one pair of links an object."""
+    """Return the contacts of an object with others, one pair of links for each."""
     engine = body.world.engine
     found = []
     for other in others:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class Navigation(SimulatedModule):
-    """Puts the robot to a pose, with what it holds; refuses a pose in collision and leaves the world as it was."""
+    """Moves the robot to a pose, with the objects that it holds. It rejects a pose in collision."""
 
     failures = (InCollision, NotDrivable)
     failures_in_time = (NoPath, *FOLLOWING)
@@ -76,7 +76,7 @@ _PAN_AND_TILT: Final = 2  # joints that can point the camera anywhere
 class MoveHead(SimulatedModule):
     """Points the camera's axis at a point or at the center of an object.
 
-    A head that only pans or only tilts, or a camera that is fixed, brings it into the picture.
+    A head that only pans or only tilts, or a fixed camera, only has to bring the point into the picture.
     """
 
     failures = (LookingFailed, MissingPart)
@@ -102,7 +102,7 @@ class MoveHead(SimulatedModule):
 def _aimed(
     robot: Object, joints: Sequence[str], camera: CameraDescription, looked_at: Mapping[str, Any], choice: Choice
 ) -> Mapping[str, float]:
-    """Return the values of the head's joints with which its camera sees a target or an object.
+    """Return positions of the head's joints from which its camera sees a target or an object.
 
     Raises:
         LookingFailed: There are none.
@@ -120,14 +120,14 @@ def _aimed(
 
 
 def _in_picture(camera: CameraDescription, point: Vector) -> bool:
-    """Whether a camera sees a point of its frame, if nothing hides it."""
+    """Return whether an unhidden point, in a camera's frame, is in its picture."""
     x, y, z = point
     wide, high = (z * math.tan(fov / 2) for fov in (camera.horizontal_fov, camera.vertical_fov))
     return camera.near <= z <= camera.far and abs(x) <= wide and abs(y) <= high
 
 
 class MoveJoints(SimulatedModule):
-    """Puts one arm or both into a posture: a name such as "park", or joint values."""
+    """Moves one or more arms to postures: names such as "park", or joint values."""
 
     failures = (PostureInCollision,)
     failures_in_time = (NoPath, *FOLLOWING)
@@ -163,9 +163,9 @@ class MoveJoints(SimulatedModule):
 
 
 def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, float] | None:
-    """Return the torso's joint, and the height that it is loaded with, if the arms could take a posture there.
+    """Return the torso's joint and default height, if the posture is free at this height.
 
-    `accessing` may have left it lower, for a drawer near the floor.
+    Opening a drawer near the floor may have left the torso lower.
     """
     torso = robot.description.torso if robot.description else None
     if torso is None:
@@ -175,7 +175,7 @@ def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, flo
 
 
 class MoveTCP(SimulatedModule):
-    """Brings the tool frame of an arm to a position, with an orientation if one is asked for."""
+    """Moves the tool frame of an arm to a position, and to an orientation if one is given."""
 
     failures = (Unreachable, Blocked)
     failures_in_time = (NoPath, PostureInCollision, *FOLLOWING)
@@ -198,10 +198,11 @@ class MoveTCP(SimulatedModule):
 def _posture(
     robot: Object, arm: Arm, target: Sequence[float], orientation: Sequence[float] | None, choice: Choice
 ) -> Mapping[str, float]:
-    """Return the joint values of the nearest posture that brings the tool to a target and touches nothing new.
+    """Return the joint values of the nearest posture that brings the tool to a target without new contacts.
 
     Raises:
-        Unreachable: There is none that gets there; Blocked if something is in the way.
+        Unreachable: No posture reaches the target.
+        Blocked: All such postures are in collision.
     """
     postures = inverse.postures(robot, arm.tool_frame, target, orientation, thorough=True)
     if not postures[0].reaches():
@@ -220,32 +221,24 @@ def _posture(
 
 @dataclass(frozen=True, slots=True)
 class GripperMoved:
-    """What came of opening or closing a gripper.
+    """Result of opening or closing a gripper."""
 
-    Attributes:
-        arm: name of the arm.
-        share: how far it is open now: 0 is closed, 1 is open.
-        stopped_by: what stopped the fingers, deepest first; nothing if they got as far as they can.
-        released: what it has let go of, if anything.
-        settled: whether that, and everything else, is at rest now.
-    """
-
-    arm: str
-    share: float
-    stopped_by: Sequence[CollisionPair] = ()
-    released: Object | None = None
-    settled: bool = True
+    arm: str  # name of the arm
+    share: float  # how far it is open: 0 is closed, 1 is open
+    stopped_by: Sequence[CollisionPair] = ()  # contacts that stopped the fingers, deepest first
+    released: Object | None = None  # the object that was released
+    settled: bool = True  # whether everything is at rest
 
     def __record__(self) -> object:
-        """Return its fields, as records have it."""
+        """Return its fields, for records."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 class MoveGripper(SimulatedModule):
-    """Opens or closes the gripper of an arm until something stops the fingers; opening lets go of what it holds.
+    """Opens or closes the gripper of an arm until something stops the fingers; opening releases a held object.
 
-    What it lets go of falls, until everything is at rest or 5 s of simulated time are over. What it holds stops the
-    fingers that would close.
+    A released object falls until everything is at rest, for at most 5 s of simulated time. A held object stops closing
+    fingers.
     """
 
     failures = (GripperBlocked, MissingPart)
