@@ -60,15 +60,10 @@ def run(
     durable: bool = False,
     debug: bool = False,
 ) -> int:
-    """Run a plan as a main program, record it, and return the exit code, as :func:`pycram.cli.main` does.
+    """Run a plan as a main program, record it, and return the exit code; see :func:`pycram.cli.main`.
 
-    Args:
-        spec: The plan and its settings.
-        log: The recording. If the file exists, the next free name is used, unless ``overwrite`` is set.
-        live: The live viewer; see :func:`recorder.record`.
-        overwrite: Whether to replace an existing recording.
-        durable: Whether records survive a power cut.
-        debug: Whether to open the debugger at a failure.
+    Without ``overwrite``, an existing recording stays, and the next free name is used. For ``live`` and ``durable`` see
+    :func:`recorder.record`. With ``debug``, the debugger opens at a failure.
     """
     before = sys.argv, list(sys.path)
     sys.argv = [str(spec.plan), *spec.arguments]

@@ -1,4 +1,4 @@
-"""Recordings in the Rerun viewer: translated into an ``.rrd`` that is kept beside the recording, and opened.
+"""Recordings in the Rerun viewer: translated into an ``.rrd`` file beside the recording, and opened.
 
 The same code translates as while the plan runs (:mod:`recorder.viewer`), so both show the same. Invalid records are
 reported as damage. An ``.rrd`` is a cache, in a folder where others may write. So it is used only if this user made it
@@ -102,7 +102,7 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
         beside = temporary_file(beside.name)
     problems = log.problems
     convert([log], beside)
-    unchanged = log.path.stat().st_mtime_ns == log.written_ns  # a running plan goes on writing what isn't in there
+    unchanged = log.path.stat().st_mtime_ns == log.written_ns  # a running plan is still writing
     if note is not None and unchanged and log.problems == problems:  # damage is to be reported each time
         with contextlib.suppress(OSError):
             note.parent.mkdir(parents=True, exist_ok=True)

@@ -173,17 +173,10 @@ def explore_runs(
     overwrite: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Exploration:
-    """Explore a plan by a function that runs it; see :func:`explore`.
+    """Explore a plan by a function that runs it once; see :func:`explore`.
 
-    Args:
-        run: Runs the plan once.
-        count: Number of orders.
-        depth: Of the races.
-        limit: Seconds of wall-clock time for each run.
-        plan: Its file; None for the program's.
-        file: Recordings are named after it, RUN.explored-1.mcap for the first ending; None to keep none.
-        overwrite: Whether to replace existing recordings.
-        progress: Called after each run with the number of runs.
+    Recordings are named after ``file``, RUN.explored-1.mcap for the first ending; None keeps none. ``plan`` is the file
+    of the plan; None for the program. ``progress`` is called after each run with the number of runs.
     """
     for argument, number in (("runs", count), ("depth", depth)):
         if checks.number(argument, number) != int(number) or number < 1:

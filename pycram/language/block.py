@@ -81,12 +81,7 @@ class Policy:
 
 
 class Block:
-    """A block: ``s`` in ``with par as s``.
-
-    Args:
-        policy: Its kind.
-        failures: Collects its failures; without a list, they are raised.
-    """
+    """A block: ``s`` in ``with par as s``. A list collects its failures; without a list, they are raised."""
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         self.policy = policy
@@ -371,11 +366,6 @@ class ReadBlock(Block):
     body waits for its result. An attempt, a timeout, a cleanup or the wait for a fluent in that body runs in place,
     after the earlier actions of a sequence. A change of a world there, or a branch that is added to an outer block, is
     rejected (RunsEarly) if earlier actions have not ended.
-
-    Args:
-        policy: Its kind.
-        host: The block around it.
-        failures: Collects its failures; without a list, they are raised.
     """
 
     def __init__(self, policy: Policy, host: Block, failures: list[BaseException] | None = None) -> None:

@@ -53,7 +53,7 @@ class Branch:
     may refer to the block.
 
     Args:
-        name: Its name in records and messages.
+        name: In records and messages.
         action: Returns the result.
         changed: The block's condition, notified when the branch ends.
         ordered: Whether it waits only for earlier branches.
@@ -169,11 +169,7 @@ def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Resul
 
 
 def lazy(instead: str) -> Callable[[Function], Function]:
-    """Mark a plain function whose generator does its work.
-
-    Args:
-        instead: The action to use instead, for the message.
-    """
+    """Mark a plain function whose generator does its work; the error names the action to use instead."""
 
     def mark(function: Function) -> Function:
         setattr(function, _LAZY, instead)

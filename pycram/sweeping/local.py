@@ -158,16 +158,10 @@ def run_once(
     noting: bool = False,
     lost: str = "",
 ) -> bytes:
-    """Run the plan once, in a child of the sweep; return the outcome, and notes to warm later runs.
+    """Run the plan once, in a child of the sweep; return the outcome, and with ``noting`` notes to warm later runs.
 
-    Args:
-        spec: Of the sweep.
-        number: Of the run.
-        attempt: Number of the attempt, from 1.
-        models: The file of models that the recording refers to.
-        began: Start of the run by the system's monotonic clock, in s.
-        noting: Whether to take notes.
-        lost: Why the run's process ended in each attempt; then only this is recorded.
+    The attempts are numbered from 1. The run began at ``began`` by the system's monotonic clock, in s. With ``lost``,
+    only this is recorded: why the run's process ended in each attempt.
     """
     run, part, name = spec.run(number), spec.part(number), spec.name(number)
     if spec.memory and not lost:
@@ -265,12 +259,9 @@ class _Job(NamedTuple):
 
 
 class Local:
-    """Makes runs in forks of this process.
+    """Makes runs in forks of this process, at most ``cores`` in parallel; 0 for one per core.
 
-    Args:
-        spec: Of the sweep.
-        cores: Maximum number of parallel runs; 0 for one per core.
-        models: Name of the file of models that recordings share; None until a run has loaded models.
+    ``models`` is the name of the file of models that recordings share; None until a run has loaded models.
     """
 
     def __init__(self, spec: SweepSpec, cores: int = 0, models: str | None = None) -> None:

@@ -38,16 +38,7 @@ _AHEAD: Final = 3  # waiting batches per core
 def sweep_on_ray(
     spec: SweepSpec, runs: int, url: str, address: str, cores: int, progress: Callable[[Sweep, RunOutcome | None], None]
 ) -> Sweep:
-    """Sweep on a cluster; see :func:`pycram.sweeping.sweep`.
-
-    Args:
-        spec: Of the sweep.
-        runs: Number of runs.
-        url: Of the folder.
-        address: Of the cluster; "" for one on this machine.
-        cores: Maximum number of parallel runs; 0 for one per core of the cluster.
-        progress: Called at the start and after each run.
-    """
+    """Sweep into the folder ``url`` on a cluster; see :func:`pycram.sweeping.sweep`."""
     store = _Store(url)
     with ExitStack() as within, tempfile.TemporaryDirectory(prefix="pycram-sweep-") as here:
         if store.is_local:

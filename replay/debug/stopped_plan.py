@@ -285,12 +285,8 @@ class StopConditions:
 class StoppingSink(NullSink):
     """Stops a guided run; :attr:`guided` compares its records first.
 
-    Args:
-        guidance, folder: see :class:`replay.retrace.guided_run.GuidedRun`.
-        address: the prompt's socket.
-        clock: pauses while the plan is stopped.
-        until: the first step at which the plan stops.
-        spacing: nanoseconds of the recording between checkpoints; None for no checkpoints.
+    Its messages go to the prompt's socket ``address``. The clock pauses while the plan is stopped. The plan first stops
+    at the step ``until``. ``spacing`` is the time between checkpoints, ns of the recording; None for no checkpoints.
     """
 
     def __init__(

@@ -1,9 +1,8 @@
-"""The files of a recording: models, meshes, the plan's source; attached to it, or in a file that several share.
+"""The files of a recording: models, meshes, the plan's source; attached to it, or in a file of models.
 
-The file of models that a recording of a sweep shares with others; see :mod:`recorder.mcap_writer`.
-
-A recording may come from anybody, so what it names is opened only if it lies in the recording's own folder, is a
-regular file and no link, and has the content that the recording was made with.
+The recordings of a sweep share a file of models (:mod:`recorder.mcap_writer`). A recording may come from anyone. So the
+file that it names is opened only if it is in the recording's folder, is a regular file and no link, and has the hash
+that is on record.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Runs a plan again beside its recording, and finds the first record that comes out differently."""
+"""Runs a plan again, guided by its recording: to compare the records, or to leave the recording at a step."""

@@ -325,11 +325,8 @@ class PendingChanges:
     are made. Between operation and change, the plan can't read the world. Changes are made outside of the plan's tasks,
     blocks and branches, by the setters that plans call; their records say that they aren't the plan's.
 
-    Args:
-        changes: all changes, in order.
-        answers: receives the answer overrides.
-        make: makes any other change.
-        refuse: called with the error of an impossible change; it doesn't return.
+    ``answers`` receives the answer overrides; ``make`` makes any other change. ``refuse`` is called with the error of
+    an impossible change; it doesn't return.
     """
 
     def __init__(

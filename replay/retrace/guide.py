@@ -30,13 +30,10 @@ _Stack: TypeAlias = "tuple[str, ...]"  # the plan's lines that called one anothe
 
 
 class Guide(NullSink):
-    """Compares the records of a run with a recording, up to the first difference.
+    """Compares the records of a run with a recording, up to the first difference or the step ``until``.
 
-    Args:
-        log: the recording.
-        report: called once, with the number of equal records and the first difference or None. It need not return.
-        until: the last compared step; by default the recording's last step.
-        path: the file that the run would record to; recordings of its projections are written beside it.
+    Then ``report`` is called with the number of equal records and the first difference or None; it need not return.
+    Recordings of the run's projections are written beside ``path``.
     """
 
     def __init__(

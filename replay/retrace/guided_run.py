@@ -56,11 +56,8 @@ def make_change(change: Change) -> None:
 class GuidedRun:
     """A run of a plan in this process: its records are compared, queries answered, and changes made after their steps.
 
-    Args:
-        guidance: how the recording guides it.
-        folder: for the recordings of its projections.
-        report: see :class:`replay.retrace.guide.Guide`.
-        refuse: called with the error of a change that can't be made; it doesn't return.
+    The folder is for recordings of projections. For ``report`` see :class:`replay.retrace.guide.Guide`; for ``refuse``
+    see :class:`replay.retrace.changes.PendingChanges`.
     """
 
     def __init__(

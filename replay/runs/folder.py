@@ -134,10 +134,7 @@ class Folder:
         return dict(sorted(found.items()))
 
     def update(self, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
-        """Bring the tables up to date.
-
-        Args:
-            progress: called with the number of recordings that were read, and of all that must be read.
+        """Bring the tables up to date; ``progress`` is called with the numbers of read recordings and of all to read.
 
         Raises:
             NotRead: the tables aren't up to date, and can't be written.
@@ -475,11 +472,7 @@ class Runs:
         self.folder.close()
 
     def sql(self, statement: str, values: Sequence[object] = ()) -> Answer:
-        """Return what a statement selects from the tables; docs/runs.md has their columns.
-
-        Args:
-            statement: a SELECT in DuckDB's SQL, with ? for values.
-            values: the values.
+        """Return the rows that a SELECT in DuckDB's SQL, with ? for values, selects; docs/runs.md has the columns.
 
         Raises:
             Refused: the statement isn't a single SELECT, opens other files, or is invalid.

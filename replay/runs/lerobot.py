@@ -61,13 +61,7 @@ class Exported:
 
 
 def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = None) -> Exported:
-    """Export runs of one robot.
-
-    Args:
-        runs: the folder of recordings.
-        names: names of the runs to export.
-        folder: the data set; it must not exist.
-        draw: draws the pictures of a video; None for no video.
+    """Export runs of one robot, by the names of their recordings, into a new folder; without ``draw``, without video.
 
     Raises:
         ReplayError: no robot moves in any run, the runs are of several robots, or the folder can't be written.

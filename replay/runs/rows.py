@@ -90,12 +90,7 @@ def write_rows(path: Path) -> None:
 
 
 def read_rows(path: Path, state: os.stat_result) -> dict[str, pa.Table] | None:
-    """Return the rows that the process of a recording wrote; None without rows, or if the recording has changed.
-
-    Args:
-        path: the recording.
-        state: the status of its file.
-    """
+    """Return the rows that the process of a recording wrote; None without rows, or if its file's state has changed."""
     tables = {}
     with suppress(OSError, pa.ArrowInvalid), written_rows(path).open("rb") as file:
         for table in TABLES:

@@ -90,13 +90,7 @@ class Separation:
 
 
 def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None = None) -> Separation:
-    """Return the facts that separate failed from successful runs.
-
-    Args:
-        runs: the folder of the runs.
-        names: names of the runs to compare; by default all.
-        cause: cause of the failures to compare with the successes; by default all causes.
-    """
+    """Return the facts that separate failed from successful runs; by default of all runs and all causes of failures."""
     cases = _cases(runs, names, cause)
     return _separation(cases, list(compared_of(sites(runs, cases), cases)))
 
@@ -626,9 +620,7 @@ def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
 class Chance:
     """The strongest evidence in random permutations of the failures.
 
-    Args:
-        facts: numbers of the runs that reached a site, and a row for each fact of it.
-        failed: whether each run failed.
+    A site's facts are given as the numbers of the runs that reached it, and a row for each fact.
     """
 
     def __init__(self, facts: Iterable[tuple[RunNumbers, Truth]], failed: Truth) -> None:

@@ -156,9 +156,7 @@ class Videos:
 def statistics(counts: NDArray[np.int64], frames: int) -> dict[str, Any]:
     """Return the statistics by which LeRobot normalises pictures, for each channel, with values from 0 to 1.
 
-    Args:
-        counts: how often each channel has each value from 0 to 255.
-        frames: number of pictures.
+    ``counts`` has the frequency of each value from 0 to 255 in each channel.
     """
     values, of = np.arange(256) / 255, counts.sum(1, keepdims=True)
     mean = (counts * values).sum(1, keepdims=True) / of
