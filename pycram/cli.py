@@ -128,7 +128,6 @@ def _check_together(parser: argparse.ArgumentParser, options: argparse.Namespace
 
 
 def _values(parser: argparse.ArgumentParser, plan: Path, given: Sequence[str]) -> dict[str, Any]:
-    """Return the given values of a plan's parameters."""
     if not given:
         return {}
     from pycram.foundation.failures import UsageError  # noqa: PLC0415  heavy

@@ -128,7 +128,6 @@ def run(
 
 
 def _report(error: BaseException) -> int:
-    """Print how a plan ended; return the exit code."""
     from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
     from recorder.records import format_error  # noqa: PLC0415  heavy
     from recorder.records.tracebacks import format_traceback  # noqa: PLC0415  heavy

@@ -238,7 +238,6 @@ class Block:
             self.scope.cancel()
 
     def _add_ended(self, nested: str, raised: BaseException | None) -> None:
-        """Add an ended block of its body as a branch."""
         state = State.SUCCEEDED if raised is None else State.FAILED
         if isinstance(raised, Cancelled):
             state, raised = State.CANCELLED, None
@@ -433,7 +432,6 @@ class ReadBlock(Block):
     # --- running ------------------------------------------------------------------------------------------------------
 
     def _work(self) -> None:
-        """Run the branches, in a branch of the host."""
         stopped: BaseException | None = None
         enter(self.scope)
         self.state = State.RUNNING

@@ -49,8 +49,6 @@ class Misnested(UsageError):
 
 
 class _Open(NamedTuple):
-    """A scope that is open."""
-
     scope: object  # of the ``with`` statement
     generator: int  # id of the generator whose code opened it; 0 for code that isn't resumable
     body: AbstractContextManager[object]  # that does the work

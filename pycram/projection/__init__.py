@@ -297,7 +297,6 @@ def _path() -> Path | None:
 
 
 def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[[], None], memory: int | None) -> bytes:
-    """Run the action, and return its outcome."""
     failure: BaseException | None = None
     result: Result = None
     try:

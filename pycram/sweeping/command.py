@@ -61,8 +61,6 @@ def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
 
 
 class _Shown:
-    """Shows the progress as a bar, on a terminal."""
-
     def __init__(self, runs: int) -> None:
         self.bar: Progress | None = _bar() if sys.stderr.isatty() else None
         self._runs = runs

@@ -132,8 +132,6 @@ class RunOutcome:
 
 
 class _RunSink(McapSink):
-    """The recording of a run, and its end."""
-
     end: Run | None = None
     started = False
     late: Callable[[], str] = str
@@ -238,7 +236,6 @@ def hooks() -> tuple[Callable[[Path], object], ...]:
 
 
 def _call_hooks(path: Path) -> str:
-    """Call the hooks; return their error, or ""; the run doesn't depend on it."""
     try:
         for hook in hooks():
             hook(path)

@@ -184,7 +184,6 @@ def _warm(spec: SweepSpec, models: str | None) -> Worker:
 
 
 def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str | None) -> list[dict[str, Any]]:
-    """Make the missing runs of a batch, as a Ray task."""
     global _worker  # noqa: PLW0603
     spec, store = SweepSpec.of_json(spec_facts), _Store(url)
     worker = _warm(spec, models)
@@ -216,7 +215,6 @@ def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str 
 
 
 def _known(store: _Store, spec: SweepSpec, number: int, folder: Path) -> dict[str, Any]:
-    """Return the outcome of an existing recording."""
     from mcap.reader import make_reader  # noqa: PLC0415
 
     from recorder.records import Run, format_failure  # noqa: PLC0415

@@ -82,7 +82,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Run the plan to the step, and take commands until the end of the input."""
     from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415  needs the executor
     from replay.debug.session import Session  # noqa: PLC0415
-    from replay.retrace.plan_process import last_own_step  # noqa: PLC0415
+    from replay.retrace.plan_process import PlanProcess, last_own_step  # noqa: PLC0415
 
     if options.json:
         raise ReplayError("debug is a prompt, whose answers are text; the other verbs have --json")
@@ -90,13 +90,8 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     step = log.step(options.step if options.step is not None else "failure" if failed else 0)
     if options.step is None:
         step = min(step, last_own_step(log))
-    with GuidedPlan(
-        log,
-        options.plan,
-        options.arguments,
-        checkpoints=not options.no_checkpoints,
-        recorded_source=options.recorded_source,
-    ) as plan:
+    process = PlanProcess(log, options.plan, options.arguments, recorded_source=options.recorded_source)
+    with GuidedPlan(process, checkpoints=not options.no_checkpoints) as plan:
         for file, source in plan.recorded_files.items():  # the prompt lists it, whatever there is on the disk
             lines = source.decode("utf-8", "replace").splitlines(keepends=True)
             linecache.cache[str(file)] = len(source), None, lines, str(file)

@@ -122,8 +122,6 @@ def _is_called(known: str, name: str) -> bool:
 
 
 class _World:
-    """A world, with its bodies as attributes."""
-
     def __init__(self, world: WorldBuilder) -> None:
         self._world = world
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from replay.debug.stopped_plan import PAUSE, Channel
 from replay.errors import Damaged, ReplayError
-from replay.retrace.plan_process import FirstDifference, PlanProcess
+from replay.retrace.plan_process import FirstDifference
 from replay.retrace.retrace import likely_reasons
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from typing import Self
 
     from replay.debug.stopped_plan import Message, WatchedExpression
-    from replay.file.record_reader import RecordReader
+    from replay.retrace.plan_process import PlanProcess
 
 _MAX_WAITING: Final = 64  # waiting copies
 _SHOWN: Final = 2000  # last characters of the stderr of an ended process
@@ -73,25 +73,16 @@ class Arrival:
 
 
 class GuidedPlan:
-    """A recorded plan, at a step; the arguments are those of :class:`replay.retrace.plan_process.PlanProcess`.
+    """A recorded plan, at a step.
 
     With ``checkpoints``, copies of it wait at some steps; else it goes back by running again from its start.
 
     Raises:
-        CantRetrace: the plan is missing, or the recording lacks the run's conditions.
         Damaged: the beginning of the recording is lost.
     """
 
-    def __init__(
-        self,
-        log: RecordReader,
-        plan: str | Path | None = None,
-        arguments: Sequence[str] | None = None,
-        *,
-        checkpoints: bool = True,
-        recorded_source: bool = False,
-    ) -> None:
-        process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
+    def __init__(self, process: PlanProcess, *, checkpoints: bool = True) -> None:
+        log = process.log
         self.recorded_files = process.recorded_files  # the recorded source by its files' paths, if it runs
         self.notes = tuple(process.notes())  # differences from the recorded conditions
         self.step = -1  # the last recorded step that it has made; -1 before the first
@@ -383,7 +374,6 @@ class PlanCopies:
     # --- ends of processes ------------------------------------------------------------------------------------------
 
     def _lost(self, copy: PlanCopy | None) -> NoReturn:
-        """Raise `PlanEnded`."""
         self.now = None
         self.end(copy)
         raise PlanEnded(self._printed())

@@ -344,7 +344,6 @@ class StoppingSink(NullSink):
     # --- while the plan runs ----------------------------------------------------------------------------------------
 
     def _pass(self) -> None:
-        """Continue after a record, or stop and continue later."""
         stopping = self._step >= self._conditions.until
         changed = self._noted_changes() if self._conditions.watched else False
         if stopping or (changed and not self._conditions.through) or self._channel.pending:
@@ -433,7 +432,6 @@ class StoppingSink(NullSink):
         self._serve()
 
     def _serve(self) -> None:
-        """Answer messages until the plan is to continue."""
         self._serving = True
         with self._clock.paused():
             while True:

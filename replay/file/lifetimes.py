@@ -108,7 +108,6 @@ def closes_world(record: Record) -> bool:
 
 
 def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[int]]:
-    """Return the lists that a chunk belongs to."""
     lists = []
     kinds: defaultdict[Owner, set[type[Record]]] = defaultdict(set)
     for kind, owner in marks:

@@ -202,7 +202,6 @@ class DrawnWorld:
         return picture
 
     def _subject(self, target: Sequence[float] | str | Sequence[str] | None) -> tuple[PictureSubject, Vector | None]:
-        """Return the subject, and the point to look at if one is given."""
         names = [target] if isinstance(target, str) else list(target or ())
         if names and all(isinstance(name, str) for name in names):
             return PictureSubject(tuple(self._parts_of(str(name)) for name in names), every=True), None
@@ -225,7 +224,6 @@ class DrawnWorld:
         return (drawn.parts[link],) if link in drawn.parts else tuple(drawn.parts.values())
 
     def _robot_camera(self, frame: str, size: tuple[int, int]) -> Camera:
-        """Return the camera at a frame of the robot."""
         if self._robot is None:
             raise NoSuchName("robot with a camera", frame, ())
         if frame not in self._robot.frames:
@@ -371,7 +369,6 @@ def free_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: Pi
 
 
 def _in_furniture(camera: Camera, parts: Sequence[DrawnLink]) -> bool:
-    """Return whether a camera is within the box of fixed furniture."""
     for part in parts:
         low, high = part.drawable.shapes.low[0], part.drawable.shapes.high[0]
         if part.fixed and (high - low).min() < _ROOM:
@@ -412,7 +409,6 @@ class _Glance:
 
 
 def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
-    """Return the window of the picture that contains points."""
     x, y, z = camera.to_frame(corners).T
     if (z < camera.near).any():
         return camera.window

@@ -186,8 +186,6 @@ def reading(body: Body) -> Snapshot:
 
 
 class _LastMutation(NullSink):
-    """A sink that keeps the last mutation."""
-
     def __init__(self) -> None:
         self.record: Mutation | None = None
 

@@ -129,7 +129,6 @@ def fork(
 def _changes(
     log: RecordReader, step: int, given: Sequence[str], world: str | None, answers: Sequence[str], seed: int | None
 ) -> list[Change]:
-    """Return the checked changes of a fork."""
     changes = settings_of(log, step, given, world)
     for text in answers:
         parse_answer(text)

@@ -105,8 +105,8 @@ class PlanProcess:
     def __init__(
         self,
         log: RecordReader,
-        plan: str | Path | None,
-        arguments: Sequence[str] | None,
+        plan: str | Path | None = None,
+        arguments: Sequence[str] | None = None,
         *,
         until: int | None = None,
         recorded_source: bool = False,
@@ -118,7 +118,7 @@ class PlanProcess:
             raise CantRetrace(f"{log.path}: an older release made it, which didn't record how the plan was run")
         if recorded_source and plan is not None:
             raise CantRetrace("give either a plan or --recorded-source, not both")
-        self._log = log
+        self.log = log
         self._began = began
         self._until = until
         self._edited = plan is not None
@@ -154,7 +154,7 @@ class PlanProcess:
             yield f"{self.program.name} differs from the recorded source"
         if began.pycram.sha256 and began.pycram.sha256 != pycram_revision().sha256:
             yield "PyCRAM's code differs from the code that made the recording"
-        yield from other_versions(self._log.metadata, "python", "pybullet", "numpy", "machine", "platform")
+        yield from other_versions(self.log.metadata, "python", "pybullet", "numpy", "machine", "platform")
         if not began.seed:
             yield "no seed is recorded: random numbers may differ"
         if not began.hash_seed.isdecimal():
@@ -180,7 +180,7 @@ class PlanProcess:
         """
         until = self._until
         if until is None:  # after its last own step the plan may hang
-            until = self._interrupted_after if self._log.closed else len(self._log) - 1
+            until = self._interrupted_after if self.log.closed else len(self.log) - 1
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
         with (
@@ -237,7 +237,7 @@ class PlanProcess:
         recorded = list(self._began.origin.changes)
         if (changes or self._edited) and self._until is not None:
             recorded = [change for change in recorded if change.step <= self._until]
-        log = str(self._log.path.resolve())
+        log = str(self.log.path.resolve())
         return Guidance(log, self._began.by_program, until, take_answers, (*recorded, *changes))
 
     def start(
@@ -382,7 +382,6 @@ def _lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
 
 
 def _places(log: RecordReader) -> set[Path]:
-    """Return the paths of all files in recorded call stacks."""
     files: set[str] = set()
     for record in log:
         files.add(getattr(record, "source_file", ""))

@@ -167,7 +167,6 @@ def _reads(file: Path) -> Iterator[tuple[int, str, str]]:
 
 
 def _imported(nodes: tuple[ast.AST, ...]) -> Iterator[tuple[str, str]]:
-    """Yield the imports of a file: local and full names."""
     for node in nodes:
         if isinstance(node, ast.Import):
             yield from ((each.asname, each.name) for each in node.names if each.asname)

@@ -189,7 +189,6 @@ class Folder:
     def _add(
         self, recordings: Mapping[str, os.stat_result], progress: Callable[[int, int], object], done: int, of: int
     ) -> None:
-        """Read recordings and write their rows as a part."""
         rows: dict[str, list[pa.Table]] = defaultdict(list)
         names = []
         for name, state in recordings.items():
@@ -230,7 +229,6 @@ class Folder:
     # --- parts -------------------------------------------------------------------------------------------------------
 
     def _drop(self, names: Iterable[str]) -> None:
-        """Remove the rows of recordings."""
         gone: dict[str, set[str]] = defaultdict(set)
         for name in names:
             facts = self._contents.files.pop(name)
@@ -254,7 +252,6 @@ class Folder:
             self._contents.files[name]["part"] = part
 
     def _write_part(self, tables: Mapping[str, pa.Table]) -> str:
-        """Write tables as a part, and return its name."""
         part = f"{self._contents.next:06}"
         self._contents.next += 1
         partial = Path(tempfile.mkdtemp(prefix=f".{part}.", dir=self.tables))
@@ -495,7 +492,6 @@ class Runs:
                 raise self._error(statement, error) from error
 
     def _error(self, statement: str, error: duckdb.Error) -> ReplayError:
-        """Return the error to raise for an error of the database."""
         if not all(Path(file).exists() for file in self._files):
             return NotRead(self.path, "its tables were removed since they were opened; open the folder again")
         if isinstance(error, duckdb.PermissionException):
@@ -503,7 +499,6 @@ class Runs:
         return Refused(statement, str(error))
 
     def _open(self) -> None:
-        """Create the views and lock the settings."""
         database = self._database
         files = {table.name: self.folder.files(table.name) for table in TABLES}
         self._files = [file for each in files.values() for file in each]

@@ -2,46 +2,59 @@
 
 A frame has the robot's base pose and joints (``observation.state``), those of the next frame (``action``), and the
 poses of all bodies that move in any run (``observation.environment_state``). Between two changes nothing moves. So only
-runs whose motions take time (execution environment ``continuous``) have trajectories. A camera's picture can be drawn
-for each frame (:mod:`replay.runs.video`). The folder is written under a temporary name and renamed when it is complete.
+runs whose motions take time (execution environment ``continuous``) have trajectories. The folder is written under a
+temporary name and renamed when it is complete.
+
+A video of the robot's camera can be drawn from the recordings. Episodes follow one another in AV1 files (MP4), at the
+frame rate of the data set. Every second frame is a key frame, because training reads single frames. A frame is drawn
+only if the world has changed since the last frame.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
+from recorder.packages import needed
 from replay.errors import ReplayError
+from replay.file.record_reader import RecordReader
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+    from types import TracebackType
+    from typing import Self
 
+    import av
+    from av.container import OutputContainer
+    from av.video.stream import VideoStream
     from numpy.typing import NDArray
 
-    from replay.file.record_reader import RecordReader
     from replay.runs.folder import Runs
-    from replay.runs.video import Videos
 
 FPS: Final = 30
 _FILE_SIZE: Final = 100  # MB of a data file
-FILES: Final = 1000  # files in a folder
+_FILES: Final = 1000  # files in a folder
 _DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-VIDEO: Final = "observation.images.camera"
-VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-VIDEO_SIZE: Final = 200  # MB of a video file, after which the next episode begins a new one
+_VIDEO: Final = "observation.images.camera"
+_VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+_MAX_VIDEO: Final = 200  # MB of a video file, after which the next episode begins a new one
+_PICTURE: Final = (320, 240)  # width and height in pixels
+_FORMAT: Final = "yuv420p"
+_CODECS: Final = {"libsvtav1": {"g": "2", "crf": "30", "preset": "8"}, "libx264": {"g": "2", "crf": "23"}}
 _EPISODES: Final = "meta/episodes/chunk-000/file-000.parquet"
 _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
-QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+_QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _STATE, _ACTION, _ENVIRONMENT = "observation.state", "action", "observation.environment_state"
 
 
@@ -67,7 +80,8 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
         ReplayError: no robot moves in any run, the runs are of several robots, or the folder can't be written.
     """
     if draw is not None:
-        from replay.runs.video import Videos  # noqa: PLC0415  needs an extra
+        with needed("video"):
+            import av  # noqa: F401, PLC0415
     if folder.exists():
         raise ReplayError(f"{folder}: already exists; a data set needs a new folder")
     robots = _robots(runs, names)
@@ -83,7 +97,7 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
             with ExitStack() as files:
                 videos = None
                 if draw is not None:
-                    videos = files.enter_context(Videos(partial, runs, kinds[0], draw))
+                    videos = files.enter_context(_Videos(partial, runs, kinds[0], draw))
                 frames = _Writer(partial, runs, list(robots), kinds[0], videos).write()
             partial.chmod(0o755)
             partial.rename(folder)
@@ -105,9 +119,7 @@ def _robots(runs: Runs, names: Sequence[str]) -> dict[str, str]:
 
 
 class _Writer:
-    """Writes a data set into a folder."""
-
-    def __init__(self, folder: Path, runs: Runs, names: Sequence[str], robot: str, videos: Videos | None) -> None:
+    def __init__(self, folder: Path, runs: Runs, names: Sequence[str], robot: str, videos: _Videos | None) -> None:
         self.folder, self.runs, self.names, self.robot, self.videos = folder, runs, names, robot, videos
         self.joints = self._common("joint", "joints", "body = ?", [robot])
         self.bodies = self._moving()
@@ -136,8 +148,8 @@ class _Writer:
                     "length": length,
                     "dataset_from_index": index,
                     "dataset_to_index": index + length,
-                    "data/chunk_index": file // FILES,
-                    "data/file_index": file % FILES,
+                    "data/chunk_index": file // _FILES,
+                    "data/file_index": file % _FILES,
                     "meta/episodes/chunk_index": 0,
                     "meta/episodes/file_index": 0,
                     "run": name,
@@ -185,7 +197,6 @@ class _Writer:
         return [body for body in in_all if body in moving]
 
     def _frames(self, run: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Return the times of an episode's frames, in s of simulated time, and its columns."""
         poses = self._series(run, "poses", "body", _POSE)
         joints = self._series(run, "joints", "joint", ("position",), self.robot)
         times = [time for moments, _ in [*poses.values(), *joints.values()] for time in (moments[0], moments[-1])]
@@ -224,7 +235,7 @@ class _Writer:
     # --- files -------------------------------------------------------------------------------------------------------
 
     def _write_data(self, tables: Sequence[pa.Table], file: int) -> None:
-        path = self.folder / _DATA.format(chunk_index=file // FILES, file_index=file % FILES)
+        path = self.folder / _DATA.format(chunk_index=file // _FILES, file_index=file % _FILES)
         path.parent.mkdir(parents=True, exist_ok=True)
         parquet.write_table(pa.concat_tables(tables), path)
 
@@ -248,19 +259,19 @@ class _Writer:
             "total_episodes": len(episodes),
             "total_frames": frames,
             "total_tasks": 1,
-            "chunks_size": FILES,
+            "chunks_size": _FILES,
             "data_files_size_in_mb": _FILE_SIZE,
-            "video_files_size_in_mb": VIDEO_SIZE if self.videos else 0,
+            "video_files_size_in_mb": _MAX_VIDEO if self.videos else 0,
             "fps": FPS,
             "splits": {"train": f"0:{len(episodes)}"},
             "data_path": _DATA,
-            "video_path": VIDEO_PATH if self.videos else None,
-            "features": self._features() | ({VIDEO: self.videos.feature()} if self.videos else {}),
+            "video_path": _VIDEO_PATH if self.videos else None,
+            "features": self._features() | ({_VIDEO: self.videos.feature()} if self.videos else {}),
         }
         (self.folder / "meta" / "info.json").write_text(json.dumps(info, indent=2), encoding="utf-8")
         whole: dict[str, Any] = _statistics(dict(self._columns()))
         if self.videos:
-            whole[VIDEO] = self.videos.statistics(frames)
+            whole[_VIDEO] = self.videos.statistics(frames)
         (self.folder / "meta" / "stats.json").write_text(json.dumps(whole, indent=2), encoding="utf-8")
 
     def _features(self) -> dict[str, Any]:
@@ -274,7 +285,6 @@ class _Writer:
         return {key: feature | {"fps": FPS} for key, feature in features.items()}
 
     def _columns(self) -> Iterator[tuple[str, np.ndarray]]:
-        """Yield the columns of all data files, one at a time."""
         files = sorted((self.folder / "data").rglob("*.parquet"))
         for name in self._features():
             parts = []
@@ -292,7 +302,6 @@ def _at(series: tuple[np.ndarray, np.ndarray], moments: np.ndarray) -> np.ndarra
 
 
 def _table(frames: Mapping[str, np.ndarray]) -> pa.Table:
-    """Return an episode as a table, with vectors as fixed-size lists."""
     columns = {}
     for name, values in frames.items():
         if values.ndim == 1:
@@ -309,6 +318,147 @@ def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[f
     for name, values in columns.items():
         rows = values.astype(np.float64).reshape(len(values), -1)
         of = {"min": rows.min(0), "max": rows.max(0), "mean": rows.mean(0), "std": rows.std(0)}
-        of |= {quantile: np.quantile(rows, share, 0) for quantile, share in QUANTILES.items()}
+        of |= {quantile: np.quantile(rows, share, 0) for quantile, share in _QUANTILES.items()}
         found[name] = {what: array.tolist() for what, array in of.items()} | {"count": [len(rows)]}
     return found
+
+
+# --- video ------------------------------------------------------------------------------------------------------------
+
+
+class _Videos:
+    """Writes the videos of a data set, the pictures of a robot's camera, into its folder. A context manager."""
+
+    def __init__(self, folder: Path, runs: Runs, robot: str, draw: Draw) -> None:
+        self._folder, self._runs, self._robot, self._draw = folder, runs, robot, draw
+        self._file = -1
+        self._frames = 0  # in the file
+        self._container: OutputContainer | None = None
+        self._stream: VideoStream | None = None
+        self._counts = np.zeros((3, 256), np.int64)  # how often each channel has each value, in all episodes
+        import av  # noqa: PLC0415  an extra
+
+        self._av = av
+        self._name, self._options = next((name, o) for name, o in _CODECS.items() if name in av.codecs_available)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close()
+
+    def write(self, run: str, moments: np.ndarray) -> dict[str, Any]:
+        """Write a run's frames at moments in s of simulated time; return its columns in the table of episodes.
+
+        Raises:
+            ReplayError: the robot has no camera, or its view isn't recorded.
+        """
+        if self._container is None or self._path.stat().st_size > _MAX_VIDEO * 1e6:
+            self._close()
+            self._open()
+        begin, counts = self._frames, np.zeros_like(self._counts)
+        for picture in self._pictures(run, moments):
+            frame = self._av.VideoFrame.from_ndarray(picture, format="rgb24")
+            frame.pts = self._frames
+            self._encode(frame)
+            self._frames += 1
+            counts += [np.bincount(picture[..., channel].ravel(), minlength=256) for channel in range(3)]
+        self._counts += counts
+        facts: dict[str, Any] = {
+            "chunk_index": self._file // _FILES,
+            "file_index": self._file % _FILES,
+            "from_timestamp": begin / FPS,
+            "to_timestamp": self._frames / FPS,
+        }
+        columns = {f"videos/{_VIDEO}/{name}": value for name, value in facts.items()}
+        return columns | {
+            f"stats/{_VIDEO}/{name}": value for name, value in _picture_statistics(counts, self._frames - begin).items()
+        }
+
+    def feature(self) -> dict[str, Any]:
+        """Return the data set's description of its videos."""
+        width, height = _PICTURE
+        info = {
+            "video.height": height,
+            "video.width": width,
+            "video.codec": {"libsvtav1": "av1", "libx264": "h264"}[self._name],
+            "video.pix_fmt": _FORMAT,
+            "video.is_depth_map": False,
+            "video.fps": FPS,
+            "video.channels": 3,
+            "has_audio": False,
+        }
+        return {"dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"], "info": info}
+
+    def statistics(self, frames: int) -> dict[str, Any]:
+        """Return the statistics by which LeRobot normalises the pictures of all episodes."""
+        return _picture_statistics(self._counts, frames)
+
+    @property
+    def _path(self) -> Path:
+        chunk, file = divmod(self._file, _FILES)
+        return self._folder / _VIDEO_PATH.format(video_key=_VIDEO, chunk_index=chunk, file_index=file)
+
+    def _pictures(self, run: str, moments: np.ndarray) -> Iterator[NDArray[np.uint8]]:
+        (world,) = self._runs.sql(
+            "SELECT arg_max(world, step) FROM mutations WHERE run = ? AND command = 'set_robot' AND body = ?",
+            [run, self._robot],
+        ).rows()[0]
+        changes = self._runs.sql(
+            "SELECT m.step, m.sim_seconds FROM mutations m JOIN runs r USING (run) WHERE run = ? AND m.world = ? "
+            "AND m.step <= r.last_step ORDER BY m.step",
+            [run, world],
+        ).rows()
+        steps, times = [step for step, _ in changes], np.maximum.accumulate([time for _, time in changes])
+        drawn: NDArray[np.uint8] | None = None
+        still = -1  # the change after which nothing moved before the picture
+        with RecordReader(self._runs.path / run) as log:
+            for moment in moments:
+                at = max(int(np.searchsorted(times, moment + 1e-9, side="right")) - 1, 0)
+                moves = at + 1 < len(times) and bool(times[at] < moment - 1e-9)  # within the next change
+                if drawn is None or moves or at != still:
+                    drawn = self._draw(log, steps[at], world, float(moment) if moves else None, _PICTURE)
+                    still = -1 if moves else at
+                yield drawn
+
+    def _open(self) -> None:
+        self._file += 1
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        os.environ.setdefault("SVT_LOG", "1")  # else the codec prints its configuration
+        self._container = self._av.open(str(self._path), "w")
+        stream = cast("VideoStream", self._container.add_stream(self._name, rate=FPS, options=self._options))
+        stream.width, stream.height = _PICTURE
+        stream.pix_fmt = _FORMAT
+        self._stream = stream
+        self._frames = 0
+
+    def _encode(self, frame: av.VideoFrame | None) -> None:
+        if self._stream is not None and self._container is not None:
+            self._container.mux(self._stream.encode(frame))
+
+    def _close(self) -> None:
+        if self._container is not None:
+            self._encode(None)  # flush the codec
+            self._container.close()
+            self._container = None
+
+
+def _picture_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, Any]:
+    """Return the statistics by which LeRobot normalises pictures, for each channel, with values from 0 to 1.
+
+    ``counts`` has the frequency of each value from 0 to 255 in each channel.
+    """
+    values, of = np.arange(256) / 255, counts.sum(1, keepdims=True)
+    mean = (counts * values).sum(1, keepdims=True) / of
+    numbers = {
+        "min": np.array([[values[np.flatnonzero(each)[0]]] for each in counts]),
+        "max": np.array([[values[np.flatnonzero(each)[-1]]] for each in counts]),
+        "mean": mean,
+        "std": np.sqrt((counts * (values - mean) ** 2).sum(1, keepdims=True) / of),
+    }
+    shares = counts.cumsum(1) / of
+    for name, share in _QUANTILES.items():
+        numbers[name] = values[(shares >= share - 1e-12).argmax(1)][:, None]
+    return {name: array[..., None].tolist() for name, array in numbers.items()} | {"count": [frames]}

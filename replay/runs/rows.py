@@ -143,8 +143,6 @@ def tables_of(log: RecordReader) -> dict[str, pa.Table]:
 
 
 class _Rows:
-    """Collects the rows of all tables, record by record."""
-
     def __init__(self) -> None:
         self._of: dict[str, list[list[Any]]] = {table.name: [] for table in TABLES}
         self._joints: list[list[Any]] = [[] for _ in COLUMNS["joints"]]  # by columns, as rows come by the dozen
@@ -351,7 +349,6 @@ class _Rows:
         )
 
     def _state(self, step: int, world: str, sim_step: int, state: BodyState) -> None:
-        """Add the recorded pose and joints of a body."""
         seconds = sim_step / STEPS_PER_SECOND
         if state.position:
             self._append("poses", step, world, seconds, state.body, *state.position, *state.orientation)

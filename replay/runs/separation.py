@@ -200,8 +200,6 @@ def sites(runs: Runs, cases: Sequence[ComparedRun]) -> list[Site]:
 
 
 class _Sites:
-    """Collects the sites from the tables."""
-
     def __init__(self, cases: Sequence[ComparedRun]) -> None:
         self.cases = cases
         self.numbers = {case.run: number for number, case in enumerate(cases)}
@@ -529,7 +527,6 @@ def _last(site: Site) -> Site | None:
 
 
 def _reached(site: Site, runs: int) -> Compared:
-    """Compare whether runs reached a site."""
     true = np.zeros((1, runs), dtype=np.bool_)
     true[0, list(site.values)] = True
     return Compared(site, np.arange(runs), true, lambda _: site.name)

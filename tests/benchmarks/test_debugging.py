@@ -13,6 +13,7 @@ import pytest
 import replay
 from replay.debug.guided_plan import GuidedPlan
 from replay.debug.session import Session
+from replay.retrace.plan_process import PlanProcess
 from tests.benchmarks.timing import goal
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ NO_LIMIT = float("inf")  # where other processes of the machine have their say
 @pytest.fixture(scope="module")
 def run(recorded_demo: Callable[[str], Path]) -> Iterator[tuple[Session, float]]:
     """A session that has come to the end, and the seconds of its way there."""
-    with replay.open(recorded_demo("set_the_table")) as log, GuidedPlan(log) as plan:
+    with replay.open(recorded_demo("set_the_table")) as log, GuidedPlan(PlanProcess(log)) as plan:
         session = Session(log, plan)
         yield session, waited(lambda: session.go(last(session)))
 

@@ -17,6 +17,7 @@ from replay.cli.main import main
 from replay.debug.expressions import NoQuantity, value_changes
 from replay.debug.guided_plan import GuidedPlan
 from replay.debug.session import Session
+from replay.retrace.plan_process import PlanProcess
 from tests.replay.debug.plans import TEXT, line
 from tests.replay.retrace.test_retrace import record
 
@@ -106,7 +107,7 @@ def test_back_is_the_same_picture_as_on_the_way_there(plan_log: Path, *, checkpo
         outside = frames and ask("evaluate", frame=len(frames) - 1, expression=world, pretty=False)
         return re.sub(r"0x\w+", "somewhere", f"{frames} {inside} {outside}")
 
-    with replay.open(plan_log) as log, GuidedPlan(log, checkpoints=checkpoints) as plan:
+    with replay.open(plan_log) as log, GuidedPlan(PlanProcess(log), checkpoints=checkpoints) as plan:
         session = Session(log, plan)
         steps = range(len(log)) if checkpoints else range(2, len(log), len(log) // 2)
         forwards = [picture(session, step) for step in steps]
@@ -226,7 +227,7 @@ def test_a_watch_is_about_the_world_opened_last_that_has_the_object(tmp_path: Pa
 
 
 def test_a_watch_misses_nothing_where_copies_wait(plan_log: Path) -> None:
-    with replay.open(plan_log) as log, GuidedPlan(log) as plan:
+    with replay.open(plan_log) as log, GuidedPlan(PlanProcess(log)) as plan:
         session = Session(log, plan)
         up = moves(log, "milk")
         for step in range(len(log) - 1, up[0] - 1, -1):
@@ -312,7 +313,7 @@ cup = Object("cup", "cup", "cup.stl", world=BulletWorld())
 """
     file.write_text(scene + text)
     (tmp_path / "way.txt").write_text("".join(f"{number / 1000:.12f}\n" for number in range(2000)))
-    with replay.open(record(file)) as log, GuidedPlan(log) as plan:
+    with replay.open(record(file)) as log, GuidedPlan(PlanProcess(log)) as plan:
         last = len(log) - 1
         for step in range(last + 1):
             plan.go(step)

@@ -16,6 +16,7 @@ import pytest
 import replay
 from replay.debug.guided_plan import GuidedPlan, PlanEnded
 from replay.debug.stopped_plan import PausableClock
+from replay.retrace.plan_process import PlanProcess
 from tests.replay.retrace.test_retrace import record
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def test_no_process_outlives_the_prompt(plan_log: Path, *, killed: bool) -> None
 
 @pytest.mark.slow
 def test_a_plan_that_is_killed_is_told_and_run_again(plan_log: Path) -> None:
-    with replay.open(plan_log) as log, GuidedPlan(log) as plan:
+    with replay.open(plan_log) as log, GuidedPlan(PlanProcess(log)) as plan:
         plan.go(20)
         for each in psutil.Process().children(recursive=True):
             each.send_signal(signal.SIGKILL)
@@ -103,7 +104,7 @@ def test_clocks_stand_still_while_a_plan_does(monkeypatch: pytest.MonkeyPatch) -
 def test_a_deadline_does_not_pass_at_the_prompt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "plan.py"
     file.write_text(DEADLINE.replace("5", "0.4"))
-    with replay.open(record(file)) as log, GuidedPlan(log) as plan:
+    with replay.open(record(file)) as log, GuidedPlan(PlanProcess(log)) as plan:
         assert log[-1].succeeded
         within = next(each.seq for each in log if each.task)
         plan.go(within)
