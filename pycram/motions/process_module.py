@@ -83,7 +83,8 @@ _TOGETHER: Final = Resources()
 _environment: ContextVar[str] = ContextVar("pycram_environment", default="")
 _of_run = SIMULATED  # the environment for plans that name none, in all threads
 _modules_lock = threading.Lock()
-_registered: dict[tuple[str, str], Modules] = {}
+#: Registered modules, and whether these replace the environment's default modules.
+_registered: dict[tuple[str, str], tuple[Modules, bool]] = {}
 _defaults: dict[str, Callable[[], Modules]] = {}
 _of_world: weakref.WeakKeyDictionary[BulletWorld, dict[tuple[str, str], Modules]] = weakref.WeakKeyDictionary()
 
@@ -160,13 +161,17 @@ def _require(environment: str) -> None:
         require("ompl", "toppra")
 
 
-def register(robot: str, environment: str, modules: Modules) -> None:
-    """Register the process modules of a robot in an environment; they replace earlier registered modules.
+def register(robot: str, environment: str, modules: Modules, *, replace: bool = False) -> None:
+    """Register process modules of a robot in an environment, in addition to its other modules.
+
+    A module takes the place of the robot's module with the same ``cmd``.
 
     Args:
         robot: The robot's name in its URDF.
         environment: The execution environment.
         modules: By the ``cmd`` of the solutions that they take.
+        replace: Whether the robot has only these modules in the environment, without PyCRAM's own and those that were
+            registered before.
 
     Raises:
         BadArgument: They aren't process modules.
@@ -177,11 +182,13 @@ def register(robot: str, environment: str, modules: Modules) -> None:
     ):
         raise BadArgument("modules", modules, "process modules by cmd, such as {'looking': Looking()}")
     with _modules_lock:
-        _registered[checks.text("robot", robot), checks.text("environment", environment)] = dict(modules)
+        key = checks.text("robot", robot), checks.text("environment", environment)
+        before, alone = _registered.get(key, ({}, False))
+        _registered[key] = (dict(modules), True) if replace else ({**before, **modules}, alone)
 
 
 def register_default(environment: str, modules: Callable[[], Modules]) -> None:
-    """Register process modules, in an environment, for robots that have a description and no modules of their own.
+    """Register process modules, in an environment, for robots that have a description.
 
     Args:
         environment: The execution environment.
@@ -221,18 +228,19 @@ def choose(designator: Designator, solution: Solution) -> Chosen:
     if robot is None:
         raise NoWorld("robot")
     with _modules_lock:
-        modules = _registered.get((robot.urdf.name, environment))
-        registered_for = "" if modules is None else robot.urdf.name
+        registered, alone = _registered.get((robot.urdf.name, environment), ({}, False))
         make = _defaults.get(environment)
-        if modules is None and make is not None and robot.description is not None:
+        defaults: Modules = {}
+        if not alone and make is not None and robot.description is not None:
             sets = _of_world.setdefault(world, {})
             key = robot.name, environment
             if key not in sets:
                 sets[key] = make()
-            modules = sets[key]
-    if modules is None or cmd not in modules:
-        raise NoProcessModule(cmd, robot.urdf.name, environment, sorted(modules or ()), _undescribed(robot))
-    return Chosen(modules[cmd], environment, registered_for=registered_for)
+            defaults = sets[key]
+    modules = {**defaults, **registered}
+    if cmd not in modules:
+        raise NoProcessModule(cmd, robot.urdf.name, environment, sorted(modules), _undescribed(robot))
+    return Chosen(modules[cmd], environment, registered_for=robot.urdf.name if cmd in registered else "")
 
 
 def _current_world() -> BulletWorld:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import pytest
@@ -25,6 +26,7 @@ from pycram.failures import (
     Unreachable,
 )
 from pycram.language import State, par, timeout
+from pycram.motions import process_module as registry
 from pycram.motions.resources import Deadlock
 from pycram.process_module import NoProcessModule, ProcessModule
 from recorder import geometry
@@ -32,6 +34,8 @@ from recorder.records import Task
 from tests.pycram.language.gates import Meeting
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from tests.conftest import MemorySink
 
 DRAWER = "sink_area_left_upper_drawer_main_joint"
@@ -213,6 +217,17 @@ def test_a_block_fails_with_all_its_failures_and_leaves_no_thread(scene: BulletW
     perform(type="moving", target=[0.3, 0.7, 0])  # the modules are free again
 
 
+@contextmanager
+def fresh_registrations() -> Iterator[None]:
+    """Forget registrations that are made in the block."""
+    registered = dict(registry._registered)
+    try:
+        yield
+    finally:
+        registry._registered.clear()
+        registry._registered.update(registered)
+
+
 def test_a_command_without_process_module_is_refused(scene: BulletWorld) -> None:
     def resolver(designator: MotionDesignator) -> list[dict[str, object]]:
         return [{"cmd": "dance"}] if designator.type == "dancing" else []
@@ -232,6 +247,25 @@ def test_a_command_without_process_module_is_refused(scene: BulletWorld) -> None
             assert perform(type="dancing") == "danced"
             with pytest.raises(NoProcessModule, match="ballroom"):
                 perform(type="opening-gripper", gripper="left")
+
+
+def test_registered_modules_are_added_to_the_robot_s_own_unless_they_replace_them(scene: BulletWorld) -> None:
+    def resolver(designator: MotionDesignator) -> list[dict[str, object]]:
+        return [{"cmd": "wipe"}] if designator.type == "wiping" else []
+
+    class Wiping(ProcessModule):
+        def _execute(self, designator: MotionDesignator) -> str:
+            return "wiped"
+
+    with MotionDesignator.resolvers.added(resolver), fresh_registrations():
+        process_module.register("pr2", "simulated", {"wipe": Wiping()})
+        process_module.register("pr2", "simulated", {"looking": Looking("seen")})
+        assert perform(type="wiping") == "wiped"
+        assert perform(type="looking", target=[1, 0, 1]) == "seen", "it takes the place of PyCRAM's own"
+        perform(type="opening-gripper", gripper="left")
+        process_module.register("pr2", "simulated", {"wipe": Wiping()}, replace=True)
+        with pytest.raises(NoProcessModule, match="it has modules for wipe;"):
+            perform(type="opening-gripper", gripper="left")
 
 
 class Looking(ProcessModule):
