@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import candidates_of, thing
+from pycram.foundation import plugins
 from pycram.foundation.checks import text
 from pycram.foundation.errors import qualified_name
 from pycram.foundation.failures import BadArgument
@@ -278,6 +279,8 @@ class ActionDesignator(ResolvedDesignator):
 
 
 def _checked(designator: ActionDesignator) -> tuple[ActionType, dict[str, Any]]:
+    if isinstance(designator.type, str) and designator.type not in TYPES:
+        plugins.load(plugins.ACTIONS, designator.type)
     kind, given = given_slots(designator, TYPES, "action ")
     return kind, kind.checked(given)
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from pycram.foundation import plugins
 from pycram.foundation.failures import BadArgument
 from pycram.motions import slots
 from pycram.motions.resources import WHOLE_ROBOT, Resources
 from pycram.motions.slots import Slot, SlotTable, Value, arm_names, given_slots
-from pycram.scheduling.future import branch_of
+from pycram.scheduling.future import branch_of, unwrap
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
@@ -208,13 +209,18 @@ def resources_of(solution: Solution) -> Resources | None:
 
 
 def resolve(designator: ResolvedDesignator) -> Iterator[Solution]:
-    """Yield the solution of a designator of the eleven types (thesis 4.6).
+    """Yield the solution of a designator of the eleven types (thesis 4.6), or of a process module of another package.
 
-    For ``moving`` with an orientation, also yield one with the robot's current orientation.
+    For ``moving`` with an orientation, also yield one with the robot's current orientation. The solution for another
+    package's module has all slots as they are given.
 
     Raises:
         DesignatorError: Its type is unknown, or a slot is missing, unknown or wrong.
     """
+    kind = designator.type
+    if kind and kind not in TYPES and plugins.load(plugins.PROCESS_MODULES, kind) is not None:
+        yield {"cmd": kind, **{slot: unwrap(value) for slot, value in designator.description if slot != "type"}}
+        return
     motion_type, given = given_slots(designator, TYPES)
     motion = motion_type.for_robot()
     for filled in _filled(motion, given):

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeAlias, runtime_checkable
 
-from pycram.foundation import checks
+from pycram.foundation import checks, plugins
 from pycram.foundation.errors import export, qualified_name
 from pycram.foundation.failures import (
     BadArgument,
@@ -238,6 +238,9 @@ def choose(designator: Designator, solution: Solution) -> Chosen:
                 sets[key] = make()
             defaults = sets[key]
     modules = {**defaults, **registered}
+    if cmd not in modules and (plugin := plugins.load(plugins.PROCESS_MODULES, cmd)) is not None:
+        register(robot.urdf.name, environment, {cmd: plugin()})
+        return choose(designator, solution)
     if cmd not in modules:
         raise NoProcessModule(cmd, robot.urdf.name, environment, sorted(modules), _undescribed(robot))
     return Chosen(modules[cmd], environment, registered_for=robot.urdf.name if cmd in registered else "")

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation import checks
+from pycram.foundation import checks, plugins
 from pycram.foundation.failures import AssetError, BadArgument, MissingPart, UnknownName
 from pycram.models.files import parse_toml, read_text
 from pycram.models.warming import notable
@@ -262,13 +262,26 @@ class MotionLimits:
 
 
 def find_description(urdf: Urdf) -> RobotDescription | None:
-    """Return PyCRAM's description of the robot with the name in a URDF; None if there is none or it doesn't fit."""
-    return next((own for own in _own() if own.robot == urdf.name and not own.misfit(urdf)), None)
+    """Return the description of the robot with the name in a URDF; None if there is none or it doesn't fit.
+
+    PyCRAM's own descriptions come first, then those of other packages (:mod:`pycram.foundation.plugins`).
+    """
+    description = _named(urdf.name)
+    return description if description is not None and not description.misfit(urdf) else None
 
 
 def why_none(urdf: Urdf) -> str:
-    """Return why PyCRAM's description of that name doesn't fit a URDF; "" if there is no description of that name."""
-    return next((own.misfit(urdf) for own in _own() if own.robot == urdf.name), "")
+    """Return why the description of that name doesn't fit a URDF; "" if there is no description of that name."""
+    description = _named(urdf.name)
+    return "" if description is None else description.misfit(urdf)
+
+
+def _named(robot: str) -> RobotDescription | None:
+    for own in _own():
+        if own.robot == robot:
+            return own
+    other = plugins.load(plugins.ROBOTS, robot)
+    return other if other is None or isinstance(other, RobotDescription) else RobotDescription.load(other)
 
 
 @cache

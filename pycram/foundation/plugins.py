@@ -1,0 +1,66 @@
+"""Robots, process modules and actions of other packages, by entry points that are loaded when their name is asked for.
+
+A package declares them in its pyproject.toml::
+
+    [project.entry-points."pycram.robots"]
+    my_robot = "my_package:DESCRIPTION"      # path of a TOML file, or a RobotDescription
+
+    [project.entry-points."pycram.process_modules"]
+    wiping = "my_package.wiping:Wiping"      # by cmd: called without arguments, it returns a process module
+
+    [project.entry-points."pycram.actions"]
+    tidying-up = "my_package.tidying"        # its import registers the action, by @action("tidying-up")
+
+What is loaded is on record as a line of the log, with the package's version.
+"""
+
+from __future__ import annotations
+
+import logging
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any
+
+from pycram.foundation.errors import export
+from pycram.foundation.failures import UsageError
+
+_log = logging.getLogger("pycram.plugins")
+_log.setLevel(logging.INFO)  # it is on record whatever the plan's own level
+ROBOTS = "pycram.robots"
+PROCESS_MODULES = "pycram.process_modules"
+ACTIONS = "pycram.actions"
+
+
+class PluginFailed(UsageError):
+    """An entry point of another package can't be used."""
+
+    def __init__(self, group: str, name: str, packages: list[str], problem: str) -> None:
+        super().__init__(f"{name} of {' and '.join(packages)} (entry point of {group}) can't be used: {problem}")
+        self.group = group  # "pycram.robots", ...
+        self.name = name  # of the entry point
+        self.packages = packages  # names and versions of the packages that declare it
+        self.problem = problem
+
+
+export("pycram.failures", PluginFailed)
+
+
+@cache
+def load(group: str, name: str) -> Any:
+    """Return the object of an entry point; None if no installed package has one of that name.
+
+    Raises:
+        PluginFailed: Several packages have one, or it can't be imported.
+    """
+    found = list(entry_points(group=group, name=name))
+    if not found:
+        return None
+    packages = [f"{each.dist.name} {each.dist.version}" if each.dist else "a package" for each in found]
+    if len(found) > 1:
+        raise PluginFailed(group, name, packages, "uninstall all of these packages but one")
+    try:
+        loaded = found[0].load()
+    except (ImportError, AttributeError) as error:
+        raise PluginFailed(group, name, packages, str(error)) from error
+    _log.info("loaded %s of %s (%s: %s)", name, packages[0], group, found[0].value)
+    return loaded
