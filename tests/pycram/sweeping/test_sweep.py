@@ -376,7 +376,7 @@ def test_a_run_whose_process_is_killed_is_tried_once_more(plan: Path, tmp_path: 
     assert "its process was ended by SIGKILL, at each of 2 attempts" in ended.failure.message
     assert {each.name for each in began.parameters} == {"what", "marks"}
     killed = lost.with_name(f"{lost.name}.killed")
-    assert ended.failure.message.endswith(f"what it had recorded is in {killed.name}")
+    assert ended.failure.message.endswith(f"its incomplete recording is {killed.name}")
     with Recording(killed) as log:  # what it had done until then
         assert any(record.HasField("set_color") for record in log.records("mutation"))
 

@@ -218,7 +218,7 @@ def test_a_damaged_recording_is_repaired_with_its_models(
     cut.write_bytes(cut.read_bytes()[:-3000])
     code, _, err = answer(capsys, "pack", cut)
     assert code == 3
-    assert "repair it" in err
+    assert "use repair" in err
     sound = tmp_path / "sound.mcap"
     answer(capsys, "repair", cut, "-o", sound)
     with Recording(sound) as log:
