@@ -140,7 +140,7 @@ def record(
 
 def _check(path: object, *, source: object, arguments: object, **texts: object) -> None:
     if not isinstance(path, str | Path) or "\0" in str(path) or not str(path):
-        raise RecordingError(repr(path), "is no path of a file")
+        raise RecordingError(repr(path), "isn't the path of a file")
     for argument, value in texts.items():
         if not isinstance(value, str | None):
             raise RecordingError(path, f"{argument} is {value!r}, not a string")

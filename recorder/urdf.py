@@ -72,7 +72,7 @@ class Urdf:
         self.parent_joint(tip_link)
         above, below = self._above[base_link], self._above[tip_link]
         if below[: len(above)] != above:
-            raise UrdfError(self.name, f"link {tip_link} doesn't hang on {base_link}")
+            raise UrdfError(self.name, f"link {tip_link} isn't below link {base_link}")
         return below[len(above) :]
 
     def forward_kinematics(self, positions: Mapping[str, float], link: str) -> Pose:
@@ -131,7 +131,7 @@ class Urdf:
                 found[joint.name] = mimic
                 leader, multiplier, offset = mimic
                 if leader in seen:
-                    raise UrdfError(self.name, f"joint {joint.name} mimics itself, by way of {', '.join(sorted(seen))}")
+                    raise UrdfError(self.name, f"joint {joint.name} mimics itself through {', '.join(sorted(seen))}")
                 seen.add(leader)
                 above = self.joints[leader].mimic
                 mimic = above and Mimic(above.leader, multiplier * above.multiplier, multiplier * above.offset + offset)
@@ -169,7 +169,7 @@ def _parse(text: str | bytes, chains: bool) -> Urdf:
     if not roots:
         raise UrdfError(name, "its joints form a cycle: every link has a parent")
     if len(roots) > 1:
-        raise UrdfError(name, f"it has {len(roots)} root links where one is needed: {', '.join(roots)}")
+        raise UrdfError(name, f"it has {len(roots)} root links instead of one: {', '.join(roots)}")
     ordered: list[str] = []
     pending = roots
     while pending:
@@ -178,7 +178,7 @@ def _parse(text: str | bytes, chains: bool) -> Urdf:
         pending.extend(reversed(children.get(link, [])))
     if len(ordered) < len(links):
         cycle = [link for link in links if link not in set(ordered)]
-        raise UrdfError(name, f"its joints form a cycle: {', '.join(cycle)} don't hang on {ordered[0]}")
+        raise UrdfError(name, f"its joints form a cycle: {', '.join(cycle)} aren't below {ordered[0]}")
     by_name = {joint.name: joint for joint in joints}
     movable = tuple(joint.name for joint in joints if joint.movable)
     return Urdf(name, ordered[0], tuple(ordered), MappingProxyType(by_name), movable)
@@ -190,7 +190,7 @@ def _unique(robot: str, kind: str, names: Iterable[str]) -> list[str]:
         if not name:
             raise UrdfError(robot, f"a {kind} has no name")
         if name in unique:
-            raise UrdfError(robot, f"it has two {kind}s of the name {name}")
+            raise UrdfError(robot, f"it has two {kind}s named {name}")
         unique[name] = None
     return list(unique)
 
@@ -203,7 +203,7 @@ def _ends(robot: str, links: list[str], joints: list[UrdfJoint]) -> tuple[dict[s
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in names:
-                raise UrdfError(robot, f"{role} {link!r} of joint {joint.name} is no link; {suggestion(link, links)}")
+                raise UrdfError(robot, f"{role} {link!r} of joint {joint.name} isn't a link; {suggestion(link, links)}")
         if joint.child in parents:
             first = parents[joint.child].name
             raise UrdfError(robot, f"link {joint.child} has two parent joints, {first} and {joint.name}")

@@ -78,7 +78,7 @@ def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: 
         if found is None:
             continue
         if not isinstance(found, dict) or not isinstance(robot, str):
-            raise ValueError(f"a look has the evidence {fact}={found!r} of {robot!r}")  # noqa: TRY004  data, not a type
+            raise ValueError(f"{fact}={found!r} of {robot!r} isn't the evidence of a look")  # noqa: TRY004  data, not a type
         for name, pose in found.items():
             key = robot, name
             known = beliefs.get(key)
@@ -179,8 +179,8 @@ def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
             and len(values) == count
             and all(type(value) in (int, float) and -_FAR <= value <= _FAR for value in values)
         ):
-            raise ValueError(f"{values!r} is no {part} of {name}")
+            raise ValueError(f"{values!r} isn't the {part} of {name}")
         numbers.append([float(value) for value in values])
     if not _MIN_SQUARE <= sum(number * number for number in numbers[1]) <= _MAX_SQUARE:
-        raise ValueError(f"{numbers[1]} is no unit quaternion")
+        raise ValueError(f"{numbers[1]} isn't a unit quaternion")
     return numbers[0], numbers[1]

@@ -111,7 +111,7 @@ class QueryPicture:
         classes = [0, *(self._class(body) for body in picture.bodies)]
         size = picture.width * picture.height
         if not 0 < size <= MAX_PIXELS:
-            raise ValueError(f"a picture of {picture.width} x {picture.height} pixels")
+            raise ValueError(f"invalid picture: {picture.width} x {picture.height} pixels")
         pixels = np.frombuffer(zlib.decompressobj().decompress(picture.pixels, size), dtype=np.uint8)
         image = np.array(classes, dtype=np.uint16)[pixels].reshape(picture.height, picture.width)
         self._columns.send(self._path, now, rr.SegmentationImage(image))
@@ -213,18 +213,18 @@ def scores_of(grid: Grid) -> NDArray[np.float64]:
     """
     width, height = grid.width, grid.height
     if width <= 0 or height <= 0 or width * height > MAX_CELLS:
-        raise ValueError(f"a map of {width} x {height} cells")
+        raise ValueError(f"invalid map: {width} x {height} cells")
     origin = list(grid.origin)
     if len(origin) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in origin):
-        raise ValueError(f"a map at {origin}")
+        raise ValueError(f"invalid map: the origin is {origin}")
     if not 0.0 < grid.resolution <= _FARTHEST:
-        raise ValueError(f"a map with cells of {grid.resolution} m")
+        raise ValueError(f"invalid map: cells of {grid.resolution} m")
     try:
         content = zlib.decompressobj().decompress(grid.scores, width * height)
     except zlib.error as error:
-        raise ValueError(f"a map that can't be inflated: {error}") from error
+        raise ValueError(f"invalid map: it can't be inflated: {error}") from error
     if len(content) != width * height:
-        raise ValueError(f"a map of {width} x {height} cells with {len(content)} scores")
+        raise ValueError(f"invalid map: {width} x {height} cells with {len(content)} scores")
     scores: NDArray[np.float64] = np.frombuffer(content, dtype=np.uint8).reshape(height, width) / 255.0
     return scores
 
@@ -234,9 +234,9 @@ def spots_of(grid: Grid) -> NDArray[np.float64]:
     positions = [list(spot.position) for spot in grid.spots]
     for spot, place in zip(grid.spots, positions, strict=True):
         if len(place) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in place):
-            raise ValueError(f"a place at {place}")
+            raise ValueError(f"invalid place at {place}")
         if not math.isfinite(spot.yaw):
-            raise ValueError(f"a place that faces {spot.yaw}")
+            raise ValueError(f"invalid place: its yaw is {spot.yaw}")
     return np.array(positions, dtype=np.float64).reshape(-1, 3)
 
 

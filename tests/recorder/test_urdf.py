@@ -95,7 +95,7 @@ ENDS = '<parent link="a"/><child link="b"/>'
         ("<robot", "not well-formed"),
         ("<model/>", "not <robot>"),
         (robot(), "no links"),
-        (robot(A, A), "two links of the name a"),
+        (robot(A, A), "two links named a"),
         (robot(A, B), "2 root links"),
         (robot(A, B, f'<joint name="j" type="ball">{ENDS}</joint>'), "'ball'"),
         (robot(A, B, '<joint name="j" type="fixed"><parent link="a"/></joint>'), "no child link"),
@@ -104,7 +104,7 @@ ENDS = '<parent link="a"/><child link="b"/>'
         (robot(A, B, f'<joint name="j" type="continuous">{ENDS}<axis xyz="0 0 0"/></joint>'), "zero"),
         (robot(A, B, f'<joint name="j" type="fixed">{ENDS}<origin xyz="1 2"/></joint>'), "three numbers"),
         (robot(A, B, f'<joint name="j" type="fixed">{ENDS}<origin xyz="1 2 nan"/></joint>'), "not a number"),
-        (robot(A, '<joint name="j" type="fixed"><parent link="a"/><child link="x"/></joint>'), "is no link"),
+        (robot(A, '<joint name="j" type="fixed"><parent link="a"/><child link="x"/></joint>'), "isn't a link"),
     ],
 )
 def test_invalid_documents_are_refused_with_the_reason(text: str, message: str) -> None:

@@ -266,7 +266,7 @@ BROKEN = {
     ),
     "an unknown parent": (
         "<link name='b'/><link name='aa'/>" + joint("fixed")[32:],
-        "parent 'a' of joint j is no link",
+        "parent 'a' of joint j isn't a link",
     ),
 }
 

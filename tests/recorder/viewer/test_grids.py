@@ -37,9 +37,9 @@ def test_scores_are_rows_from_the_lowest_y() -> None:
         ({"width": 4}, "4 x 2 cells with 6 scores"),
         ({"scores": b"no zlib"}, "can't be inflated"),
         ({"scores": b""}, "with 0 scores"),
-        ({"origin": [1.0, 2.0]}, "a map at"),
-        ({"origin": [math.nan, 0.0, 0.0]}, "a map at"),
-        ({"origin": [0.0, 0.0, 1e300]}, "a map at"),
+        ({"origin": [1.0, 2.0]}, "the origin is"),
+        ({"origin": [math.nan, 0.0, 0.0]}, "the origin is"),
+        ({"origin": [0.0, 0.0, 1e300]}, "the origin is"),
         ({"resolution": 0.0}, "cells of 0.0 m"),
         ({"resolution": math.inf}, "cells of inf m"),
         ({"resolution": math.nan}, "cells of nan m"),
@@ -60,5 +60,5 @@ def test_places_that_are_nowhere_are_refused() -> None:
     assert np.array_equal(spots_of(made(spots=spots)), [[1, 2, 0], [3, 4, 0.5]])
     assert spots_of(made()).shape == (0, 3)
     for wrong in ([], [1.0, 2.0], [1.0, math.inf, 0.0], [1e9, 0.0, 0.0]):
-        with pytest.raises(ValueError, match="a place at"):
+        with pytest.raises(ValueError, match="invalid place at"):
             spots_of(made(spots=[Spot(position=wrong)]))

@@ -185,7 +185,7 @@ def test_a_viewer_that_starts_late_gets_what_was_before(
     running = plan("wait_for('go'); move(100)", f"connect:rerun+http://127.0.0.1:{port}/proxy")
     until((tmp_path / "begun").exists, "the plan has begun")
     assert running.process.stderr is not None
-    assert "it can be started at any time" in running.process.stderr.readline(), "nobody was there when it looked"
+    assert "start it at any time" in running.process.stderr.readline(), "nobody was there when it looked"
     server = serve()
     until(server.rows, "something is shown")
     (tmp_path / "go").touch()
@@ -222,7 +222,7 @@ def test_records_that_can_t_be_shown_are_skipped(
     (running.folder / "shown").touch()
     ended = running.end()
     assert ended.code == 0
-    assert ended.err.count("something can't be shown") == 1
+    assert ended.err.count("a record can't be shown") == 1
     assert ended.missed()[0] == 2
     with replay.open(ended.log) as log:
         moves = log.counts()["mutation"]
