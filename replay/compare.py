@@ -44,7 +44,7 @@ NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
 _MAX_LISTED: Final = 8  # joints or fields that are listed one by one
 _MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
-#: Records that are read on after the divergence, to distinguish missing records from those in another order.
+#: Number of records after the divergence in which missing records are searched, as they may be in another order.
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
@@ -52,7 +52,7 @@ _INCIDENTAL: Final = (
     "source_file", "source_line", "callers", "strikes",
 )  # fmt: skip
 
-#: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
+#: Fields of a run's start that may differ: the runs may have executed two versions of a plan.
 _GIVEN: Final = (
     "name", "arguments", "directory", "seed", "order", "hash_seed", "plan", "pycram", "host", "cpu", "program",
     "by_program", "called_as", "number", "origin", "looks", "parameters", "sweep",
@@ -65,16 +65,16 @@ _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plai
 
 @dataclass(frozen=True, slots=True)
 class BodyChange:
-    """A body that is in both states, but not the same."""
+    """A body that differs between two states."""
 
     world: str
     body: str
     before: Pose
     after: Pose
-    distance: float  # of its base from where it was, m
-    angle: float  # by which it is turned, rad
-    joints: Mapping[str, tuple[float, float]]  # values before and after, of those that differ
-    carrier: tuple[Attachment | None, Attachment | None]  # how it is carried, before and after
+    distance: float  # between the positions of its base, m
+    angle: float  # of its turn, rad
+    joints: Mapping[str, tuple[float, float]]  # differing values, before and after
+    carrier: tuple[Attachment | None, Attachment | None]  # its attachment to a carrier, before and after
     details: tuple[str, ...] = ()  # further fields that differ: color, type, fixed_base, models
 
     @property
@@ -95,7 +95,7 @@ class BodyChange:
 
     @property
     def notable(self) -> bool:
-        """Whether it is more than settling."""
+        """Whether it changed by more than settling."""
         return bool(self.moved or self.moved_joints or self.carrier_changed or self.details)
 
 
@@ -103,13 +103,13 @@ class BodyChange:
 class Difference:
     """The difference of a second state from a first."""
 
-    opened: tuple[str, ...] = ()  # titles of worlds that are open in the second only
-    closed: tuple[str, ...] = ()  # titles of worlds that are open in the first only
-    added: tuple[tuple[str, str], ...] = ()  # bodies that are in the second only, as pairs of world and body
-    removed: tuple[tuple[str, str], ...] = ()  # bodies that are in the first only
-    changed: tuple[BodyChange, ...] = ()  # the others that are not the same, to the last bit
-    #: Values of worlds that differ, before and after, by world and name: gravity, robot, realtime, seconds, and where a
-    #: robot believes an object, a position or None.
+    opened: tuple[str, ...] = ()  # titles of worlds that are open only in the second state
+    closed: tuple[str, ...] = ()  # titles of worlds that are open only in the first state
+    added: tuple[tuple[str, str], ...] = ()  # bodies only in the second state, as pairs of world and body
+    removed: tuple[tuple[str, str], ...] = ()  # bodies only in the first state
+    changed: tuple[BodyChange, ...] = ()  # all other bodies that differ in any bit
+    #: Differing values of worlds, before and after, by world and name: gravity, robot, realtime, seconds, and the
+    #: position (or None) where a robot believes an object.
     facts: Mapping[tuple[str, str], tuple[object, object]] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
@@ -117,14 +117,14 @@ class Difference:
 
     @property
     def notable(self) -> tuple[BodyChange, ...]:
-        """Bodies that changed by more than settling."""
+        """The bodies that changed by more than settling."""
         return tuple(change for change in self.changed if change.notable)
 
 
 def difference(before: State, after: State, names: Mapping[str, str] = MappingProxyType({})) -> Difference:
     """Compare two states, which may be of two recordings.
 
-    ``names`` maps names of worlds in the second to those of their counterparts in the first, if these differ.
+    ``names`` maps names of worlds in the second state to different names of the same worlds in the first.
     """
     first = {world.title: world for world in before.worlds.values() if world.open}
     second = {
@@ -218,7 +218,9 @@ def difference_lines(delta: Difference, *, whole: bool = False) -> Iterator[str]
         yield from _change_lines(change, whole=whole)
     rest = len(delta.changed) - len(shown)
     if rest:
-        yield (f"{rest} more settled by less than 1 mm" if shown else f"{rest} objects settled by less than 1 mm")
+        yield (
+            f"{rest} other objects settled by less than 1 mm" if shown else f"{rest} objects settled by less than 1 mm"
+        )
     if not delta:
         yield "no difference"
 
@@ -227,7 +229,7 @@ def _plain(value: object) -> str:
     if isinstance(value, tuple):
         return phrases.vector(value)
     if value is None:
-        return "nowhere"
+        return "unknown"
     return phrases.number(value) if isinstance(value, float) else str(value) or "none"
 
 
@@ -240,12 +242,12 @@ def _change_lines(change: BodyChange, *, whole: bool) -> Iterator[str]:
         changes.append(f"moved by {phrases.length(change.distance)}{turned}: {before} -> {after}")
     if change.carrier_changed:
         holder, former = change.carrier[1], change.carrier[0]
-        changes.append(f"held by {_carrier(holder)}, before by {_carrier(former)}")
+        changes.append(f"now held by {_carrier(holder)}, before by {_carrier(former)}")
     changes += [f"has another {detail}" for detail in change.details]
     joints = change.joints if whole else change.moved_joints
     if len(joints) > _MAX_LISTED and not whole:
         changes.append(
-            f"{len(joints)} joints moved, most of all "
+            f"{len(joints)} joints moved, farthest "
             + _joint(*max(joints.items(), key=lambda item: abs(item[1][1] - item[1][0])))
         )
         joints = {}
@@ -270,19 +272,19 @@ def _carrier(held: Attachment | None) -> str:
 class Divergence:
     """The first record that differs between two runs."""
 
-    first: Record | None  # None: only the second run has it
-    second: Record | None  # None: only the first run has it
+    first: Record | None  # None: only the second run has the record
+    second: Record | None  # None: only the first run has the record
     task: str  # the path of their task; "" for the plan itself
-    fields: dict[str, tuple[Plain, Plain]]  # values that differ, by the path of the field
+    fields: dict[str, tuple[Plain, Plain]]  # differing values, by the path of the field
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """A comparison of two runs."""
 
-    equal: int  # number of records that are equal until the divergence
+    equal: int  # number of equal records before the divergence
     divergence: Divergence | None
-    difference: Difference  # of the states at their ends, before worlds were closed
+    difference: Difference  # of the final states, before worlds were closed
     outcomes: tuple[Summary, Summary]
 
 
@@ -367,9 +369,11 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
             siblings[name] = siblings.get(name, 0) + 1
             paths[record.task] = hash((outer, *name, siblings[name]))
         path = paths.get(record.task, 0)
-        if _explains_choice(record):  # numbered separately, as early recordings lack them
+        if _explains_choice(record):  # numbered separately, as early recordings lack explanations
             path = _path_of_explanations(path)
-        elif isinstance(record, Mutation | Fluent) and record.by_fork:  # the plan's own are compared with each other
+        elif (
+            isinstance(record, Mutation | Fluent) and record.by_fork
+        ):  # the plan's own records are compared with each other
             path = hash((path, "by the fork"))
         counts[path] = counts.get(path, 0) + 1
         yield (path, counts[path]), record
@@ -397,10 +401,10 @@ def differing(
         return {"kind": (kind_of(first), kind_of(second))}
     a, b = _without_incidental_fields(first), _without_incidental_fields(second)
     if isinstance(a, Task) and isinstance(b, Task) and a.HasField("decision") != b.HasField("decision"):
-        a.ClearField("decision")  # an early recording lacks it
+        a.ClearField("decision")  # an early recording lacks the decision
         b.ClearField("decision")
     if isinstance(a, Query) and isinstance(b, Query) and a.HasField("chosen") != b.HasField("chosen"):
-        for query in (a, b):  # an early recording lacks what was considered
+        for query in (a, b):  # an early recording lacks the candidates
             query.ClearField("candidates")
             query.ClearField("chosen")
     if a == b and a.SerializeToString(deterministic=True) == b.SerializeToString(deterministic=True):
@@ -460,19 +464,15 @@ _WAITS: Final = frozenset({"wait", "whenever"})  # kinds of tasks that are named
 
 
 class PairedNames:
-    """Translates names of the second run into names of the first.
-
-    Attributes:
-        worlds: names of the first run's worlds by those of the second's; equal ones are left out.
-    """
+    """Translates names of the second run into names of the first."""
 
     def __init__(self, first: RecordReader, second: RecordReader) -> None:
         opened = (list(dict.fromkeys(lifetime.world for lifetime in log.lifetimes)) for log in (first, second))
-        self.worlds = dict(_paired_worlds(*opened))
-        self._offsets: list[int | None] = [None, None]  # numbers of the first fluents that are seen, by run
+        self.worlds = dict(_paired_worlds(*opened))  # differing names: second run's to first run's
+        self._offsets: list[int | None] = [None, None]  # number of the first numbered fluent, by run
 
     def note(self, run: int, record: Record) -> None:
-        """Note a record of run 0 or 1 before its comparison: the first numbered fluent sets the offset."""
+        """Read a record of run 0 or 1 before its comparison: the first numbered fluent sets the offset."""
         if self._offsets[run] is None and (
             isinstance(record, Fluent) or (isinstance(record, Task) and record.kind in _WAITS)
         ):
@@ -481,7 +481,7 @@ class PairedNames:
 
     @property
     def any(self) -> bool:
-        """Whether any name is known to differ so far."""
+        """Whether a name is known to differ so far."""
         return bool(self.worlds) or self._shift != 0
 
     @property
@@ -539,7 +539,7 @@ def comparison_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
     """Yield a comparison as text; ``whole`` includes settling of physics and every joint."""
     first, second = compared.outcomes
     if compared.divergence is None:
-        yield f"the runs are the same: {compared.equal} records"
+        yield f"the runs are equal: {compared.equal} records"
     else:
         yield from _divergence_lines(compared.divergence, compared.equal)
     if compared.difference:
@@ -552,7 +552,7 @@ def comparison_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
 
 
 def _ended(run: Summary) -> str:
-    verbs = {"cut off": "broke off", "running": "had not ended", "lost": "lost its end"}
+    verbs = {"cut off": "was cut off", "running": "hadn't ended", "lost": "lost its end"}
     return verbs.get(run.outcome) or _outcome(run)
 
 

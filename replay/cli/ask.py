@@ -1,4 +1,4 @@
-"""``ask``: any reasoning query at any past step, also under changed conditions."""
+"""``ask``: the answer to a reasoning query at a past step, also under changed conditions."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def add(parser: argparse.ArgumentParser) -> None:
         "question",
         metavar="QUESTION",
         nargs="?",
-        help="as 'visible(milk, wide_stereo_optical_frame)'; default: the query that is recorded as this step",
+        help="such as 'visible(milk, wide_stereo_optical_frame)'; default: the query that this step recorded",
     )
     parser.add_argument(
         "--move",
         metavar="OBJECT=X,Y,Z[,QX,QY,QZ,QW]",
         action="append",
         default=[],
-        help="move an object before asking, to a position in m and an orientation; repeatable",
+        help="first move an object to a position (m) and an orientation (quaternion); repeatable",
     )
-    parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last)")
+    parser.add_argument("--world", metavar="NAME", help="in this world (default: the last opened world)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -50,7 +50,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _move(text: str) -> Move:
-    from replay.restore.ask import Move  # noqa: PLC0415  --help needn't wait for the engine
+    from replay.restore.ask import Move  # noqa: PLC0415  imports the engine
 
     body, _, pose = text.rpartition("=")
     expected = "OBJECT=X,Y,Z in m, or these and a quaternion x,y,z,w"

@@ -1,4 +1,4 @@
-"""``blame``: what last changed a body or a joint, and why, up to the plan's line."""
+"""``blame``: the last change of a body or a joint, and its cause, up to the plan's line."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ _MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the object, the step and the world."""
     parser.add_argument("object", metavar="OBJECT[.JOINT]", help="the object, or one of its joints")
-    parser.add_argument("--at", metavar="STEP", help=f"until this step: {HINT}")
-    parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last that has it)")
+    parser.add_argument("--at", metavar="STEP", help=f"the last change up to this step: {HINT}")
+    parser.add_argument(
+        "--world", metavar="NAME", help="in this world (default: the last opened world with that object)"
+    )
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -67,7 +69,7 @@ def _(causes: CausingTasks) -> dict[str, object]:
 def _lines(change: Blame, printed: list[Sequence[Line]], *, is_earlier: bool = False) -> Iterator[str]:
     yield _headline(change)
     yield f"  step {change.record.seq}: {phrases.record_line(change.record)}"
-    if not getattr(change.record, "by_fork", False):  # which its line says
+    if not getattr(change.record, "by_fork", False):  # its line names the fork
         yield from _because(change.causes, "  ", printed)
     for carried in change.carried:
         yield from _held(carried, printed)
@@ -88,7 +90,7 @@ def _headline(change: Blame) -> str:
         return f"{name} was removed" + (f" from {_value(change.before)}" if change.before is not None else "")
     where = _value(change.after)
     if isinstance(change.record, Keyframe):
-        return f"{name} was at {where} already when the recording began"
+        return f"{name} was already at {where} when the recording began"
     if change.how == "load":
         return f"{name} has been at {where} since it was loaded"
     carrier = change.carried[-1].held.carrier if change.carried else ""
@@ -122,7 +124,7 @@ def _because(causes: CausingTasks, indent: str, printed: list[Sequence[Line]]) -
 def _held(carried: Carried, printed: list[Sequence[Line]]) -> Iterator[str]:
     held = carried.held
     if carried.step is None or carried.causes is None:
-        yield f"  {phrases.carrier(held)} held {held.body} already when the recording began"
+        yield f"  {phrases.carrier(held)} already held {held.body} when the recording began"
         return
     yield f"  {phrases.carrier(held)} held {held.body} since step {carried.step}, where it was attached"
     yield from _because(carried.causes, "    ", printed)

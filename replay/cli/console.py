@@ -1,7 +1,7 @@
 """Console output: results to stdout, messages to stderr.
 
-Recorded texts are untrusted, and terminals obey control characters: these are printed as escapes. JSON is ASCII, so
-that no terminal's encoding loses anything of it. While a world is open, what native code prints goes to stderr.
+Recorded texts are untrusted, and terminals obey control characters, so control characters are printed as escapes. JSON
+is ASCII, so no terminal's encoding loses a character. While a world is open, output of native code goes to stderr.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _STDOUT, _STDERR = 1, 2
 #: Control characters except newlines and tabs, characters that change the direction of text, and
-#: halves of characters, which stand for bytes that aren't UTF-8.
+#: surrogates, which represent bytes that aren't UTF-8.
 _CONTROL: Final = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e\\u2066-\\u2069\\ud800-\\udfff]")
 
 
@@ -49,7 +49,7 @@ def print_json(value: object, *, flush: bool = False) -> None:
 
 
 def print_json_list(values: Iterable[object]) -> None:
-    """Print results as one list of JSON, in the memory of one of them."""
+    """Print results as a JSON list, one result at a time."""
     between = "["
     for value in values:
         print(between, _json(value), sep="", end="")
@@ -60,15 +60,15 @@ def print_json_list(values: Iterable[object]) -> None:
 def _json(value: object) -> str:
     try:
         text = json.dumps(value, allow_nan=False)
-    except ValueError:  # rare: only in recordings that make no sense
+    except ValueError:  # only inconsistent recordings have such numbers
         text = json.dumps(_sound(value), allow_nan=False)
-    if "\\udc" in text:  # or in other characters' pairs
+    if "\\udc" in text:  # or part of a valid surrogate pair
         text = json.dumps(_sound(value), allow_nan=False)
     return text.replace("\x7f", "\\u007f")
 
 
 def print_result(data: Callable[[], object], lines: Iterable[str], *, as_json: bool) -> None:
-    """Print a result: its data as JSON, or its lines."""
+    """Print a result as JSON data or as lines."""
     if as_json:
         print_json(data())
     else:
@@ -81,7 +81,7 @@ def _sound(value: object) -> object:
     if isinstance(value, list | tuple):
         return [_sound(item) for item in value]
     if isinstance(value, str):
-        from recorder.records import escaped  # noqa: PLC0415  --help needn't wait for it
+        from recorder.records import escaped  # noqa: PLC0415  slow to import
 
         return escaped(value)
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
@@ -117,8 +117,8 @@ def _is_descriptor_of_stdout(stream: object) -> bool:
 
 
 def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
-    """Print how a time within a stretch of simulation is known, if that is the step."""
-    from replay.report.phrases import sampled  # noqa: PLC0415  --help needn't wait for it
+    """If the step is a time within a stretch of simulation, print how its state is known."""
+    from replay.report.phrases import sampled  # noqa: PLC0415  slow to import
 
     within = log.state_at(step).sampled
     if within is not None:
@@ -128,10 +128,10 @@ def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
 def numbers(
     text: str, expected: str, *counts: int, separator: str = ",", kind: Callable[[str], float] = float
 ) -> list[float]:
-    """Parse finite numbers, as "0.5,1,0", of one of the given counts.
+    """Parse finite numbers, such as "0.5,1,0"; their number is one of ``counts``.
 
     Raises:
-        ReplayError: the text isn't that; it says what was ``expected``.
+        ReplayError: the text has other contents; the message says what was ``expected``.
     """
     try:
         values = [kind(part) for part in text.split(separator)]

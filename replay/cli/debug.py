@@ -1,4 +1,8 @@
-"""``debug``: a prompt at a step of a recording, in the plan's own frame; forwards, and back."""
+"""``debug``: a prompt at a step of a recording, in the plan's frame, that steps forwards and back.
+
+Commands are pdb's, and verbs of ``pycram-replay`` at the step. Lines come from a terminal, with history and completion,
+or from a script on stdin.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +41,7 @@ if TYPE_CHECKING:
 _HISTORY: Final = 1000  # lines
 _MAIN_THREAD: Final = "MainThread"
 _AROUND: Final = 5  # lines before and after the current one, as pdb lists them
-#: Verbs of ``pycram-replay`` as commands: what stands before and after what is typed; "STEP" is where the plan is.
+#: Verbs of ``pycram-replay`` as commands: arguments before and after the typed arguments; "STEP" is the current step.
 _VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "ask": (("STEP",), ()),
     "blame": ((), ("--at", "STEP")),
@@ -53,27 +57,30 @@ _VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
 }
 _HELP: Final = """\
 where (w, bt)  up (u)  down (d)  list (l)  ll     the plan's frames, and their source
-locals  args (a)  p EXPR  pp EXPR  whatis EXPR   what is in a frame; an expression alone is evaluated, too
-step (s)  next (n)  return (r)  until [STEP]     to the next step; on this task level; to the end of the task
+locals  args (a)  p EXPR  pp EXPR  whatis EXPR   variables of a frame; an expression alone is evaluated, too
+step (s)  next (n)  return (r)  until [STEP]     to the next step; on the same task level; to the end of the task
 rstep (rs)  rnext (rn)                           the same, backwards
-continue (c)  rcontinue (rc)  goto STEP (g)      to the next breakpoint; to the one before; to any step
+continue (c)  rcontinue (rc)  goto STEP (g)      to the next breakpoint; to the previous breakpoint; to any step
 break (b) [STEP | TASK | KIND | FILE:LINE | failure | event NAME]  tbreak  clear [N]  enable N  disable N
-watch EXPR  rwatch EXPR                          milk.z, holding(left), a variable: where it changes; where it last did
-state  tree  show  log  ask  blame  why  diff  render  info    as pycram-replay has them, at this step
-view                                             the Rerun viewer, which follows from now on
-fork [NAME] [--plan FILE]                        on from here, live, into a recording of its own
+watch EXPR  rwatch EXPR                          stop when milk.z, holding(left), a variable changes; back to it
+state  tree  show  log  ask  blame  why  diff  render  info    verbs of pycram-replay, at this step
+view                                             show the Rerun viewer, which follows each step
+fork [NAME] [--plan FILE]                        continue live from here, into a new recording
 help (h) [COMMAND]  quit (q)"""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, the plan, and whether copies wait."""
-    parser.epilog = "Commands are pdb's; help lists them. Lines of a script on stdin are commands, too."
+    """Add the step, the plan and the checkpoints."""
+    parser.epilog = "Commands are pdb's; help lists them. A script on stdin may hold commands, too."
     parser.add_argument(
-        "step", metavar="STEP", nargs="?", help=f"where to begin (default: the failure, else the start): {HINT}"
+        "step",
+        metavar="STEP",
+        nargs="?",
+        help=f"first step (default: the failure; without a failure, the start): {HINT}",
     )
-    parser.add_argument("--plan", metavar="FILE", help="the plan's file, where it is another one than was recorded")
+    parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it has moved since the recording")
     parser.add_argument(
-        "--no-checkpoints", action="store_true", help="keep no copies of the plan: going back runs it again"
+        "--no-checkpoints", action="store_true", help="keep no copies of the process: stepping back runs the plan again"
     )
     add_source_and_arguments(parser)
 
@@ -85,14 +92,14 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     from replay.retrace.plan_process import PlanProcess, last_own_step  # noqa: PLC0415
 
     if options.json:
-        raise ReplayError("debug is a prompt, whose answers are text; the other verbs have --json")
+        raise ReplayError("debug prints text only; use another verb with --json")
     failed = uncaught_failure(log) is not None
     step = log.step(options.step if options.step is not None else "failure" if failed else 0)
     if options.step is None:
         step = min(step, last_own_step(log))
     process = PlanProcess(log, options.plan, options.arguments, recorded_source=options.recorded_source)
     with GuidedPlan(process, checkpoints=not options.no_checkpoints) as plan:
-        for file, source in plan.recorded_files.items():  # the prompt lists it, whatever there is on the disk
+        for file, source in plan.recorded_files.items():  # the prompt lists this source, not the file on the disk
             lines = source.decode("utf-8", "replace").splitlines(keepends=True)
             linecache.cache[str(file)] = len(source), None, lines, str(file)
         session = Session(log, plan)
@@ -100,7 +107,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         for note in plan.notes:
             print_message(f"note: {note}")
         if step > plan.last:
-            print_message(f"the plan reaches only step {plan.last}: {plan.parted}")
+            print_message(f"the plan reached only step {plan.last}: {plan.parted}")
         prompt = Prompt(session)
         prompt.begin(min(step, plan.last))
         prompt.run()
@@ -108,7 +115,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 class LinePrompt(cmd.Cmd):
-    """Takes commands from a terminal, or from lines on stdin, which are printed as they are carried out."""
+    """Takes commands from a terminal, or from lines on stdin, which are echoed."""
 
     prompt = "(debug) "
 
@@ -162,12 +169,12 @@ class LinePrompt(cmd.Cmd):
         return "" if first.lstrip().startswith("#") else first.strip()
 
     def onecmd(self, line: str) -> bool:
-        """Carry out a command; what can't be done is told."""
+        """Execute a command; print errors of the user."""
         try:
             return bool(super().onecmd(line))
         except ReplayError as error:
             self.print_error(str(error))
-        except SystemExit:  # of wrong arguments, which are told already
+        except SystemExit:  # after a message about wrong arguments
             pass
         except KeyboardInterrupt:
             print("--KeyboardInterrupt--")
@@ -179,10 +186,10 @@ class LinePrompt(cmd.Cmd):
         """Repeat the last command at a terminal, as pdb does; do nothing in a script."""
         return bool(self._asks and self.lastcmd and self.onecmd(self.lastcmd))
 
-    # --- what is printed --------------------------------------------------------------------------------------------
+    # --- output ------------------------------------------------------------------------------------------------------
 
     def print_error(self, text: str) -> None:
-        """Print what can't be done, and why."""
+        """Print an error of the user."""
         print(self.painted(f"*** {text}", "31"))
 
     def print_lines(self, lines: Iterable[str]) -> None:
@@ -191,30 +198,25 @@ class LinePrompt(cmd.Cmd):
             print(visible(line))
 
     def painted(self, text: str, colour: str) -> str:
-        """Return a text in a colour, by its number in the terminal's sequences, where stdout is a terminal."""
+        """Return a text in a colour, an ANSI number; without a terminal, the plain text."""
         shown = visible(text)
         return f"\x1b[{colour}m{shown}\x1b[0m" if self._coloured else shown
 
 
 class Prompt(LinePrompt):
-    """A prompt in the plan's frames.
-
-    Args:
-        session: what it is about.
-    """
+    """A prompt in the plan's frames."""
 
     def __init__(self, session: Session) -> None:
         super().__init__()
         self.session = session
         self.log = session.log  # its recording
         self.stack: list[dict[str, Any]] = []  # the plan's frames, innermost first
-        # which of them is chosen
-        self.frame = 0  # 0: the innermost
-        self._listed = 0  # the line after the last one that was listed; 0: none was
-        self.follow: Callable[[int], None] | None = None  # brings the viewer to a step; None where there is none
+        self.frame = 0  # index of the chosen frame; 0: the innermost
+        self._listed = 0  # the line after the last listed line; 0: no line was listed
+        self.follow: Callable[[int], None] | None = None  # moves the viewer to a step; None without a viewer
 
     def begin(self, step: int) -> None:
-        """Go to the first step; where Ctrl-C ends the plan on its way there, to the start."""
+        """Go to the first step; if Ctrl-C ends the plan before that step, go to the start."""
         from replay.debug.guided_plan import PlanInterrupted  # noqa: PLC0415  needs the executor
 
         try:
@@ -226,10 +228,10 @@ class Prompt(LinePrompt):
             halt = self.session.go(interrupted.step)
         self.halted(halt, halt.arrival.step)
 
-    # --- where the plan is ------------------------------------------------------------------------------------------
+    # --- the current step -------------------------------------------------------------------------------------------
 
     def halted(self, halt: Halt, before: int) -> None:
-        """Tell where the plan has stopped, and what it has printed since the step where it was before."""
+        """Print the current step, and the plan's output since the step ``before``."""
         arrival, step = halt.arrival, halt.arrival.step
         for output in self.log.records(Output, before + 1, step + 1):
             print(visible(output.text))
@@ -244,7 +246,7 @@ class Prompt(LinePrompt):
         self.stack = self.session.plan.ask("where")
         self.frame = self._frame_of(halt)
         self._listed = 0
-        self._tell_step(step)
+        self._print_step(step)
         if self.follow is not None:
             self.follow(step)
 
@@ -262,7 +264,7 @@ class Prompt(LinePrompt):
         frames = [number for number, each in enumerate(self.stack) if (each["file"], each["line"]) in lines]
         return frames[0] if frames else 0
 
-    def _tell_step(self, step: int) -> None:
+    def _print_step(self, step: int) -> None:
         record = self.log[step]
         place = "" if record.thread == _MAIN_THREAD else f"  [{record.thread}]"
         time = f"{record.sim_step / STEPS_PER_SECOND:.3f} s"
@@ -271,11 +273,11 @@ class Prompt(LinePrompt):
             visible(f" {kind_of(record)} {phrases.record_line(record)}"),
         )
         if self.stack:
-            self._tell_frame()
+            self._print_frame()
         if step == len(self.log) - 1:
             print(visible(f"the recording {_ending(record)}"))
 
-    def _tell_frame(self, number: int | None = None) -> None:
+    def _print_frame(self, number: int | None = None) -> None:
         at = self.frame if number is None else number
         frame = self.stack[at]
         mark = ">" if at == self.frame else " "
@@ -292,18 +294,18 @@ class Prompt(LinePrompt):
     def do_where(self, _: str) -> None:
         """``where`` (w, bt): the plan's frames, the innermost last, as pdb prints them.
 
-        Those of a branch come after those of the code that waits for it.
+        Frames of a branch come after the frames of the code that waits for the branch.
         """
         self._selected()
         for number in reversed(range(len(self.stack))):
-            self._tell_frame(number)
+            self._print_frame(number)
 
     def do_up(self, count: str) -> None:
-        """``up`` (u) [COUNT]: to the frame that called this one."""
+        """``up`` (u) [COUNT]: to the caller's frame."""
         self._move(_number(count))
 
     def do_down(self, count: str) -> None:
-        """``down`` (d) [COUNT]: to the frame that this one called."""
+        """``down`` (d) [COUNT]: to the called frame."""
         self._move(-_number(count))
 
     def _move(self, count: int) -> None:
@@ -312,10 +314,10 @@ class Prompt(LinePrompt):
             raise ReplayError("Oldest frame" if count > 0 else "Newest frame")
         self.frame += count
         self._listed = 0
-        self._tell_frame()
+        self._print_frame()
 
     def do_list(self, text: str) -> None:
-        """``list`` (l) [. | FIRST[, LAST]]: the source around the current line, then on from there."""
+        """``list`` (l) [. | FIRST[, LAST]]: the source around the current line; again: the lines that follow."""
         frame = self._selected()
         given = [int(each) for each in re.findall(r"\d+", text)]
         first = given[0] if given else self._listed if self._listed and text != "." else frame["line"] - _AROUND
@@ -333,30 +335,30 @@ class Prompt(LinePrompt):
         frame = self._selected()
         lines = linecache.getlines(frame["file"])
         if first > len(lines):
-            raise ReplayError("[EOF]" if lines else f"{frame['file']}: there is no source of it")
+            raise ReplayError("[EOF]" if lines else f"{frame['file']}: its source is missing")
         broken = {each.line for each in self.session.breakpoints}
         for number in range(first, min(last, len(lines)) + 1):
             marks = f"{'B' if (frame['file'], number) in broken else ' '}{'->' if number == frame['line'] else '  '}"
             print(visible(f"{number:3} {marks}  {lines[number - 1].rstrip()}"))
         self._listed = last + 1
 
-    # --- what is in a frame -----------------------------------------------------------------------------------------
+    # --- variables of a frame ---------------------------------------------------------------------------------------
 
     def do_locals(self, _: str) -> None:
         """``locals``: the variables of the frame."""
-        self._tell_variables(arguments=False)
+        self._print_variables(arguments=False)
 
     def do_args(self, _: str) -> None:
         """``args`` (a): the arguments of the frame's function."""
-        self._tell_variables(arguments=True)
+        self._print_variables(arguments=True)
 
-    def _tell_variables(self, *, arguments: bool) -> None:
+    def _print_variables(self, *, arguments: bool) -> None:
         self._selected()
         found = self.session.plan.ask("variables", frame=self.frame, arguments=arguments)
         self.print_lines(f"{name} = {value}" for name, value in found)
 
     def do_p(self, expression: str) -> None:
-        """``p`` EXPR: an expression's value in the frame; what evaluating it changes is undone."""
+        """``p`` EXPR: an expression's value in the frame; changes by its evaluation are undone."""
         self._evaluate(expression, pretty=False)
 
     def do_pp(self, expression: str) -> None:
@@ -380,20 +382,20 @@ class Prompt(LinePrompt):
             print(visible(answer["value"]))
 
     def do_shell(self, text: str) -> None:
-        """! EXPR: its value, also where it begins as a command does; a statement can't be executed.
+        """! EXPR: its value, also if it looks like a command; a statement can't be executed.
 
-        The plan is guided by its recording, from which it would differ.
+        A statement would make the plan differ from the recording that guides it.
         """
         if text and not _is_statement(text):
             self._evaluate(text, pretty=False)
             return
         self.print_error(
-            "a statement can't be executed: the plan is guided by its recording, from which it would differ; "
-            "fork NAME --plan FILE goes on from here with an edited plan"
+            "a statement can't be executed: it would make the plan differ from the recording that guides it; "
+            "fork NAME --plan FILE continues from here with an edited plan"
         )
 
     def default(self, line: str) -> None:
-        """Evaluate what is no command."""
+        """Evaluate a line that isn't a command."""
         self.do_p(line)
 
     do_w = do_bt = do_where
@@ -414,87 +416,87 @@ class Prompt(LinePrompt):
         self._forward(self.session.step + 1)
 
     def do_rstep(self, _: str) -> None:
-        """``rstep`` (rs): back to the recorded step before."""
+        """``rstep`` (rs): back to the previous recorded step."""
         self._back(self.session.step - 1)
 
     def do_next(self, _: str) -> None:
-        """``next`` (n): to the next step on this task level: over what a task does."""
+        """``next`` (n): to the next step on this task level, over the steps inside a task."""
         self._forward(self.session.timeline.following(self.session.step))
 
     def do_rnext(self, _: str) -> None:
-        """``rnext`` (rn): back to the step before on this task level."""
+        """``rnext`` (rn): back to the previous step on this task level."""
         self._back(self.session.timeline.preceding(self.session.step))
 
     def do_return(self, _: str) -> None:
-        """``return`` (r): to the end of the task that this step is in."""
+        """``return`` (r): to the end of the current task."""
         self._forward(self.session.timeline.end(self.session.step))
 
     def do_until(self, step: str) -> None:
-        """``until`` (unt) [STEP]: on to a step; without one to a later line, out of a loop."""
+        """``until`` (unt) [STEP]: forwards to a step; without a step, to a later line, out of a loop."""
         timeline, now = self.session.timeline, self.session.step
         target = self.log.step(step) if step else timeline.onwards(now)
         if target <= now:
-            raise ReplayError(f"step {target} is not after this one; goto goes there")
+            raise ReplayError(f"step {target} isn't after the current step; use goto")
         self._forward(target)
 
     def do_continue(self, _: str) -> None:
-        """``continue`` (c, cont): to the next breakpoint or change of what is watched, else to the end."""
+        """``continue`` (c, cont): to the next breakpoint or watched change, or to the end."""
         self._forward(None)
 
     def do_rcontinue(self, _: str) -> None:
-        """``rcontinue`` (rc): back to the breakpoint or change before, else to the start."""
+        """``rcontinue`` (rc): back to the previous breakpoint or watched change, or to the start."""
         self._back(0)
 
     def do_goto(self, step: str) -> None:
-        """``goto`` (g) STEP: to any step, forwards or back, whatever is on the way."""
+        """``goto`` (g) STEP: to any step, forwards or back; breakpoints are ignored."""
         halt = self.session.go(self.log.step(step))
         self.halted(halt, halt.arrival.step)
 
     # --- breakpoints ------------------------------------------------------------------------------------------------
 
     def do_break(self, place: str) -> None:
-        """``break`` (b) [STEP | TASK | KIND | FILE:LINE | failure | event [NAME]]: stop there; without one list all.
+        """``break`` (b) [STEP | TASK | KIND | FILE:LINE | failure | event [NAME]]: stop there; by default list all.
 
-        A task is a path of names, as par/moving or pick-up; a kind is motion, attempt, block and so on.
+        A task is a path of names, such as par/moving or pick-up. Kinds are motion, attempt, block and so on.
         """
         if place:
-            self._tell_set(place, temporary=False)
+            self._set_break(place, temporary=False)
             return
         for each in self.session.breakpoints:
             state = f"{'' if each.enabled else ' (disabled)'}{' (once)' if each.temporary else ''}"
             self.print_lines([f"{each.number:3}  {each.text}{state}: {each.counted}"])
 
     def do_tbreak(self, place: str) -> None:
-        """``tbreak`` PLACE: a breakpoint that ends when it has stopped the plan."""
-        self._tell_set(place, temporary=True)
+        """``tbreak`` PLACE: a breakpoint that is deleted when it has stopped the plan."""
+        self._set_break(place, temporary=True)
 
-    def _tell_set(self, place: str, *, temporary: bool) -> None:
+    def _set_break(self, place: str, *, temporary: bool) -> None:
         made = self.session.set_break(place, temporary=temporary)
         self.print_lines([f"Breakpoint {made.number}: {made.text}: {made.counted}"])
 
     def do_watch(self, expression: str) -> None:
-        """``watch`` EXPR: stop where its value changes: milk.z, holding(left), distance(pr2, milk) < 1, a variable."""
+        """``watch`` EXPR: stop when milk.z, holding(left), distance(pr2, milk) < 1 or a variable changes."""
         made = self.session.set_watch(expression, self.frame)
         self.print_lines([f"Watch {made.number}: {expression}: {made.counted}"])
 
     def do_rwatch(self, expression: str) -> None:
-        """``rwatch`` EXPR: back to where its value last changed."""
+        """``rwatch`` EXPR: back to the last change of its value."""
         halt = self.session.back_to_change(expression, self.frame)
         self.halted(halt, halt.arrival.step)
 
     def do_clear(self, numbers: str) -> None:
-        """``clear`` (cl) [NUMBER ...]: remove breakpoints and watches; without a number all."""
+        """``clear`` (cl) [NUMBER ...]: remove breakpoints and watches; without a number, all."""
         for each in self._numbered(numbers) if numbers else list(self.session.breakpoints):
             self.session.breakpoints.remove(each)
             print(f"Deleted {each.number}: {visible(each.text)}")
 
     def do_enable(self, numbers: str) -> None:
-        """``enable`` NUMBER ...: have breakpoints stop the plan again."""
+        """``enable`` NUMBER ...: let breakpoints stop the plan again."""
         for each in self._numbered(numbers):
             each.enabled = True
 
     def do_disable(self, numbers: str) -> None:
-        """``disable`` NUMBER ...: have breakpoints not stop the plan."""
+        """``disable`` NUMBER ...: keep breakpoints, without stopping the plan."""
         for each in self._numbered(numbers):
             each.enabled = False
 
@@ -518,30 +520,30 @@ class Prompt(LinePrompt):
         main.call(name, self.log, arguments)
 
     def do_view(self, text: str) -> None:
-        """``view`` [--connect URL]: show the recording in the Rerun viewer, at this step; it follows from now on."""
+        """``view`` [--connect URL]: show the recording in the Rerun viewer, which follows each step."""
         from replay.view import follow  # noqa: PLC0415  needs the viewer's library
 
         url = _words(text)[-1] if text else None
         viewer, self.follow = follow(self.log, self.session.step, url)
-        print_message(f"the viewer at {viewer} follows")
+        print_message(f"the viewer at {viewer} follows each step")
 
-    # --- help, end --------------------------------------------------------------------------------------------------
+    # --- help and end ------------------------------------------------------------------------------------------------
 
     def do_help(self, command: str) -> None:
-        """``help`` (h) [COMMAND]: what a command does; without one, which there are."""
+        """``help`` (h) [COMMAND]: what a command does; without a command, the list of commands."""
         if not command:
             print(_HELP)
             return
         text = getattr(self, f"do_{command}", None)
         if text is None:
-            raise ReplayError(f"there is no command {command}")
+            raise ReplayError(f"there is no command {command}; help lists the commands")
         print("\n".join(line.strip() for line in (text.__doc__ or "").replace("``", "").strip().splitlines()))
 
     def do_quit(self, _: str) -> bool:
         """``quit`` (q, exit): end the debugger."""
         return True
 
-    def do_EOF(self, _: str) -> bool:  # noqa: N802  as cmd calls it
+    def do_EOF(self, _: str) -> bool:  # noqa: N802  the name that cmd expects
         """The end of the input: end the debugger."""
         if self._asks:
             print()
@@ -588,12 +590,12 @@ class Prompt(LinePrompt):
 
 
 def _add_verb(name: str) -> None:
-    """Make a verb of ``pycram-replay`` a command."""
+    """Add a verb of ``pycram-replay`` as a command."""
 
     def do(self: Prompt, text: str) -> None:
         self._verb(name, text)
 
-    do.__doc__ = f"``{name}``: {main.VERBS[name]}, at this step; as pycram-replay {name} --help tells."
+    do.__doc__ = f"``{name}``: {main.VERBS[name]}; by default at the current step. See pycram-replay {name} --help."
     setattr(Prompt, f"do_{name}", do)
 
 
@@ -633,7 +635,7 @@ def _is_statement(text: str) -> bool:
         try:
             compile(text, "<prompt>", "exec")
         except SyntaxError:
-            return False  # evaluating it tells what is wrong
+            return False  # the evaluation reports the error
         return True
     except ValueError:
         return False

@@ -1,4 +1,4 @@
-"""``diff``: what is different between two steps of a recording, two recordings, or two folders of these."""
+"""``diff``: the difference between two steps of a recording, two recordings, or two folders of recordings."""
 
 from __future__ import annotations
 
@@ -21,51 +21,51 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add two steps, or another recording or folder."""
-    parser.epilog = "Exit code 0: fine. 1: the two recordings, or folders, differ. 3: one of them is incomplete."
-    parser.add_argument("first", metavar="STEP|LOG", help=f"{HINT}; or the other recording, or folder")
-    parser.add_argument("second", metavar="STEP", nargs="?", help="the step to compare it with")
-    parser.add_argument("--all", action="store_true", help="also settling of physics, and every joint")
+    parser.epilog = "Exit code 0: fine. 1: the two recordings, or folders, differ. 3: a recording is incomplete."
+    parser.add_argument("first", metavar="STEP|LOG", help=f"the first step ({HINT}), or the other recording or folder")
+    parser.add_argument("second", metavar="STEP", nargs="?", help="the second step")
+    parser.add_argument("--all", action="store_true", help="also print settling in simulation, and every joint")
     parser.add_argument(
         "--tolerance",
         type=_tolerance,
         default=0.0,
         metavar="X",
-        help="numbers of two recordings that differ less are equal",
+        help="numbers of two recordings that differ by at most X are equal",
     )
 
 
 def _tolerance(text: str) -> float:
     value = float(text)
     if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is no tolerance: expected a number from 0")
+        raise argparse.ArgumentTypeError(f"{text} isn't a tolerance: expected a number of at least 0")
     return value
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the difference; of two whole recordings that differ, the exit code is 1."""
+    """Print the difference; if two whole recordings differ, return 1."""
     if options.second is not None:
         delta = difference(log.state_at(options.first), log.state_at(options.second))
         print_result(lambda: report.data(delta), difference_lines(delta, whole=options.all), as_json=options.json)
         return FINE
     if not Path(options.first).exists():
-        raise ReplayError(f"{options.first}: no such recording; to compare steps of this one, give two")
+        raise ReplayError(f"{options.first}: no such recording; to compare two steps of this recording, give both")
     with Recording(options.first) as other:
         compared = compare_recordings(log, other, options.tolerance)
-        problems = other.problems  # it was read to its end
+        problems = other.problems  # known now, as it was read to its end
     print_result(lambda: report.data(compared), comparison_lines(compared, whole=options.all), as_json=options.json)
     if problems:
         print_message(f"{other.path} is incomplete: {problems}")
-    if problems or log.problems:  # lost records may be the difference
+    if problems or log.problems:  # the difference may come from lost records
         return INCOMPLETE
     return FAILED if compared.divergence is not None or compared.difference else FINE
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Print the difference between two folders of recordings."""
-    from replay.runs.statistics import compare_folders, lines  # noqa: PLC0415  what it needs is an extra
+    from replay.runs.statistics import compare_folders, lines  # noqa: PLC0415  needs an extra
 
     if options.second is not None or not Path(options.first).is_dir():
-        raise ReplayError("two folders are compared, or steps of one recording, or two recordings")
+        raise ReplayError("diff compares two folders, two recordings, or two steps of a recording")
     with opened(options.first) as second:
         found = compare_folders(runs, second)
         for left_out in second.skipped:

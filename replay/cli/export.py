@@ -1,4 +1,9 @@
-"""``export``: what a recording has, as a table for other programs; many, as a data set for training."""
+"""``export``: the trajectories of a recording as a table; a folder of recordings as a data set for training.
+
+The table has a row for each moment of a joint, planned and driven. Driven positions are known 30 times a simulated
+second, from the samples of simulations. Velocities of joints are read from the engine; a base has none, as it is moved
+from pose to pose.
+"""
 
 from __future__ import annotations
 
@@ -35,37 +40,37 @@ _DATA_SETS: Final = ("lerobot",)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add what to export, and where to."""
+    """Add the selection and the target."""
     parser.add_argument(
         "--trajectories",
         action="store_true",
-        help="of a recording, where each joint and base was to be, and where it was: a row a moment",
+        help="for a recording: planned and driven positions of each joint and base, a row for each moment",
     )
     parser.add_argument(
         "--to",
         nargs=2,
         metavar=("FORMAT", "OUT"),
-        help="of a folder of recordings, a data set for training policies: lerobot, and the folder that it gets",
+        help="for a folder of recordings: write a data set for training policies; FORMAT is lerobot, OUT a new folder",
     )
     parser.add_argument(
-        "--plan", metavar="NAME", help="of a folder, this plan's runs (default: of the plan that most are of)"
+        "--plan", metavar="NAME", help="for a folder: only runs of this plan (default: the plan with the most runs)"
     )
-    parser.add_argument("--succeeded", action="store_true", help="of a folder, only runs that succeeded")
+    parser.add_argument("--succeeded", action="store_true", help="for a folder: only successful runs")
     parser.add_argument(
         "--images",
         nargs="?",
         const="",
         metavar="FRAME",
-        help="of a data set, with what the robot's camera sees, or one at this frame of it, as video (extra: video)",
+        help="for a data set: add a video from the robot's camera, or from a frame of the robot (extra: video)",
     )
-    parser.add_argument("-o", dest="file", metavar="FILE", help="the table (default: CSV to standard output)")
-    parser.add_argument("--format", choices=_FORMATS, help="of the file (default: by its name's end, else csv)")
+    parser.add_argument("-o", dest="file", metavar="FILE", help="the table's file (default: CSV on standard output)")
+    parser.add_argument("--format", choices=_FORMATS, help="format of the file (default: by its suffix, otherwise csv)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Write the table."""
     if not options.trajectories or options.to or options.images is not None:
-        raise ReplayError("of a recording there are --trajectories; of a folder of recordings a data set: --to lerobot")
+        raise ReplayError("a recording needs --trajectories; a folder of recordings needs --to lerobot OUT")
     suffix = Path(options.file or "").suffix.removeprefix(".")
     form = options.format or (suffix if suffix in _FORMATS else "csv")
     if form == "parquet" and options.file is None:
@@ -90,12 +95,12 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Write the data set."""
-    from replay.runs.lerobot import export  # noqa: PLC0415  what it needs is an extra
+    from replay.runs.lerobot import export  # noqa: PLC0415  needs an extra
     from replay.runs.statistics import names_of, plan_of  # noqa: PLC0415  as above
 
     form, out = options.to or ("", "")
     if form not in _DATA_SETS or options.trajectories or options.file:
-        raise ReplayError("of a folder of recordings there is a data set: --to lerobot OUT")
+        raise ReplayError("a folder of recordings needs --to lerobot OUT, without --trajectories and -o")
     plan, _ = plan_of(runs, options.plan)
     names = names_of(runs, plan)
     if options.succeeded:
@@ -103,7 +108,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         names = tuple(name for name in names if name in good)
     done = export(runs, names, Path(out), None if options.images is None else _camera(options.images))
     if done.left_out:
-        print_message(f"left out: {len(done.left_out)} runs in which no robot moves, as {done.left_out[0]}")
+        print_message(f"left out: {len(done.left_out)} runs in which no robot moves, such as {done.left_out[0]}")
     data = {"folder": str(done.folder), "format": form, "episodes": list(done.episodes), "frames": done.frames}
     print_result(lambda: data, [f"{out}: {len(done.episodes)} episodes, {done.frames} frames"], as_json=options.json)
     return 0
@@ -113,14 +118,14 @@ def _camera(frame: str) -> Draw:
     """Return a function that draws the view of a frame of the robot, by default of its camera."""
     import numpy as np  # noqa: PLC0415  slow to import
 
-    from replay.restore.render import DrawnWorld  # noqa: PLC0415  what it needs is an extra
+    from replay.restore.render import DrawnWorld  # noqa: PLC0415  needs an extra
 
     def draw(
         log: RecordReader, step: int, world: str, moment: float | None, size: tuple[int, int]
     ) -> NDArray[np.uint8]:
         scene = DrawnWorld(log, step, world, moment)
         if not (camera := frame or scene.camera):
-            raise ReplayError(f"{log.path}: the robot has no camera; name one of its frames")
+            raise ReplayError(f"{log.path}: the robot has no camera; name a frame of the robot")
         return np.asarray(scene.picture(camera=camera, size=size).convert("RGB"))
 
     return draw
@@ -135,7 +140,7 @@ def _csv(table: Iterable[MotionRow]) -> str:
 
 
 def _write_parquet(table: list[MotionRow], file: str) -> None:
-    import pyarrow as pa  # noqa: PLC0415  comes with the viewer, and is slow to import
+    import pyarrow as pa  # noqa: PLC0415  an extra, slow to import
     from pyarrow import parquet  # noqa: PLC0415
 
     kinds = {str: pa.string(), int: pa.int64()}
@@ -151,14 +156,14 @@ class MotionRow(NamedTuple):
     body: str
     joint: str  # a joint, or x, y or yaw of the base in the world frame
     source: str  # "planned" or "driven"
-    time: float  # s since the trajectory began, of its own time: it slows down when the trajectory is stopped
-    seconds: float  # s of the world's simulated time; of a planned position, if nothing stops the trajectory
+    time: float  # s of the trajectory's own time, which slows down when the trajectory is stopped
+    seconds: float  # s of the world's simulated time; for a planned position, without a stop
     position: float  # rad or m
-    velocity: float | None  # rad/s or m/s; None if it isn't known
+    velocity: float | None  # rad/s or m/s; None if unknown
 
 
 def motion_rows(log: RecordReader) -> Iterator[MotionRow]:
-    """Yield all rows of a recording: of each trajectory the planned rows when it begins, then the driven ones.
+    """Yield all rows of a recording: for each trajectory first the planned rows, then the driven rows.
 
     Raises:
         Damaged: a record makes no sense.

@@ -1,4 +1,4 @@
-"""``info``: what ran, when, for how long, and how it ended."""
+"""``info``: a summary of a run, or of a folder of recordings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.runs.folder import Runs
 
-_MAX_WORLDS: Final = 8  # that are listed one by one
+_MAX_WORLDS: Final = 8  # that are listed
 _DIGITS: Final = 12  # of a commit or hash
 _VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
@@ -37,7 +37,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Print the summary of a folder of recordings."""
-    from replay.cli.stats import data, summary_lines  # noqa: PLC0415  what they need is an extra
+    from replay.cli.stats import data, summary_lines  # noqa: PLC0415  need an extra
     from replay.runs.statistics import statistics  # noqa: PLC0415
 
     stats = statistics(runs)
@@ -62,12 +62,12 @@ def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
     yield "parameters", ", ".join(f"{each.name}={each.value_json}" for each in start.parameters)
     if start.HasField("sweep"):
         again = f", at attempt {start.sweep.attempt}" if start.sweep.attempt > 1 else ""
-        yield "sweep", f"run {start.sweep.number} of one with seed {start.sweep.seed}{again}"
+        yield "sweep", f"run {start.sweep.number} of a sweep with seed {start.sweep.seed}{again}"
     if start.HasField("origin"):
         yield "origin", _origin(start)
     yield "directory", start.directory
     if start.hash_seed:
-        seed = start.seed or "none is known"
+        seed = start.seed or "unknown"
         sets = "" if seed == start.hash_seed else f"; order of sets: {start.hash_seed}"
         yield "seed", f"{seed}{sets}{start.order and f'; order of branches: {start.order}'}"
     yield "motion", start.environment
@@ -86,12 +86,15 @@ def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
         worlds[_MAX_WORLDS:] = [f"{len(worlds) - _MAX_WORLDS} more"]
     yield "worlds", ", ".join(worlds)
     shared = log.assets.shared
-    yield "files", f"{info.attachments} attached" + (f", or in {shared.name} beside it" if shared is not None else "")
+    yield (
+        "files",
+        f"{info.attachments} attached" + (f", or in {shared.name} in the same folder" if shared is not None else ""),
+    )
     yield "computer", ", ".join(filter(None, (start.host, start.cpu)))
     yield "versions", ", ".join(f"{key} {metadata[key]}" for key in _VERSIONS if key in metadata)
     if repaired_by := metadata.get("pycram.repair.by", ""):
         yield "repaired", f"by PyCRAM {repaired_by}; before: {metadata.get('pycram.repair.problems') or 'complete'}"
-    complete = "yes" if info.checked else "yes, according to its index (too long to be read whole)"
+    complete = "yes" if info.checked else "yes, according to its index (too long to read completely)"
     yield "complete", f"no: {info.problems}" if info.problems else complete
 
 

@@ -26,32 +26,32 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-_POLL_PERIOD: Final = 0.2  # s between reads of a recording that is being written
-_FIELD_WIDTH: Final = 100  # characters; longer values are printed on several lines
+_POLL_PERIOD: Final = 0.2  # s between reads of a growing recording
+_FIELD_WIDTH: Final = 100  # characters; longer values take several lines
 _MAX_IN_LINE: Final = 12  # numbers; more are printed in rows
 _MANY: Final = 100  # numbers that are printed
-_ENDS: Final = 18  # of more than that, which are printed at each end
+_ENDS: Final = 18  # numbers that are printed at each end of a longer list
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add filters."""
     parser.add_argument("--kind", choices=sorted(KINDS), action="append", help="only this kind of record; repeatable")
-    parser.add_argument("--task", metavar="ID|NAME", help="only what this task and those below it did")
+    parser.add_argument("--task", metavar="ID|NAME", help="only records of this task and its subtasks")
     parser.add_argument("--object", metavar="NAME", help="only records about this object")
     parser.add_argument("--world", metavar="NAME", help="only records about this world")
     parser.add_argument(
         "--where",
         metavar="FILE[:LINE]",
-        help="only what this line of the plan, or file, led to, also by what it called",
+        help="only records with this line of the plan, or this file, in their call stack",
     )
-    parser.add_argument("--text", metavar="TEXT", help="only lines that contain this")
+    parser.add_argument("--text", metavar="TEXT", help="only lines with this text")
     parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"first step: {HINT}")
     parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="last step")
-    parser.add_argument("--follow", action="store_true", help="go on while the recording is being written")
+    parser.add_argument("--follow", action="store_true", help="continue while the recording is being written")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the lines; with ``--json`` one object a line."""
+    """Print the lines; with ``--json``, a JSON object on each line."""
     where = None if options.where is None else line_of(options.where)
     wanted = RecordFilter(options.kind or (), options.task, options.object, options.world, options.text, where)
     start, stop = log.step(options.start), log.step(options.end) + 1
@@ -65,7 +65,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
             clock = f"{record.sim_step / STEPS_PER_SECOND:.3f}s" if record.world else ""
             lifetime = log.lifetime_at(record.world, record.seq) if record.world and len(log.lifetimes) > 1 else None
             world = f"{lifetime.title}: " if lifetime is not None else ""
-            cause = f"  (by a handler of step {record.cause})" if record.cause else ""
+            cause = f"  (by a handler of the event at step {record.cause})" if record.cause else ""
             print_text(
                 f"{record.seq:6} {clock:>10} {kind_of(record):8} {world}{line}{cause}",
                 flush=options.follow,
@@ -76,7 +76,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def line_of(text: str) -> tuple[str, int | None]:
-    """Return file and line of ``FILE:LINE``, or of ``FILE`` alone."""
+    """Return file and line of ``FILE:LINE`` or ``FILE``."""
     file, colon, number = text.rpartition(":")
     return (file, int(number)) if colon and number.isdecimal() else (text, None)
 
@@ -84,34 +84,34 @@ def line_of(text: str) -> tuple[str, int | None]:
 def follow(
     log: Recording, wanted: RecordFilter, start: int, pause: Callable[[], object] | None = None
 ) -> Iterator[tuple[Record, str]]:
-    """Yield the matching records, and those that will be written, until the recording is closed or its process ends."""
+    """Yield matching records, also new ones, until the recording is closed or its process ends."""
     wait = pause or (lambda: threading.Event().wait(_POLL_PERIOD))
     while True:
-        live = log.live  # before the last read, so that nothing is missed
+        live = log.live  # read before the last refresh, so that no record is missed
         log.refresh()
         yield from wanted.matches(log, start, len(log))
         start = len(log)
         if log.closed or not live:
             if not log.closed:
-                print_message("the process that wrote this recording has ended without closing it")
+                print_message("the process that wrote this recording ended without closing it")
             return
         wait()
 
 
 @dataclass(slots=True)
 class RecordFilter:
-    """Picks the records of a recording that match all that is given; it can go on when the recording has grown."""
+    """Selects the records of a recording, also of a growing one."""
 
     kinds: Collection[str]  # names of kinds ("task", "mutation", ...); empty for all
-    task: str | None  # id of a task, or part of its name; its subtasks match too
-    body: str | None  # name of a body that records must be about
-    world: str | None  # name of the world that they are about
-    text: str | None  # what their line must contain, ignoring case
-    #: a file of the plan, and one of its lines or None, that must have led to them
+    task: str | None  # id or part of the name of a task; subtasks match, too
+    body: str | None  # name of a body that the record mentions
+    world: str | None  # name of the record's world
+    text: str | None  # a part of the record's line, ignoring case
+    #: A file of the plan, and a line number or None, in the record's call stack.
     where: tuple[str, int | None] | None = None
-    _tasks: set[int] = field(default_factory=set)  # that match
-    _led_to: set[int] = field(default_factory=set)  # tasks that the line led to
-    _known: int = 0  # tasks are known up to this step
+    _tasks: set[int] = field(default_factory=set)  # matching tasks
+    _led_to: set[int] = field(default_factory=set)  # tasks with the line in their call stack
+    _known: int = 0  # the first step whose tasks are unknown
 
     def matches(self, log: Recording, start: int, stop: int) -> Iterator[tuple[Record, str]]:
         """Yield the matching records with their lines."""
@@ -136,15 +136,15 @@ class RecordFilter:
             return False
         file, number = self.where
         stack = [(record.source_file, record.source_line)]  # type: ignore[union-attr]
-        callers = getattr(record, "callers", ())  # lines that the plan prints have none
+        callers = getattr(record, "callers", ())  # printed output has no callers
         stack += [(caller.file or record.source_file, caller.line) for caller in callers]  # type: ignore[union-attr]
         return any(is_file(path, file) and number in (None, line) for path, line in stack)
 
     def check(self, log: Recording) -> None:
-        """Raise an error if the recording has nothing at all of a name that records had to match.
+        """Check the names of the filter.
 
         Raises:
-            NoSuchName: it has no such object, task, world or line.
+            NoSuchName: the recording has no such object, task, world or line.
         """
         if self.world is not None and all(lifetime.world != self.world for lifetime in log.lifetimes):
             raise NoSuchName("world", self.world, (lifetime.world for lifetime in log.lifetimes))
@@ -237,13 +237,13 @@ def _numbers(texts: list[str]) -> Iterator[str]:
 
 
 def add_tree(parser: argparse.ArgumentParser) -> None:
-    """Add what part of the tree is shown, and in which format."""
-    parser.add_argument("--at", metavar="STEP", help=f"as it was after a step: {HINT}")
-    parser.add_argument("--depth", type=int, metavar="N", help="only so many levels")
-    parser.add_argument("--all", action="store_true", help="also repeated tasks")
+    """Add the part of the tree, and the format."""
+    parser.add_argument("--at", metavar="STEP", help=f"the tree after this step: {HINT}")
+    parser.add_argument("--depth", type=int, metavar="N", help="number of levels")
+    parser.add_argument("--all", action="store_true", help="also print repeated tasks")
     form = parser.add_mutually_exclusive_group()
-    form.add_argument("--dot", action="store_true", help="for Graphviz")
-    form.add_argument("--svg", action="store_true", help="as a picture, with a time line")
+    form.add_argument("--dot", action="store_true", help="print a graph for Graphviz")
+    form.add_argument("--svg", action="store_true", help="print a picture (SVG) with a time line")
 
 
 def run_tree(log: Recording, options: argparse.Namespace) -> int:

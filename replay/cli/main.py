@@ -1,7 +1,6 @@
 """``pycram-replay VERB LOG ...``: results on stdout, messages on stderr.
 
-Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done as far as possible, but the recording was incomplete, 4 an
-error of PyCRAM's own.
+Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete, 4 an internal error.
 """
 
 from __future__ import annotations
@@ -30,30 +29,30 @@ if TYPE_CHECKING:
 
 #: A verb's file is imported when the verb is called: some need libraries that others don't.
 VERBS: Final = {
-    "info": "what ran, when, for how long, and how it ended",
-    "log": "the records as lines",
-    "source": "the plan's source, listed or written out",
-    "show": "one whole record",
-    "tree": "the task tree, with the path to the failure",
-    "state": "poses, joints and attachments after a step",
-    "diff": "the differences between two steps, two recordings, or two folders of these",
-    "blame": "what last changed an object or a joint, and why",
-    "why": "why the plan failed, and what led to it",
-    "ask": "any reasoning query at a step, also with objects moved",
-    "render": "a picture of a step, without a viewer",
-    "view": "the recording in the Rerun viewer: scene, tasks, queries, curves",
-    "verify": "whether a recording is consistent, and its changes, made again, have the recorded effects",
-    "retrace": "whether the plan, run again, does the same; else the first difference",
-    "fork": "the plan run again up to a step, and on from there with another plan, world, answer or seed",
-    "debug": "a prompt at a step, in the plan's frame: its variables, forwards and back",
-    "resume": "a plan whose process was killed goes on where it was",
-    "export": "where joints and bases were to be and were, as a table (CSV, Parquet); runs as a data set (LeRobot)",
-    "repair": "a sound copy of what can be read of a damaged recording, and what is lost",
-    "pack": "a copy of a sweep's recording that holds its models itself",
-    "restore": "a live world as it was: for a script, in a shell, in a window",
-    "sql": "what a statement selects from the tables of a folder of recordings",
-    "stats": "of a folder of recordings: how often runs succeed, of what they fail, what takes long",
-    "separate": "of a folder of recordings: what separates the runs that failed from those that succeeded",
+    "info": "summarise a run: plan, time, outcome, worlds, versions",
+    "log": "print records as lines",
+    "source": "list, print or write the plan's source",
+    "show": "print one whole record",
+    "tree": "print the task tree, with the path to the failure",
+    "state": "print poses, joints and attachments after a step",
+    "diff": "compare two steps, two recordings, or two folders of recordings",
+    "blame": "find the last change of an object or a joint, and its cause",
+    "why": "explain why the plan failed",
+    "ask": "answer a reasoning query at a step, also with objects moved before",
+    "render": "draw a picture of a step, without a viewer",
+    "view": "show the recording in the Rerun viewer: scene, tasks, queries, curves",
+    "verify": "check that a recording is consistent, and that repeating its changes has the recorded effects",
+    "retrace": "run the plan again, and report the first difference from the recording",
+    "fork": "run the plan again up to a step, then continue with another plan, world, answer or seed",
+    "debug": "open a prompt at a step, in the plan's frame, and step forwards and back",
+    "resume": "continue a plan whose process was killed",
+    "export": "write planned and driven positions as a table (CSV, Parquet), or runs as a data set (LeRobot)",
+    "repair": "copy the readable parts of a damaged recording, and list the lost parts",
+    "pack": "copy a sweep's recording together with its models",
+    "restore": "restore a live world for a script, in a shell, or in a window",
+    "sql": "query the tables of a folder of recordings with SQL",
+    "stats": "report success rates, causes of failures and slow parts of a folder of recordings",
+    "separate": "find facts that separate failed from successful runs in a folder of recordings",
 }
 #: Verbs that share the file of another verb, with functions of their own: ``add_fork``, ``run_fork``.
 _FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"}
@@ -64,11 +63,11 @@ _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.f
 )
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
-_PROGRESS_PERIOD: Final = 1.0  # s before the first progress
-_MAX_SKIPPED: Final = 8  # files of a folder that are named
+_PROGRESS_PERIOD: Final = 1.0  # s before the first line of progress
+_MAX_SKIPPED: Final = 8  # files of a folder that are listed by name
 _POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")
-_NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a step that isn't there, which says so
+_NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a negative time, whose error message explains the range
 
 
 class Verb(NamedTuple):
@@ -80,9 +79,9 @@ class Verb(NamedTuple):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a verb with the given or the process' own arguments, and return the exit code."""
+    """Run a verb, by default with the arguments of the process, and return the exit code."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # closed by the shell: the next file that is opened would get its descriptor
+        if getattr(sys, name) is None:  # closed by the shell: the next opened file would get its descriptor
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  until the process ends
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -114,11 +113,11 @@ def _command(arguments: list[str]) -> int:
 
 
 def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
-    """Run a verb on a recording that is open.
+    """Run a verb on an open recording.
 
     Raises:
-        SystemExit: The arguments were wrong, which is printed.
-        ReplayError: As the verb raises it.
+        SystemExit: The arguments were wrong; a message was printed.
+        ReplayError: The verb raised it.
     """
     run = _verb(verb).run
     assert run is not None  # noqa: S101  for mypy
@@ -127,7 +126,7 @@ def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
 
 def _own_error(error: Exception) -> str:
     """Write the traceback of an unexpected error to a file, and return a message that names the file."""
-    import tempfile  # noqa: PLC0415  --help needn't wait for these
+    import tempfile  # noqa: PLC0415  slow to import
     import traceback  # noqa: PLC0415
 
     text = "".join(traceback.format_exception(error))
@@ -137,9 +136,9 @@ def _own_error(error: Exception) -> str:
         ) as file:
             file.write(text)
     except OSError:
-        return f"this is an error of PyCRAM's own, please report it with the recording:\n{text}"
+        return f"this is an internal error of PyCRAM; please report it with the recording:\n{text}"
     summary = traceback.format_exception_only(error)[-1].strip()
-    return f"this is an error of PyCRAM's own, please report it with the recording and {file.name}: {summary}"
+    return f"this is an internal error of PyCRAM; please report it with the recording and {file.name}: {summary}"
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
@@ -172,11 +171,11 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
             sys.exit(USAGE)
     parser = argparse.ArgumentParser(
         prog="pycram-replay",
-        description="Reads recordings of robot plans, explains failures, and restores worlds.",
+        description="Read recordings of robot plans, explain failures, and restore worlds.",
         epilog="Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete, "
-        "4 an error of PyCRAM's own.",
+        "4 an internal error.",
     )
-    parser.add_argument("--version", action="store_true", help="print the version and end")
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, text in VERBS.items():
         verb = verbs.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
@@ -188,7 +187,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _run(verb: Verb, options: argparse.Namespace) -> int:
-    from replay.recording import Recording  # noqa: PLC0415  --help needn't wait for it
+    from replay.recording import Recording  # noqa: PLC0415  slow to import
 
     try:
         if verb.run is None or Path(options.log).is_dir():
@@ -202,7 +201,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
             except ReplayError as error:
                 lost = log.problems or isinstance(error, Damaged | Unreadable)
                 code = _report(str(error), INCOMPLETE if lost else USAGE)
-            except NotInstalled as error:  # reading needs little; restoring needs the executor, rendering needs meshes
+            except NotInstalled as error:  # restoring needs the executor, rendering needs meshes
                 code = _report(f"{options.verb}: {error}", USAGE)
             problems = log.problems
     except Unreadable as error:
@@ -211,7 +210,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
         return _report(str(error), USAGE)
     except OSError:
         raise
-    except Exception as error:  # noqa: BLE001  no recording may cause one: whatever it is, it is ours
+    except Exception as error:  # noqa: BLE001  no recording may cause an unexpected exception: it is a defect
         return _report(_own_error(error), INTERNAL)
     if problems and options.verb not in _TAKE_INCOMPLETE:
         return _report(f"the recording is incomplete: {problems}", code or INCOMPLETE)
@@ -221,9 +220,9 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
 def _run_on_folder(verb: Verb, options: argparse.Namespace) -> int:
     if verb.run_folder is None:
         takes = ", ".join(name for name in VERBS if name in _LOG_HELP)
-        return _report(f"{options.log}: {options.verb} takes one recording; of a folder there are {takes}", USAGE)
+        return _report(f"{options.log}: {options.verb} takes a single recording; verbs for folders are {takes}", USAGE)
     try:
-        with needed(), opened(options.log) as runs:  # a verb may need another extra
+        with needed(), opened(options.log) as runs:  # a verb may need further packages
             code = verb.run_folder(runs, options)
             skipped = runs.skipped
     except NotInstalled as error:
@@ -237,7 +236,7 @@ def _run_on_folder(verb: Verb, options: argparse.Namespace) -> int:
 
 @contextmanager
 def opened(path: str) -> Iterator[Runs]:
-    """Open a folder of recordings, with a line of progress on a terminal."""
+    """Open a folder of recordings; print progress on a terminal."""
     with needed("runs"):
         from replay.runs.folder import Runs  # noqa: PLC0415  an extra
     began, shown = time.monotonic(), False

@@ -22,28 +22,30 @@ _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the file, and the viewpoint."""
     parser.add_argument("step", metavar="STEP", help=HINT)
-    parser.add_argument("-o", dest="file", metavar="FILE", help="the picture (default: LOG_STEP.png in this folder)")
-    parser.add_argument("--camera", metavar="FRAME", help="a frame of the robot, as wide_stereo_optical_frame")
+    parser.add_argument(
+        "-o", dest="file", metavar="FILE", help="the picture (default: LOG_STEP.png in the current folder)"
+    )
+    parser.add_argument("--camera", metavar="FRAME", help="a frame of the robot, such as wide_stereo_optical_frame")
     parser.add_argument(
         "--from",
         dest="eye",
         metavar="X,Y,Z|SIDE",
-        help="viewpoint, m; or a side of the robot: behind, left, right, front, above (default: one with free sight)",
+        help="viewpoint, m, or a side of the robot: behind, left, right, front, above (default: a free view)",
     )
     parser.add_argument(
         "--to",
         dest="target",
         metavar="OBJECT[.LINK]|X,Y,Z",
-        help="what to look at; or a point, m (default: robot and all that can move)",
+        help="object, link or point (m) at the centre (default: the robot and all movable objects)",
     )
-    parser.add_argument("--size", metavar="WxH", default="640x480", help="in pixels (default: 640x480)")
-    parser.add_argument("--world", metavar="NAME", help="of this world (default: the one opened last)")
+    parser.add_argument("--size", metavar="WxH", default="640x480", help="pixels (default: 640x480)")
+    parser.add_argument("--world", metavar="NAME", help="of this world (default: the last opened world)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Write the picture and print its name."""
     if options.camera and (options.eye or options.target):
-        raise ReplayError("a picture is taken by a camera, or from a point to a point; give one of both")
+        raise ReplayError("give either --camera, or --from and --to")
     step = log.step(options.step)
     size = numbers(options.size.lower(), "WIDTHxHEIGHT in pixels, as 640x480", 2, separator="x", kind=int)
     picture = log.render(
@@ -56,11 +58,13 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     )
     shown, cut = picture.info["step"], picture.info["cut"]
     if shown != step:
-        print_message(f"no world is open after step {step}; this is step {shown}, the last at which one was")
+        print_message(
+            f"no world is open after step {step}; the picture shows step {shown}, the last step with an open world"
+        )
     else:
         print_moment(log, options.step)
     if cut:
-        print_message(f"{names(cut)} would hide it: cut away there")
+        print_message(f"cut away, as they would hide the scene: {names(cut)}")
     file = Path(options.file or f"{log.path.stem}_{shown}.png")
     try:
         picture.save(file)
@@ -75,4 +79,4 @@ def _point(text: str | None) -> list[float] | str | None:
     """Return a point, or the name of an object or a side."""
     if text is None or not _NUMBERS.fullmatch(text):
         return text
-    return numbers(text, "a point X,Y,Z in m, or the name of what is there", 3)
+    return numbers(text, "a point X,Y,Z in m, or the name of an object", 3)

@@ -33,7 +33,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Write the copy, and print what it lacks."""
+    """Write the copy, and print the lost parts."""
     target: Path = options.output or log.path.with_name(f"{log.path.stem}.sound.mcap")
     losses = write_copy(log, target, log.write_sound, overwrite=options.overwrite)
     data = asdict(losses) | {
@@ -56,15 +56,13 @@ def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:
         yield f"lost   {losses.messages} messages that can't be decoded"
     yield from (f"lost   the attached file {name}: {cause}" for name, cause in losses.files.items())
     if not (losses.steps or losses.chunks or losses.messages or losses.files):
-        yield "lost   nothing that can be known of"
+        yield "lost   nothing, as far as can be known"
 
 
 def add_output(parser: argparse.ArgumentParser, kind: str) -> None:
     """Add the copy's path."""
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", type=Path, help=f"the copy; by default LOG's name.{kind}.mcap"
-    )
-    parser.add_argument("--overwrite", action="store_true", help="replace a recording that is there")
+    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help=f"the copy (default: LOG.{kind}.mcap)")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")
 
 
 def write_copy(log: Recording, target: Path, write: Callable[[BinaryIO], R], *, overwrite: bool) -> R:
@@ -74,12 +72,12 @@ def write_copy(log: Recording, target: Path, write: Callable[[BinaryIO], R], *, 
         ReplayError: the copy can't be written there.
     """
     _check(log, target, overwrite=overwrite)
-    part = target.with_name(f"{target.name}.part")  # whole or not at all
+    part = target.with_name(f"{target.name}.part")  # so that the copy appears complete or not at all
     try:
         with open_output(part) as file:
             result = write(file)
         if target.exists():
-            print_message(f"{target} is replaced")
+            print_message(f"{target} existed, and is replaced")
         part.replace(target)
     finally:
         part.unlink(missing_ok=True)
@@ -88,18 +86,18 @@ def write_copy(log: Recording, target: Path, write: Callable[[BinaryIO], R], *, 
 
 def _check(log: Recording, target: Path, *, overwrite: bool) -> None:
     if log.live:
-        raise ReplayError(f"{log.path}: it is still being written; copy it when its process has ended")
+        raise ReplayError(f"{log.path} is still being written; copy it after its process has ended")
     if not target.exists():
         return
     if target.samefile(log.path):
-        raise ReplayError(f"{target}: that is the recording itself, which is kept as it is; name another file")
+        raise ReplayError(f"{target} is the recording itself; name another file")
     if not overwrite:
-        raise ReplayError(f"{target}: it is there already; name another file, or add --overwrite")
+        raise ReplayError(f"{target} exists; name another file, or add --overwrite")
     with target.open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
-            raise ReplayError(f"{target}: there is a file that is no recording; move it away or name another file")
+            raise ReplayError(f"{target} exists and isn't a recording; move it away, or name another file")
         if is_locked(file):
-            raise ReplayError(f"{target}: another recording is writing it; name another file")
+            raise ReplayError(f"{target} is being written by another process; name another file")
 
 
 def add_pack(parser: argparse.ArgumentParser) -> None:
@@ -113,7 +111,7 @@ def run_pack(log: Recording, options: argparse.Namespace) -> int:
     write_copy(log, target, log.write_packed, overwrite=options.overwrite)
     shared = log.assets.shared
     models = "" if shared is None else shared.name
-    of = f", those of {models} among them" if models else "; it held them itself before"
+    of = f", including the models of {models}" if models else "; the recording already contained its models"
     print_result(
         lambda: {"file": str(target), "files": len(log.assets), "models": models},
         [f"{target}: {len(log.assets)} attached files{of}"],

@@ -1,4 +1,4 @@
-"""``restore``: a live world as it was, for a script, in a shell, or in a window."""
+"""``restore``: a live world at a step, for a script, in a shell, or in a window."""
 
 from __future__ import annotations
 
@@ -30,28 +30,32 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, and what to do there."""
+    """Add the step, and the use of the world."""
     parser.add_argument("step", metavar="STEP", help=HINT)
     doing = parser.add_mutually_exclusive_group()
     doing.add_argument(
         "--script",
         metavar="FILE",
-        help="run a Python file there, with the variables world, robot and the objects' names",
+        help="run a Python file with the variables world, robot and a variable for each object",
     )
-    doing.add_argument("--shell", action="store_true", help="interactive Python there (the default)")
+    doing.add_argument("--shell", action="store_true", help="open interactive Python (default)")
     parser.add_argument(
-        "--gui", action="store_true", help="in PyBullet's window; without --script and --shell until it is closed"
+        "--gui",
+        action="store_true",
+        help="show PyBullet's window; without --script and --shell, wait until it is closed",
     )
     parser.add_argument(
-        "--exact", action="store_true", help="execute every change again, so that its future is the original's"
+        "--exact",
+        action="store_true",
+        help="repeat every change since the start, so that the future equals the original's",
     )
-    parser.add_argument("--world", metavar="NAME", help="this world (default: the one opened last)")
-    parser.add_argument("--log", dest="target", metavar="FILE", help="record what happens there")
+    parser.add_argument("--world", metavar="NAME", help="restore this world (default: the last opened world)")
+    parser.add_argument("--log", dest="target", metavar="FILE", help="record the session into this file")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Restore the world, then run the script, the shell or the window."""
-    from pycram.foundation.failures import DisplayError  # noqa: PLC0415  --help needn't wait for the engine
+    from pycram.foundation.failures import DisplayError  # noqa: PLC0415  imports the engine
     from recorder import RecordingError, record  # noqa: PLC0415
 
     script = None if options.script is None else Path(options.script)
@@ -59,7 +63,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError(f"{script}: no such file")
     target = None if options.target is None else Path(options.target)
     if target is not None and target.exists() and target.samefile(log.path):
-        raise ReplayError(f"{target}: that is the recording itself; name another file")
+        raise ReplayError(f"{target} is the recording itself; name another file")
     step = log.step(options.step)
     try:
         with native_output_to_stderr():
@@ -87,7 +91,7 @@ def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, opti
     elif options.gui and not options.shell:
         from pycram.physics.window import watch  # noqa: PLC0415  see run
 
-        print_message(f"{world.name}: close the window, or press Ctrl-C, to end")
+        print_message(f"{world.name}: to end, close the window or press Ctrl-C")
         watch(world.engine)
     else:
         names = ", ".join(name for name in variables if name not in ("log", "step", "btr"))
@@ -110,11 +114,11 @@ def _plain(step: int, world: BulletWorld, *, exact: bool) -> Plain:
 
 
 def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, object]:
-    """Return the variables of a session: objects by their names, with underscores for what can't be in an identifier.
+    """Return the variables of a session: ``world``, ``robot``, ``objects``, ``log``, ``step``, ``btr`` (queries).
 
-    Beside them ``world``, ``robot``, ``objects`` (by name), ``log``, ``step`` and ``btr`` (the reasoning queries).
+    Each object is a variable, too; characters that no identifier has become underscores.
     """
-    from pycram import bullet_world_reasoning as btr  # noqa: PLC0415  --help needn't wait for the engine
+    from pycram import bullet_world_reasoning as btr  # noqa: PLC0415  imports the engine
 
     objects = {body.name: body for body in world.objects}
     variables: dict[str, object] = {}
@@ -126,7 +130,7 @@ def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, 
 
 
 def run_script(script: Path, variables: Mapping[str, object]) -> int:
-    """Run a Python file as a program, with variables given; return its exit code, or 1 if it raised."""
+    """Run a Python file as a program with some variables; return its exit code, or 1 if it raised an exception."""
     before = sys.argv, list(sys.path)
     sys.argv = [str(script)]
     sys.path.insert(0, str(script.parent.resolve()))
@@ -136,7 +140,7 @@ def run_script(script: Path, variables: Mapping[str, object]) -> int:
         if isinstance(end.code, str):
             print(end.code, file=sys.stderr)
         return end.code if isinstance(end.code, int) else FAILED if end.code else FINE
-    except Exception:  # noqa: BLE001  whatever the script raises is the user's to see
+    except Exception:  # noqa: BLE001  the script may raise any exception, which the user sees
         traceback.print_exc()
         return FAILED
     finally:
@@ -148,7 +152,7 @@ def shell(variables: Mapping[str, object], banner: str) -> None:
     """Run an interactive Python shell until the end of the input; the banner is printed on stderr."""
     local = dict(variables)
     if sys.stdin.isatty():
-        with contextlib.suppress(ImportError):  # where it isn't, lines can't be edited
+        with contextlib.suppress(ImportError):  # without it, lines can't be edited
             import readline  # noqa: PLC0415
             import rlcompleter  # noqa: PLC0415
 
@@ -157,7 +161,7 @@ def shell(variables: Mapping[str, object], banner: str) -> None:
         code.interact(banner, local=local, exitmsg="")
         return
     prompts = getattr(sys, "ps1", None), getattr(sys, "ps2", None)
-    sys.ps1 = sys.ps2 = ""  # invisible to the user, and they would be mixed into the results
+    sys.ps1 = sys.ps2 = ""  # prompts would be mixed into the results
     try:
         code.interact(banner, local=local, exitmsg="")
     finally:

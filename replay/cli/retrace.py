@@ -1,4 +1,4 @@
-"""Verbs that run a plan again: ``retrace`` compares, ``fork`` and ``resume`` go on into a new recording."""
+"""Verbs that run a plan again: ``retrace`` compares, ``fork`` and ``resume`` write a new recording."""
 
 from __future__ import annotations
 
@@ -22,33 +22,38 @@ if TYPE_CHECKING:
     from replay.retrace.retrace import Retracing
 
 
-AGAIN: Final = "its effects outside of its worlds (files, network) happen again"
-_MAX_FIELDS: Final = 4  # that are listed
+AGAIN: Final = "effects outside of its worlds (files, network) happen again"
+_MAX_FIELDS: Final = 4  # fields that are listed
 _MAX_CALLERS: Final = 4
 
 
 def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add which source runs, and the plan's arguments."""
+    """Add the choice of the source, and the plan's arguments."""
     parser.add_argument(
         "--recorded-source",
         action="store_true",
-        help="run the source that is attached to the recording (default: the files on the disk)",
+        help="run the source that is attached to the recording (default: the files on disk)",
     )
     parser.add_argument(
-        "--arguments", nargs=argparse.REMAINDER, help="all that follow are the plan's (default: the recorded ones)"
+        "--arguments",
+        nargs=argparse.REMAINDER,
+        help="the plan's arguments, to the end of the line (default: the recorded arguments)",
     )
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add more recordings, and what to run."""
-    parser.epilog = "Exit code 0: each plan did the same again. 1: one didn't. 2: one can't be run. 3: one is damaged."
-    parser.add_argument("more", metavar="LOG", nargs="*", help="other recordings")
-    parser.add_argument("--plan", metavar="FILE", help="run this file (default: the one that was recorded)")
+    """Add further recordings, the plan and the source of answers."""
+    parser.epilog = (
+        "Exit code 0: all plans match their recordings. 1: a plan differs. 2: a plan can't be run. "
+        "3: a recording is damaged."
+    )
+    parser.add_argument("more", metavar="LOG", nargs="*", help="further recordings")
+    parser.add_argument("--plan", metavar="FILE", help="run this file (default: the recorded plan)")
     parser.add_argument(
         "--answers",
         choices=("asked", "recorded"),
         default="asked",
-        help="ask queries again and compare their answers (default), or take the recorded ones, which is faster",
+        help="asked: repeat each query and compare the answers (default); recorded: use the recorded answers (faster)",
     )
     add_source_and_arguments(parser)
 
@@ -83,7 +88,7 @@ def _retrace(log: Recording, options: argparse.Namespace, results: list[dict[str
             answers=options.answers,
             recorded_source=options.recorded_source,
         )
-    except CantRetrace as error:  # the others are to be run
+    except CantRetrace as error:  # the remaining plans still run
         return _report_not_run(str(log.path), error, results)
     results.append({"file": str(log.path), **_facts(result)})
     if not options.json:
@@ -108,9 +113,9 @@ def _lines(result: Retracing, of: str) -> Iterator[str]:
     if difference is None:
         taken = f", with {result.taken} recorded answers" if result.taken else ""
         where = f"{result.equal} records" if result.equal == result.steps else f"first {result.equal} records"
-        yield f"identical  {of} made the same {where} again, in {result.seconds:.1f} s{taken}"
+        yield f"identical  {of} made the same {where} again in {result.seconds:.1f} s{taken}"
     else:
-        yield f"different  {of}, from step {difference.step} on: {difference.text.replace(*_short(difference.line))}"
+        yield f"different  {of} from step {difference.step} on: {difference.text.replace(*_short(difference.line))}"
         yield from (f"           called from {_short(caller)[1]}" for caller in difference.callers[:_MAX_CALLERS])
         for name, (before, now) in list(difference.fields.items())[:_MAX_FIELDS]:
             yield f"           {name}: recorded {phrases.short(str(before))}, now {phrases.short(str(now))}"
@@ -127,40 +132,42 @@ def _short(line: str) -> tuple[str, str]:
 
 
 def add_fork(parser: argparse.ArgumentParser) -> None:
-    """Add the step, what is to be changed, the control and the new recording."""
+    """Add the step, the changes, the control run and the new recording."""
     parser.epilog = (
-        "Exit code 0: the plan succeeded. 1: it failed. 2: it can't be run, or isn't the same up to the step. With "
-        "--control, 0: the control came out as recorded. 1: it didn't."
+        "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs before the step. "
+        "With --control, 0: the control run matches the recording. 1: it differs."
     )
-    parser.add_argument("--at", metavar="STEP", required=True, help=f"the last step that is the same: {HINT}")
-    parser.add_argument("--plan", metavar="FILE", help="an edited plan, which does the same up to that step")
+    parser.add_argument("--at", metavar="STEP", required=True, help=f"the last unchanged step: {HINT}")
+    parser.add_argument("--plan", metavar="FILE", help="an edited plan that does the same up to that step")
     parser.add_argument(
         "--set",
         metavar="WHAT=VALUE",
         action="append",
         default=[],
-        help="set something after that step: milk.position=1,2,0.9 (also orientation, color), a joint as "
-        "pr2.torso_lift_joint=0.2, a fluent as battery=20 (fluent:left.battery=20 if its name has a dot); repeatable",
+        help="set a value after that step: milk.position=1,2,0.9 (also orientation, color), pr2.torso_lift_joint=0.2, "
+        "or a fluent, battery=20 (fluent:left.battery=20 if its name has a dot); repeatable",
     )
-    parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last)")
+    parser.add_argument("--world", metavar="NAME", help="in this world (default: the last opened world)")
     parser.add_argument(
         "--answer",
         metavar="QUERY=ANSWER",
         action="append",
         default=[],
-        help="the next such query gets that answer: 'reachable_object(milk, ...)=false', 'blocking(...)=[bowl]'; "
+        help="override the answer of the next such query: 'reachable_object(milk, ...)=false', 'blocking(...)=[bowl]'; "
         "repeatable",
     )
-    parser.add_argument("--seed", metavar="N", type=int, help="from there on, draw random numbers and order from this")
     parser.add_argument(
-        "--control", action="store_true", help="also run the plan without the change, and compare it to its end"
+        "--seed", metavar="N", type=int, help="seed of random numbers and of the order of branches after that step"
+    )
+    parser.add_argument(
+        "--control", action="store_true", help="also run the plan without the change, and compare it with the recording"
     )
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.fork.mcap)")
     add_source_and_arguments(parser)
 
 
 def run_fork(log: Recording, options: argparse.Namespace) -> int:
-    """Fork, and print where the new recording is."""
+    """Fork, and print the path of the new recording."""
     from replay.retrace.fork import fork  # noqa: PLC0415  needs the executor
 
     step = log.step(options.at)
@@ -204,7 +211,7 @@ def _print_fork(log: Recording, forked: Fork, *, as_json: bool) -> int:
 def _fork_lines(log: Recording, forked: Fork) -> Iterator[str]:
     ended = "succeeded" if forked.succeeded else "failed"
     file = phrases.path(str(forked.file))
-    yield f"{file}: {forked.records} records, the first {forked.step + 1} as in {log.path}; the plan {ended}"
+    yield f"{file}: {forked.records} records, the first {forked.step + 1} equal to {log.path}; the plan {ended}"
     yield from (f"note  {note}" for note in forked.notes)
     if forked.control is not None:
         notes = tuple(note for note in forked.control.notes if note not in forked.notes)
@@ -213,14 +220,16 @@ def _fork_lines(log: Recording, forked: Fork) -> Iterator[str]:
 
 def add_resume(parser: argparse.ArgumentParser) -> None:
     """Add the new recording."""
-    parser.epilog = "Exit code 0: the plan succeeded. 1: it failed. 2: it can't be run, or isn't the same up to there."
-    parser.add_argument("--plan", metavar="FILE", help="the plan's file, where it is another one than was recorded")
+    parser.epilog = (
+        "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs from the recording."
+    )
+    parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it has moved since the recording")
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.resumed.mcap)")
     add_source_and_arguments(parser)
 
 
 def run_resume(log: Recording, options: argparse.Namespace) -> int:
-    """Resume, and print where the new recording is."""
+    """Resume, and print the path of the new recording."""
     from replay.retrace.fork import resume  # noqa: PLC0415  needs the executor
 
     target = _free_file(log, options.target, "resumed")

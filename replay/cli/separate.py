@@ -1,4 +1,4 @@
-"""``separate``: what separates the runs of a folder that failed from those that succeeded."""
+"""``separate``: facts that separate the failed runs of a folder from the successful runs."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ if TYPE_CHECKING:
 
 _MAX_CLAIMS: Final = 5
 _MAX_ALSO: Final = 5
-HOW_FAR: Final = "this tells how far runs got, which may be a symptom of their end"
+HOW_FAR: Final = "this fact reflects the run's progress, so it may be a symptom of the failure"
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the plan, the cause, and how much to print."""
-    parser.epilog = (
-        "Claims are made where chance alone would make any in less than one of a hundred folders (Westfall, Young)."
-    )
-    parser.add_argument("--plan", metavar="NAME", help="of this plan's runs (default: of the plan that most are of)")
+    """Add the plan, the cause, and the number of claims."""
+    parser.epilog = "Random data would lead to any claim in fewer than 1 of 100 folders (Westfall, Young)."
+    parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
     parser.add_argument(
-        "--cause", metavar="N", type=int, help="only failures of this cause, as stats numbers them, from 1"
+        "--cause",
+        metavar="N",
+        type=int,
+        help="only failures of this cause; N is its number in the output of stats, from 1",
     )
     parser.add_argument("--all", action="store_true", help=f"print all claims (default: {_MAX_CLAIMS})")
 
@@ -41,7 +42,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Print the claims."""
     plan, others = plan_of(runs, options.plan)
     for other, count in others:
-        print_message(f"left out: {count} of another plan, {other}")
+        print_message(f"left out: {count} runs of another plan, {other}")
     names = names_of(runs, plan)
     found = separate(runs, names, _cause(runs, plan, options.cause))
     shown = found.claims if options.all else found.claims[:_MAX_CLAIMS]
@@ -57,24 +58,25 @@ def _cause(runs: Runs, plan: str, number: int | None) -> str | None:
     )
     found = causes([(run, cause, step, message) for run, cause, step, message in rows.rows()])
     if not 1 <= number <= len(found):
-        raise ReplayError(f"there is no cause {number}; the failures are of {plural(len(found), 'cause')}")
+        raise ReplayError(f"there is no cause {number}; the failures have {plural(len(found), 'cause')}")
     return found[number - 1].cause
 
 
 def _lines(runs: Runs, found: Separation, shown: tuple[Claim, ...]) -> Iterator[str]:
     yield f"{found.failures} failures and {found.successes} successes; {plural(found.compared, 'fact')} compared"
     if not found.failures or not found.successes:
-        yield "nothing can be separated: there have to be failures and successes"
+        yield "no comparison is possible: it needs failures and successes"
     elif not found.claims:
-        yield "nothing on record separates them"
+        yield "no recorded fact separates them"
     for number, claim in enumerate(shown, 1):
         yield from ("", f"{number}. {sentence(claim, found)}")
         low, high = claim.fact.interval
         scores = (
-            f"Ochiai {claim.ochiai:.2f}, Tarantula {claim.fact.tarantula:.2f}, by chance {max(claim.chance, 1e-99):.0e}"
+            f"Ochiai {claim.ochiai:.2f}, Tarantula {claim.fact.tarantula:.2f}, "
+            f"probability by chance {max(claim.chance, 1e-99):.0e}"
         )
-        effect = f"{percent(claim.fact.effect)} of the runs (95 %: {percent(low)} to {percent(high)})"
-        yield f"   failures are more by {effect}; {scores}"
+        effect = f"{percent(claim.fact.effect)} (95 %: {percent(low)} to {percent(high)})"
+        yield f"   raises the failure rate by {effect}; {scores}"
         if claim.fact.how_far:
             yield f"   {HOW_FAR}"
         if claim.also:
@@ -86,11 +88,11 @@ def _lines(runs: Runs, found: Separation, shown: tuple[Claim, ...]) -> Iterator[
     if len(shown) < len(found.claims):
         yield from ("", f"{plural(len(found.claims) - len(shown), 'more claim')}: --all")
     if found.claims and found.explained < found.failures:
-        yield from ("", f"{plural(found.failures - found.explained, 'failure')} without any of these")
+        yield from ("", f"{plural(found.failures - found.explained, 'failure')} without any of these facts")
 
 
 def sentence(claim: Claim, found: Separation) -> str:
-    """Return a claim in words, as "arm=right at pick-up(spoon): 31 of 33 failures, 4 of 467 successes"."""
+    """Return a claim in words: "arm=right at pick-up(spoon): 31 of 33 failures, 4 of 467 successes"."""
     fact = claim.fact
     return f"{fact.text}: {fact.failed} of {found.failures} failures, {fact.succeeded} of {found.successes} successes"
 

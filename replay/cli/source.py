@@ -1,4 +1,4 @@
-"""``source``: the plan's source, as it was when the plan ran."""
+"""``source``: the plan's source at the time of the run."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ _SHORT = 8  # digits of a hash
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the file, and where to write it."""
+    """Add the file and the target."""
     parser.add_argument(
         "file",
         metavar="FILE",
         nargs="?",
-        help="print this one; HASH/FILE where several share a name (default: list all)",
+        help="print this file; HASH/FILE if several files share a name (default: list all files)",
     )
-    parser.add_argument("-o", dest="target", metavar="PATH", help="write it there, or all into this folder")
+    parser.add_argument(
+        "-o", dest="target", metavar="PATH", help="write the file to PATH, or all files into the folder PATH"
+    )
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """List the files, print one, or write them."""
+    """List the files, print a file, or write files."""
     keys = sorted((key for key in log.assets if key.endswith(".py")), key=lambda key: (name_of(key), key))
     chosen = keys if options.file is None else [_find(keys, options.file)]
     if options.target is not None:
@@ -66,7 +68,7 @@ def _find(keys: list[str], name: str) -> str:
 
 def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> list[str]:
     """Write attached files, and return their paths. Files that share a name get their hashes."""
-    # a stranger's names could steer the terminal that lists the folder, or be none
+    # names of a stranger's recording could control the terminal that lists the folder
     names = ["".join(each if each.isprintable() else "_" for each in name_of(key)) for key in keys]
     written = []
     for key, name in zip(keys, names, strict=True):
@@ -74,7 +76,7 @@ def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> lis
         file = target / (f"{key[:_SHORT]}_{name}" if shared else name) if whole or target.is_dir() else target
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
-            with file.open("xb") as output:  # what is there may be the plan that is being repaired
+            with file.open("xb") as output:  # an existing file may be the plan that the user edits
                 output.write(log.assets[key])
         except OSError as error:
             raise ReplayError(f"{file}: {error.strerror or error}") from error

@@ -1,4 +1,4 @@
-"""``sql``: what a statement selects from the tables of a folder of recordings."""
+"""``sql``: the result of an SQL statement on the tables of a folder of recordings."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ _WIDEST: Final = 60  # characters of a cell in a terminal
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the statement, and the format."""
-    parser.epilog = "It takes one statement that selects (DuckDB's SQL); docs/runs.md explains tables and columns."
+    parser.epilog = "The statement must be a query (DuckDB's SQL); docs/runs.md explains tables and columns."
     parser.add_argument(
-        "statement", metavar="SQL", nargs="?", help='as "select outcome, count(*) from runs group by 1"'
+        "statement", metavar="SQL", nargs="?", help='such as "select outcome, count(*) from runs group by 1"'
     )
     parser.add_argument("--schema", action="store_true", help="print the tables and their columns")
-    parser.add_argument("--csv", action="store_true", help="print CSV, with all of each value")
+    parser.add_argument("--csv", action="store_true", help="print CSV with untruncated values")
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print what is selected."""
+    """Print the selected rows."""
     if (options.statement is None) != options.schema:
-        raise ReplayError('give a statement, as "select * from runs"; or --schema for the tables')
+        raise ReplayError('give a statement, such as "select * from runs", or --schema for the tables')
     if options.schema:
         _print_schema(as_json=options.json)
         return FINE
@@ -60,7 +60,7 @@ def _print_schema(*, as_json: bool) -> None:
         return
     lines = []
     for table in TABLES:
-        lines += [f"{table.name}: a row is {table.meaning}"]
+        lines += [f"{table.name}: each row is {table.meaning}"]
         lines += [f"  {column.name:12} {column.kind:7} {column.meaning}".rstrip() for column in (RUN, *table.columns)]
     print_text("\n".join(lines))
 

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, an object and a world."""
     parser.add_argument("step", metavar="STEP", help=HINT)
-    parser.add_argument("object", metavar="OBJECT", nargs="?", help="only this one, with its joints")
+    parser.add_argument("object", metavar="OBJECT", nargs="?", help="only this object, with its joints")
     parser.add_argument("--world", metavar="NAME", help="only this world")
-    parser.add_argument("--links", action="store_true", help="also where each link is, in the world")
+    parser.add_argument("--links", action="store_true", help="also print the pose of each link in the world frame")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -38,7 +38,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     if options.object is not None and not any(world.open for world in state.worlds.values()):
         shown = last_open_step(log, state.step, options.world)
         if shown != state.step:
-            print_message(f"no world is open after step {state.step}; this is how it was after step {shown}")
+            print_message(f"no world is open after step {state.step}; this is the state after step {shown}")
             state = log.state_at(shown)
     if options.object is not None:
         state.body(options.object, options.world)
@@ -113,7 +113,7 @@ def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
             continue
         source, since = phrases.learned(belief.source, belief.step), belief.sim_step / STEPS_PER_SECOND
         away = math.dist(belief.position, world.bodies[belief.object].position)
-        wrong = f"; it is {away:.3f} m from there" if away >= NOTABLE_METRES else ""
+        wrong = f"; its true position is {away:.3f} m away" if away >= NOTABLE_METRES else ""
         position = ", ".join(f"{part:.4f}" for part in belief.position)
         yield f"  {belief.robot} believes {belief.object} at [{position}]: {source}, at {since:.3f} s{wrong}"
 

@@ -1,4 +1,4 @@
-"""``stats``: how often the runs of a folder succeed, why they fail, and what takes long.
+"""``stats``: success rates of the runs of a folder, causes of failures, and slow queries, motions and tasks.
 
 ``--html`` writes a report as a single file: pictures are embedded, plots are SVG, and a few lines of script sort the
 tables. A picture shows the scene of a failure at the step at which it began.
@@ -43,7 +43,7 @@ _MAX_PICTURES: Final = 12
 _CAPTION: Final = 34  # pixels below a picture
 _LETTERS: Final = 52  # in a line of a caption
 _PICTURES: Final = 8  # causes with a picture
-_LABEL: Final = 22  # characters beside a bar
+_LABEL: Final = 22  # characters of a label next to a bar
 _CLAIMS: Final = 10
 _WIDE, _BAR = 420, 22  # pixels
 
@@ -80,11 +80,11 @@ document.querySelectorAll("th").forEach(head => head.addEventListener("click", (
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the plan, and what else to write."""
-    parser.add_argument("--plan", metavar="NAME", help="of this plan's runs (default: of the plan that most are of)")
-    parser.add_argument("--html", metavar="FILE", help="write a report with plots and pictures, one file")
+    """Add the plan, the report and the picture."""
+    parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
+    parser.add_argument("--html", metavar="FILE", help="write a report with plots and pictures, as a single file")
     parser.add_argument(
-        "--picture", metavar="FILE", help="write the last moments of the failures of each cause, as PNG"
+        "--picture", metavar="FILE", help="write pictures of the failures of each cause into a PNG file"
     )
 
 
@@ -106,7 +106,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         facts["html"] = options.html
         text += ["", options.html]
     for plan, count in others:
-        print_message(f"left out: {count} of another plan, {plan}; stats --plan {plan} tells of them")
+        print_message(f"left out: {count} runs of another plan, {plan}; see stats --plan {plan}")
     print_result(lambda: facts, text, as_json=options.json)
     return FINE
 
@@ -138,7 +138,7 @@ def summary_lines(stats: Statistics) -> Iterator[str]:
     yield f"plan       {stats.plan or 'none'}"
     yield f"runs       {plural(len(stats.runs), 'run')}: {outcomes}" if stats.runs else "runs       none"
     yield f"success    {stats.success}"
-    yield f"took       {median:.2f} s in the middle, {longest:.2f} s at most"
+    yield f"took       median {median:.2f} s, at most {longest:.2f} s"
     yield f"records    {stats.records}"
     if stats.others:
         others = ", ".join(f"{plural(count, 'run')} of {plan}" for plan, count in stats.others)
@@ -162,9 +162,9 @@ def lines(stats: Statistics) -> Iterator[str]:
         yield f"    pycram-replay why {shlex.quote(f'{stats.folder}/{cause.first}')}"
     if len(stats.causes) > _MAX_CAUSES:
         yield f"  {plural(len(stats.causes) - _MAX_CAUSES, 'more cause')}"
-    yield from _slow("Queries that took longest", stats.queries)
-    yield from _slow("Motions that took longest", stats.motions)
-    yield from _slow("Other tasks that took longest", stats.tasks)
+    yield from _slow("Slowest queries", stats.queries)
+    yield from _slow("Slowest motions", stats.motions)
+    yield from _slow("Slowest other tasks", stats.tasks)
 
 
 def _slow(title: str, slow: Sequence[Slow]) -> Iterator[str]:
@@ -173,20 +173,13 @@ def _slow(title: str, slow: Sequence[Slow]) -> Iterator[str]:
     yield from ("", title)
     width = max(len(short(each.what)) for each in slow[:_MAX_SLOW])
     for each in slow[:_MAX_SLOW]:
-        total = f"{each.total:.3f} s in {each.count}, {each.median * 1e3:.1f} ms in the middle"
+        total = f"{each.total:.3f} s in {each.count} calls, median {each.median * 1e3:.1f} ms"
         longest = f"at most {each.longest * 1e3:.1f} ms at step {each.step} of {each.run}"
         yield f"  {short(each.what):{width}}  {total}, {longest}"
 
 
 def html_report(folder: Path, stats: Statistics, found: Separation, file: Path) -> str:
-    """Return the page.
-
-    Args:
-        folder: of the recordings.
-        stats: their statistics.
-        found: what separates failures from successes.
-        file: where the page will be, from which its links go.
-    """
+    """Return the page; its links are relative to ``file``, where the page will be written."""
     links = quote(os.path.relpath(folder.resolve(), file.resolve().parent))
     parts = [
         f"<h1>{escape(stats.plan)}: {len(stats.runs)} runs</h1>",
@@ -196,11 +189,11 @@ def html_report(folder: Path, stats: Statistics, found: Separation, file: Path) 
         _claims(folder, found),
         "<h2>Failures by cause</h2>",
         _cause_table(folder, stats.causes, links),
-        "<h2>Last moments</h2>",
+        "<h2>Pictures of failures</h2>",
         "".join(_figure(folder, cause, links) for cause in stats.causes[:_PICTURES]) or "<p>No run failed.</p>",
         *(
-            f"<h2>{title} that took longest</h2>{_slow_table(folder, slow)}"
-            for title, slow in (("Queries", stats.queries), ("Motions", stats.motions), ("Other tasks", stats.tasks))
+            f"<h2>Slowest {title}</h2>{_slow_table(folder, slow)}"
+            for title, slow in (("queries", stats.queries), ("motions", stats.motions), ("other tasks", stats.tasks))
             if slow
         ),
     ]
@@ -220,7 +213,7 @@ def _summary(stats: Statistics) -> str:
     left_out += [f"{each.name} ({each.reason})" for each in stats.skipped]
     count = f"{stats.success.succeeded} of {stats.success.of}"
     size = f"{stats.size / 1e6:.1f} MB, {stats.records} records"
-    took = f"a run took {stats.seconds[0]:.2f} s in the middle, {stats.seconds[1]:.2f} s at most"
+    took = f"a run took {stats.seconds[0]:.2f} s (median), at most {stats.seconds[1]:.2f} s"
     lines = [
         f'<p><span class="big">{rate}</span> succeeded, {count} (95 %: {low:.1%} to {high:.1%})</p>',
         f'<p class="gray">{escape(stats.folder)}: {escape(outcomes)}; {size}; {took}</p>',
@@ -246,7 +239,7 @@ def _shares(shares: Sequence[Share]) -> str:
             f'<text x="{170 + _WIDE}" y="{middle + 5}">{rate:.0%}, {share.succeeded} of {share.of}</text>'
         )
     height = len(shares) * (_BAR + 8)
-    # what the line is, and how long the bar would be if all had succeeded
+    # the scale of the bars, and the meaning of the lines
     rows.append(f'<text x="160" y="{height + 10}" fill="#667" font-size="11">0 to 100 %; lines: 95 % intervals</text>')
     height += 14
     return (
@@ -265,7 +258,7 @@ def _claims(folder: Path, found: Separation) -> str:
     from replay.cli.separate import HOW_FAR  # noqa: PLC0415
 
     if not found.claims:
-        return "<p>Nothing on record separates them.</p>"
+        return "<p>No recorded fact separates them.</p>"
     rows = []
     for claim in found.claims[:_CLAIMS]:
         fact = claim.fact
@@ -285,7 +278,7 @@ def _claims(folder: Path, found: Separation) -> str:
                 compare,
             )
         )
-    heads = ("what is true", "#failures", "#successes", "#more failures (95 %)", "#Ochiai", "#Tarantula", "compare")
+    heads = ("fact", "#failures", "#successes", "#effect (95 %)", "#Ochiai", "#Tarantula", "compare")
     return _table(heads, rows)
 
 
@@ -328,7 +321,7 @@ def _slow_table(folder: Path, slow: Sequence[Slow]) -> str:
         )
         for each in slow
     ]
-    return _table(("what", "#times", "#s in all", "#ms in the middle", "#ms at most", "the longest"), rows)
+    return _table(("task", "#calls", "#total, s", "#median, ms", "#maximum, ms", "slowest call"), rows)
 
 
 def _table(heads: Iterable[str], rows: Iterable[Sequence[str | tuple[float, str]]]) -> str:
@@ -352,18 +345,18 @@ def _command(verb: str, *rest: Path | str) -> str:
 
 
 def picture(folder: Path, run: str, step: int | None) -> Image.Image | None:
-    """Return the scene of a run at a step, or at its end; None where nothing can be drawn."""
+    """Return a picture of a run at a step, by default at its end; None if it can't be drawn."""
     with Recording(folder / run) as log:
         try:
             return log.render(log.final_step() if step is None else step, size=_SIZE)
         except NotInstalled:
             raise
-        except Exception:  # noqa: BLE001  no world was open, a model is lost: the others are worth more than this one
+        except Exception:  # noqa: BLE001  no world was open, a model is lost: the other pictures matter more
             return None
 
 
 def contact_sheet(folder: Path, stats: Statistics) -> bytes:
-    """Return a sheet (PNG) with the last moments of failures: of each cause the first ones."""
+    """Return a sheet (PNG) with pictures of the first failures of each cause."""
     from PIL import Image, ImageDraw  # noqa: PLC0415  an extra
 
     chosen = list(_pictured(stats.causes))

@@ -1,4 +1,4 @@
-"""``verify``: whether a recording is consistent, and its changes, made again, have the recorded effects."""
+"""``verify``: check that a recording is consistent, and that repeating its changes has the recorded effects."""
 
 from __future__ import annotations
 
@@ -25,9 +25,13 @@ _PERIOD: Final = 0.2  # s between progress messages
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the choice of what is verified, and describe the exit codes."""
-    parser.epilog = "Exit code 0: it is sound. 1: it is whole, but records differ. 3: it is damaged or incomplete."
-    parser.add_argument("--static", action="store_true", help="only what needs no engine: the file and its records")
+    """Add the choice of checks, and describe the exit codes."""
+    parser.epilog = (
+        "Exit code 0: the recording is sound. 1: it is complete, but records differ. 3: it is damaged or incomplete."
+    )
+    parser.add_argument(
+        "--static", action="store_true", help="check only the file and its records, without the physics engine"
+    )
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -37,7 +41,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         if options.static:
             verification = verify_static(log, progress)
         else:
-            from replay.restore.verify import verify  # noqa: PLC0415  --help and --static do without the engine
+            from replay.restore.verify import verify  # noqa: PLC0415  imports the engine
 
             with native_output_to_stderr():
                 verification = verify(log, progress)
@@ -81,17 +85,17 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
             yield f"  in {' > '.join(problem.task)}"
     if verification.damage or problem is not None:
         return
-    gap = f", as far as there are records: {verification.incomplete}" if verification.incomplete else " without a gap"
+    gap = f", up to the last record: {verification.incomplete}" if verification.incomplete else " without a gap"
     yield f"sound  {plural(verification.steps, 'step')}{gap}"
-    ended = f"{verification.unfinished} of them not ended then" if verification.unfinished else "each begun and ended"
+    ended = f"{verification.unfinished} of them unfinished" if verification.unfinished else "each started and finished"
     yield f"       {plural(verification.tasks, 'task')}, {ended}"
-    yield f"       {plural(verification.keyframes, 'keyframe')} equal to the fold of the records before"
-    yield f"       {plural(verification.files, 'file')} as attached"
+    yield f"       {plural(verification.keyframes, 'keyframe')} equal to the fold of the previous records"
+    yield f"       {plural(verification.files, 'file')} with the recorded hashes"
     if verification.static:
-        yield "note   models and changes were not tried: that needs the engine, and verify without --static"
+        yield "note   models and changes were not checked: run verify without --static"
         return
     changes, worlds = plural(verification.changes, "change"), plural(verification.worlds, "world")
-    changes = f"{changes} in {worlds}, made again in {seconds:.1f} s,"
+    changes = f"{changes} in {worlds}, repeated in {seconds:.1f} s,"
     if verification.exact:
         yield f"exact  {changes} had the recorded effects, bit for bit"
     else:
@@ -105,15 +109,15 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
 def _notes(verification: Verification) -> Iterator[str]:
     if verification.environment:
         same = "" if verification.largest is None else "; not comparable bit for bit"
-        yield f"note   the environment is a different one: {', '.join(verification.environment)}{same}"
+        yield f"note   this environment differs from the recorded one: {', '.join(verification.environment)}{same}"
     if verification.late:
-        yield f"note   {', '.join(verification.late)} began before the recording: physics in it is not compared"
+        yield f"note   {', '.join(verification.late)} began before the recording: its physics isn't compared"
     if verification.unknown:
         where = ", ".join(verification.unknown)
-        yield f"note   {where} was changed as only a newer release can: from there on, physics in it is not compared"
+        yield f"note   {where} was changed by a feature of a newer release: its later physics isn't compared"
     if verification.dragged:
         where = ", ".join(verification.dragged)
-        yield f"note   in {where} something was dragged by hand: from there on, physics in it is not compared"
+        yield f"note   in {where} an object was dragged by hand: the later physics isn't compared"
 
 
 def _data(verification: Verification, seconds: float) -> dict[str, object]:

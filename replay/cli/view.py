@@ -21,30 +21,30 @@ if TYPE_CHECKING:
 
     from replay.runs.folder import Runs
 
-_MAX_BESIDE: Final = 3  # recordings beside the first; more than four views are too small to see
+_MAX_BESIDE: Final = 3  # recordings next to the first; more than four views are too small
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add another recording, the first step, and where to show or save it."""
-    parser.epilog = "Of a folder, the first failures of its commonest causes are shown side by side."
+    """Add further recordings, the first step, and the target."""
+    parser.epilog = "For a folder, the first failures of its most frequent causes are shown side by side."
     parser.add_argument(
-        "others", metavar="LOG2", nargs="*", help=f"other recordings, shown beside it, at most {_MAX_BESIDE}"
+        "others", metavar="LOG2", nargs="*", help=f"at most {_MAX_BESIDE} further recordings, shown side by side"
     )
     parser.add_argument(
-        "--imagined", action="store_true", help=f"what its projections did beside it, the last {_MAX_BESIDE} of them"
+        "--imagined", action="store_true", help=f"also show its last projections, at most {_MAX_BESIDE}"
     )
     parser.add_argument("--at", metavar="STEP", help=f"begin at this step: {HINT}")
-    parser.add_argument("--save", metavar="FILE", help="write it as .rrd instead of opening it")
-    parser.add_argument("--open", action="store_true", help="open it, also if it is saved")
-    parser.add_argument("--web", action="store_true", help="in the browser, as it is at the end, until Ctrl-C")
-    parser.add_argument("--connect", metavar="URL", help="in the viewer that answers there")
+    parser.add_argument("--save", metavar="FILE", help="write an .rrd file instead of opening the viewer")
+    parser.add_argument("--open", action="store_true", help="open the viewer, also with --save")
+    parser.add_argument("--web", action="store_true", help="show the whole recording in the browser until Ctrl-C")
+    parser.add_argument("--connect", metavar="URL", help="show it in the viewer at this URL")
 
 
 def imagined(log: Recording) -> list[Path]:
-    """Return the recordings of a recording's projections that lie beside it, in their order.
+    """Return the recordings of a recording's projections in the same folder, in their order.
 
     Raises:
-        ReplayError: There are none.
+        ReplayError: there is no such recording.
     """
     found = []
     for task in log.records(Task):
@@ -52,16 +52,18 @@ def imagined(log: Recording) -> list[Path]:
         if name and (path := log.path.with_name(name)).exists():
             found.append(path)
     if not found:
-        raise ReplayError(f"{log.path}: nothing that it imagined is recorded beside it, as NAME.projection-1.mcap")
+        raise ReplayError(f"{log.path}: its folder has no recordings of its projections (NAME.projection-1.mcap)")
     return found
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Show or save it, and print where."""
+    """Show or save the recording, and print the file."""
     if options.web and (options.save or options.at or options.connect):
-        raise ReplayError("--web shows the recording in the browser, as it is at its end; give it alone")
+        raise ReplayError(
+            "--web shows the whole recording in the browser; it can't be combined with --save, --at or --connect"
+        )
     if len(options.others) > _MAX_BESIDE:
-        raise ReplayError(f"{len(options.others) + 1} recordings are too small to see side by side; give up to four")
+        raise ReplayError(f"{len(options.others) + 1} recordings are too many to show side by side; give at most four")
     step = log.step(options.at) if options.at is not None else None
     with ExitStack() as opened, native_output_to_stderr():
         beside = [Path(other) for other in options.others]
@@ -75,28 +77,28 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Show the first failures of a folder's commonest causes side by side; where none failed, the first run."""
-    from replay.runs.statistics import statistics  # noqa: PLC0415  what it needs is an extra
+    """Show the first failures of a folder's most frequent causes side by side; without failures, the first run."""
+    from replay.runs.statistics import statistics  # noqa: PLC0415  needs an extra
 
     if options.others:
-        raise ReplayError("a folder is shown alone; name recordings of it to see these side by side")
+        raise ReplayError("a folder can't be shown with other recordings; to show recordings side by side, name them")
     stats = statistics(runs)
     chosen = [cause.first for cause in stats.causes[: _MAX_BESIDE + 1]] or stats.runs[:1]
     if not chosen:
-        raise ReplayError(f"{runs.path}: there is no run to be shown")
+        raise ReplayError(f"{runs.path}: there is no run to show")
     options.others = [str(runs.path / name) for name in chosen[1:]]
     with Recording(runs.path / chosen[0]) as log:
         return run(log, options)
 
 
 def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespace) -> dict[str, object]:
-    from replay.view import cached, check, convert, show, temporary_file  # noqa: PLC0415  --help needn't wait for the viewer's library
+    from replay.view import cached, check, convert, show, temporary_file  # noqa: PLC0415  slow to import
 
     check(options.connect)
     if options.save is not None:
         file = Path(options.save)
         if file.suffix != ".rrd":
-            raise ReplayError(f"{file}: what the viewer opens is called .rrd")
+            raise ReplayError(f"{file}: the viewer opens .rrd files only; choose a name that ends in .rrd")
         convert(logs, file, step)
     elif len(logs) == 1:
         file = cached(logs[0], step)
@@ -117,7 +119,7 @@ def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
 
     with stream_to_viewer() as stream:
         page = WebPage(stream)
-        translate(logs, stream, max(len(each) for each in logs) - 1)  # pages follow what they are sent, to its end
+        translate(logs, stream, max(len(each) for each in logs) - 1)  # pages show all data that they receive
         page.flush()
         if wants_json:
             print_json({"page": page.address}, flush=True)

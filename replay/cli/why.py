@@ -1,4 +1,4 @@
-"""``why``: why a plan failed, first in a few sentences, then in detail."""
+"""``why``: why a plan failed, first as a summary, then in detail."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
 
-_COMMONEST: Final = 3  # causes of a folder's failures
+_COMMONEST: Final = 3  # causes of a folder's failures that are explained
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step of the failure, and the folder for pictures."""
-    parser.add_argument("step", metavar="STEP", nargs="?", help=f"of another failed task: {HINT}")
+    parser.add_argument("step", metavar="STEP", nargs="?", help=f"a step of another failed task: {HINT}")
     parser.add_argument(
-        "--pictures", metavar="DIR", help="write pictures of that moment: the robot's view, and one from the side"
+        "--pictures", metavar="DIR", help="write pictures of the failure: the robot's view, and a view from the side"
     )
 
 
@@ -41,22 +41,22 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     else:
         print_text("\n".join(why_report.lines(why, str(log.path))))
         if pictures:
-            print_text("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
+            print_text("\n".join(("", "Pictures of the failure", *(f"  {path}" for path in pictures))))
     return code
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print the commonest causes of the failures of a folder's recordings, each as its first run tells it."""
+    """Print the most frequent causes of failures in a folder; each is explained by its first run."""
     from replay.recording import Recording  # noqa: PLC0415  as above
     from replay.runs.statistics import statistics  # noqa: PLC0415
 
     if options.step or options.pictures:
-        raise ReplayError("a step, and pictures, are of one recording; give that instead of the folder")
+        raise ReplayError("a step and --pictures need a single recording, not a folder")
     stats = statistics(runs)
     failed = sum(cause.count for cause in stats.causes)
     explained, text = (
         [],
-        [f"{failed} of {plural(stats.success.of, 'run')} failed, of {plural(len(stats.causes), 'cause')}"],
+        [f"{failed} of {plural(stats.success.of, 'run')} failed, with {plural(len(stats.causes), 'cause')}"],
     )
     for cause in stats.causes[:_COMMONEST]:
         with Recording(runs.path / cause.first) as log:
@@ -87,6 +87,6 @@ def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[s
         from replay.restore.render import write_pictures  # noqa: PLC0415
 
         return FINE, [str(path) for path in write_pictures(log, why, Path(folder))]
-    except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
+    except Exception as error:  # noqa: BLE001  the explanation matters more than its pictures
         print_message(f"no pictures: {format_error(error)}")
         return INCOMPLETE if isinstance(error, Damaged) else USAGE, []

@@ -1,1 +1,1 @@
-"""Why a plan failed: functions from recordings to frozen data, with its words."""
+"""Explanations of failures, as frozen data and as text."""

@@ -1,4 +1,4 @@
-"""The scene of a failure: the robot and the bodies of the failed task or message, in words, at that moment."""
+"""The scene of a failure: the robot, and the bodies of the failed task or the message, at the failure."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ _ENDS = (("mover", "link"), ("body", "body_link"))
 
 @dataclass(frozen=True, slots=True)
 class InvolvedBody:
-    """The robot, or a body that a failed task was about, at the moment of the failure."""
+    """The robot, or a body of the failed task, at the failure."""
 
     body: Body
-    held: Attachment | None  # how it is carried
-    holds: tuple[Attachment, ...]  # what it carries
+    held: Attachment | None  # its attachment to a carrier
+    holds: tuple[Attachment, ...]  # attachments of bodies to it
     is_robot: bool
-    distance: float | None  # on the ground, from the robot's base, m; None for the robot itself, or without one
-    bearing: float | None  # its direction from the robot's heading, rad, to the left; None as well
-    hands: Mapping[str, str] = field(default_factory=dict)  # the robot's arms that hold, by the held bodies' names
-    links: Mapping[str, Pose] = field(default_factory=dict)  # of those that the failure names
-    joints: Mapping[str, float] = field(default_factory=dict)  # of those that the failure names, rad or m
+    distance: float | None  # on the ground, from the robot's base, m; None for the robot, or without a robot
+    bearing: float | None  # its direction from the robot's heading, rad, to the left; None as above
+    hands: Mapping[str, str] = field(default_factory=dict)  # the robot's holding arms, by the held bodies' names
+    links: Mapping[str, Pose] = field(default_factory=dict)  # poses of links that the failure names
+    joints: Mapping[str, float] = field(default_factory=dict)  # positions of joints that the failure names, rad or m
 
     def lines(self) -> Iterator[str]:
-        """Yield it in words; of a fixed body the named links and joints, as the pose of its base isn't informative."""
+        """Yield the body in words; of a fixed body, whose base pose isn't informative, only named links and joints."""
         body = self.body
         if self.is_robot or not body.fixed_base or not (self.links or self.joints):
             yield self._line()
@@ -63,7 +63,7 @@ class InvolvedBody:
             side = math.degrees(self.bearing)
             direction = f"{abs(side):.0f} degrees to the {'left' if side > 0 else 'right'}"
             turn = "straight ahead" if abs(side) < 1 else direction
-            text += f", {self.distance:.2f} m from the robot on the ground, {turn}"
+            text += f", {self.distance:.2f} m from the robot, {turn}"
         if self.held is not None:
             hand = self.hands.get(self.body.name)
             text += f", held by {f'the {hand} gripper of {self.held.carrier}' if hand else phrases.carrier(self.held)}"
@@ -72,22 +72,22 @@ class InvolvedBody:
 
 @dataclass(frozen=True, slots=True)
 class FailedBranch:
-    """Another failed part of the same block."""
+    """Another failed part of the failed block."""
 
     task: Node
     line: Line | None  # the plan's line that requested it
-    bodies: tuple[InvolvedBody, ...]  # the robot, and what that failure was about, at its moment
-    causes: tuple[Cause, ...]  # of that failure
+    bodies: tuple[InvolvedBody, ...]  # the robot and the bodies of that failure, at that failure
+    causes: tuple[Cause, ...]  # causes of that failure
 
     def lines(self) -> Iterator[str]:
-        """Yield it in words."""
+        """Yield the failure in words."""
         yield (phrases.error(self.task) if self.task.error else "") + phrases.at(self.line)
         yield from (line for cause in self.causes for line in cause.lines())
         yield from (line for involved in self.bodies for line in involved.lines())
 
 
 def heading(body: Body) -> float:
-    """Return the direction that a body faces on the ground, rad from the world's x axis."""
+    """Return the heading of a body on the ground, rad from the world's x axis."""
     x, y, z, w = body.orientation
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -98,7 +98,7 @@ def facing(body: Body) -> str:
 
 
 def bodies(case: FailureCase, names: Iterable[str] = ()) -> Iterator[InvolvedBody]:
-    """Yield the robot and the bodies of a failure; of fixed bodies the links and joints that it names."""
+    """Yield the robot and the bodies of a failure, with the links and joints that the failure names."""
     world, robot = case.world, case.robot
     if world is None:
         return
@@ -143,7 +143,7 @@ def _parts(case: FailureCase) -> Iterator[tuple[str, str, Pose | None]]:
 
 
 def branches(case: FailureCase) -> Iterator[FailedBranch]:
-    """Yield the other failures that failed the same block, each with its scene and causes."""
+    """Yield the other failures of the failed block, each with its scene and causes."""
     if case.task is None:
         return
     for block in case.task.around():

@@ -1,7 +1,7 @@
-"""Why a plan failed: what failed and where in the plan, what was attempted, the queries it relied on, what had changed.
+"""Explains a failure: the failed task, its place in the plan, attempts, queries that the plan relied on, and changes.
 
-Everything is read from the recording; nothing is guessed. The answers to the plan's queries come with the objects that
-have moved since. For a failed action, its choices, their projections and the places it considered are included.
+All facts are read from the recording. The answers to the plan's queries include the objects that have moved since. A
+failed action includes its choices, their projections and the considered places.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ if TYPE_CHECKING:
 
 
 _MAX_QUERIES: Final = 8
-_FIRST, _LAST = 5, 20  # number of attempts for which the robot's state is folded
-_LISTED: Final = 3  # choices that are listed, of the first and of the last
+_FIRST, _LAST = 5, 20  # number of first and last attempts with the robot's state
+_LISTED: Final = 3  # number of first and last choices that are listed
 _MAX_IMAGINED: Final = 6
-_MAX_PLACES: Final = 5  # queries for places, the last ones
-_MOVED: Final = 0.001  # m; a smaller move since a query is ignored
+_MAX_PLACES: Final = 5  # number of last queries for places
+_MOVED: Final = 0.001  # m; smaller moves since a query are ignored
 
 
 @dataclass(frozen=True, slots=True)
 class FailedAttempt:
-    """One attempt at the failed task."""
+    """An attempt at the failed task."""
 
-    task: Node  # the part of it in which its failure began
-    robot: Body | None  # before it; None if there was none. Of many attempts only the first and the last have it.
+    task: Node  # the part in which its failure began
+    robot: Body | None  # before the attempt; None without a robot, and for the middle of many attempts
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,22 +57,22 @@ class RelevantQuery:
     """A query that the plan relied on."""
 
     query: Query
-    moved: tuple[str, ...] = ()  # names of its bodies that have moved between it and the failure
-    removed: tuple[str, ...] = ()  # names of its bodies that were removed since
-    world: str = ""  # the world that it was asked in, if that isn't the one of the failure
+    moved: tuple[str, ...] = ()  # names of its bodies that moved before the failure
+    removed: tuple[str, ...] = ()  # names of its bodies that were removed before the failure
+    world: str = ""  # its world, if that isn't the world of the failure
 
     @property
     def holds(self) -> bool:
-        """Whether its bodies were the same at the failure, and had not changed."""
+        """Whether its bodies were unchanged at the failure."""
         return not (self.moved or self.removed or self.world)
 
 
 @dataclass(frozen=True, slots=True)
 class ChangesSince:
-    """What has changed since a task succeeded."""
+    """The changes since a task succeeded."""
 
     task: Node
-    difference: Difference  # between the states after it and before the failure
+    difference: Difference  # between the states after the task and before the failure
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,49 +82,49 @@ class Why:
     run: Summary  # of the whole run
     step: int  # of the failure
     failure: Failure | None  # of the plan, or of the task; None if nothing failed
-    causes: tuple[Cause, ...] = ()  # those that explain most first
-    branches: tuple[FailedBranch, ...] = ()  # the other failures that failed the same block
-    thread: str = ""  # the plan's own thread that failed while the plan went on; "" if the plan failed
-    exceptions: tuple[ParsedException, ...] = ()  # that led to the plan's failure, causes first
-    task: Node | None = None  # in which it began; None if the plan's own code failed
-    call_stack: tuple[Line, ...] = ()  # the plan's lines that led to that task, outermost first
+    causes: tuple[Cause, ...] = ()  # the causes that explain most come first
+    branches: tuple[FailedBranch, ...] = ()  # the other failures of the same block
+    thread: str = ""  # name of the plan's thread that failed; "" if the plan failed
+    exceptions: tuple[ParsedException, ...] = ()  # from the failed task to the plan's failure, causes first
+    task: Node | None = None  # the task in which it began; None if the plan's own code failed
+    call_stack: tuple[Line, ...] = ()  # the plan's lines that led to the task, outermost first
     #: Local variables of the plan's functions at the failure, by file and line: names, and values as text.
     variables: Mapping[tuple[str, int], Mapping[str, str]] = field(default_factory=dict)
-    world: World | None = None  # that the task was about; None if none was open
-    is_default: bool = True  # it is the world that is meant where none is named
-    bodies: tuple[InvolvedBody, ...] = ()  # the robot, and the bodies that the task was about
-    removed: tuple[str, ...] = ()  # names of such bodies that were removed before the failure
-    attempts: tuple[FailedAttempt, ...] = ()  # attempts at the same task with the same objects, this one last
+    world: World | None = None  # the world of the failure; None without an open world
+    is_default: bool = True  # whether verbs use this world without --world
+    bodies: tuple[InvolvedBody, ...] = ()  # the robot, and the bodies of the task
+    removed: tuple[str, ...] = ()  # names of bodies of the task that were removed before
+    attempts: tuple[FailedAttempt, ...] = ()  # attempts at the task with the same objects, including this attempt
     other_failures: int = 0  # number of other tasks that failed before
-    forgotten: int = 0  # number of earlier failures that were skipped, as there are too many
-    choices: tuple[Query, ...] = ()  # with which the failed motion's process module chose what to do
-    tried: TriedAction | None = None  # of the action that the task is a part of
-    queries: tuple[RelevantQuery, ...] = ()  # that the plan relied on
-    earlier_queries: int = 0  # number of further queries about the same
-    since_same_success: ChangesSince | None = None  # the last one of the same kind of task
-    since_last_success: ChangesSince | None = None  # the last one of anything
-    unfinished: tuple[Node, ...] = ()  # the innermost tasks that have not ended, of a recording that was cut
-    endless: tuple[Node, ...] = ()  # the innermost tasks without an end, where that may be among lost records
-    failed_threads: tuple[Run, ...] = ()  # the records of other threads of the plan's own that failed
+    forgotten: int = 0  # number of skipped earlier failures, if there are too many
+    choices: tuple[Query, ...] = ()  # the choices of the failed motion's process module
+    tried: TriedAction | None = None  # the failed action around the task
+    queries: tuple[RelevantQuery, ...] = ()  # the queries on which the plan relied
+    earlier_queries: int = 0  # number of further queries about the same bodies
+    since_same_success: ChangesSince | None = None  # since the last success of the same kind of task
+    since_last_success: ChangesSince | None = None  # since the last success of any task
+    unfinished: tuple[Node, ...] = ()  # the innermost unfinished tasks of a recording that was cut off
+    endless: tuple[Node, ...] = ()  # the innermost tasks whose end may be among lost records
+    failed_threads: tuple[Run, ...] = ()  # records of other failed threads of the plan
 
     @property
     def is_python_error(self) -> bool:
-        """Whether the error is in the plan's code rather than in the state of the world."""
+        """Whether the error is in the plan's code, not in the state of the world."""
         return self.task is None and self.failure is not None and hasattr(builtins, self.failure.type)
 
     @property
     def warning(self) -> Query | None:
-        """The last query of the plan whose answer was no, and whose bodies have not changed since."""
+        """The last query of the plan that was answered no, and whose bodies have not changed since."""
         within = self.task.id if self.task is not None and self.task.kind == "process-module" else None  # its own
         still_true = (relevant.query for relevant in reversed(self.queries) if relevant.holds)
         return next((query for query in still_true if query.answer_json == "false" and query.task != within), None)
 
 
 def why(log: RecordReader, step: int | None = None) -> Why:
-    """Explain the failed task that a step is part of, or the last before it; by default the root cause.
+    """Explain the failed task around a step, or the last failed task before it; by default the root cause.
 
     Raises:
-        NoSuchStep: there is no such step, or nothing failed until then.
+        NoSuchStep: there is no such step, or no task had failed.
     """
     failed = failures(log)
     run = summary(log)
@@ -173,7 +173,7 @@ def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:
     if record.task and of_step:
         return of_step[-1]
     if not until:
-        raise NoSuchStep(step, len(log), "no task failed there, or before")
+        raise NoSuchStep(step, len(log), "no task had failed by then")
     return until[-1]
 
 
@@ -341,17 +341,17 @@ def _since(log: RecordReader, task: Node | None, now: State) -> ChangesSince | N
 
 @dataclass(frozen=True, slots=True)
 class TriedAction:
-    """A failed action."""
+    """The attempts of a failed action."""
 
     action: Node
-    attempts: tuple[Node, ...]  # of its choices, in order, each with what was chosen as its parameters
+    attempts: tuple[Node, ...]  # attempts at its choices, in order; the chosen values are their parameters
     imagined: tuple[Node, ...]  # projections of choices, in order
-    places: tuple[Query, ...]  # queries for places, in its parts too
-    spent: bool  # its budget
-    last: str  # the choice that could not be made in the end, and why; "" if there was no more to choose from
+    places: tuple[Query, ...]  # queries for places, also of its parts
+    spent: bool  # whether its budget of attempts was spent
+    last: str  # why the last choice failed; "" if all choices had been tried
 
     def lines(self) -> Iterator[str]:
-        """Yield the choices of the action with their outcomes, and why there were no more."""
+        """Yield the choices of the action with their outcomes, and the reason for its end."""
         left_out = len(self.attempts) - 2 * _LISTED
         for number, attempt in enumerate(self.attempts):
             if left_out > 0 and number == _LISTED:
@@ -359,24 +359,24 @@ class TriedAction:
             if left_out <= 0 or not _LISTED <= number < _LISTED + left_out:
                 yield f"step {attempt.started.seq}: {_choice(attempt)}"
                 error = attempt.error
-                yield f"    {phrases.one_line(': '.join(filter(None, error)))}" if error else "    it has not ended"
+                yield f"    {phrases.one_line(': '.join(filter(None, error)))}" if error else "    it hasn't ended"
         for projection in self.imagined[-_MAX_IMAGINED:]:
-            outcome = foreseen(projection.finished) if projection.finished is not None else "it has not ended"
+            outcome = foreseen(projection.finished) if projection.finished is not None else "it hasn't ended"
             yield f"step {projection.started.seq}: imagined, {_choice(projection)}"
             yield f"    {outcome}"
         for query in self.places:
             yield f"step {query.seq}: {phrases.question(query)}"
-            yield f"    {fates_text(query) or 'no place was left on its map'}"
+            yield f"    {fates_text(query) or 'its map had no places left'}"
         if self.last:
-            yield f"no further choice: {phrases.one_line(self.last)}"
+            yield f"there was no further choice: {phrases.one_line(self.last)}"
         elif self.spent:
             yield "the budget of attempts was spent"
         elif self.attempts:
-            yield "there were no more choices"
+            yield "there were no further choices"
 
 
 def tried(log: RecordReader, failed: Node) -> TriedAction | None:
-    """Return what the outermost failed action around a failed task tried; None if there is none."""
+    """Return the attempts of the outermost failed action around a failed task; None without such an action."""
     actions = [task for task in failed.around() if task.kind == "action" and task.failed]
     if not actions:
         return None
@@ -412,4 +412,4 @@ def _choice(task: Node) -> str:
             chosen.append(f"{slot}={phrases.vector(value['position'])}")  # type: ignore[arg-type]
         elif value is not None:
             chosen.append(f"{slot}={phrases.value(value)}")
-    return ", ".join(chosen) or "as asked"
+    return ", ".join(chosen) or "the given arguments"

@@ -1,4 +1,4 @@
-"""An explanation as JSON data and as text: what failed in a few sentences, then a section for each further question."""
+"""An explanation as JSON data and as text: a summary in a few sentences, then a section for each aspect."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from replay.explain.why import ChangesSince, Why
     from replay.history.source import Line
 
-_FIRST, _LAST = 2, 5  # attempts that are listed one by one
+_FIRST, _LAST = 2, 5  # number of first and last attempts that are listed
 _MAX_ROWS: Final = 3  # of local variables
 _WIDTH: Final = 100  # characters of such a row
 _MAX_LINES: Final = 12  # of a difference
-_NEARER: Final = 0.35  # m by which an object is moved to ask again
+_NEARER: Final = 0.35  # m, distance from the robot to which the suggested ``ask --move`` moves the object
 
 
 # --- as JSON data ----------------------------------------------------------------------------------------------------
@@ -129,12 +129,12 @@ def lines(why: Why, path: str) -> Iterator[str]:
     """Yield the explanation as text; ``path`` is the recording's, for commands."""
     causes = [line for cause in why.causes for line in cause.lines()]
     yield from _headline(why)
-    yield from section("Unfinished when the recording ended", _unfinished(why.unfinished))
-    yield from section("Without an end, which may be among the lost records", _unfinished(why.endless))
+    yield from section("Unfinished at the end of the recording", _unfinished(why.unfinished))
+    yield from section("Unfinished, or finished in a lost record", _unfinished(why.endless))
     if why.failure is None:
         yield from section("Why", causes)
         return
-    yield from section("Why" if len(why.causes) < 2 else "Why: the causes that are on record", causes)
+    yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes)
     yield from section("Where in the plan", _where(why))
     threads = (
         f"also failed: thread {record.thread}, at step {record.seq}: {phrases.failure(record.failure)}"
@@ -142,7 +142,7 @@ def lines(why: Why, path: str) -> Iterator[str]:
     )
     yield from section("What failed", [*_tasks(why), *threads])
     if why.tried is not None:
-        yield from section(f"What {phrases.node(why.tried.action)} tried", why.tried.lines())
+        yield from section(f"Attempts of {phrases.node(why.tried.action)}", why.tried.lines())
     world = why.world
     where = f" in {world.title}" if world is not None and not (why.is_default and world.lifetime == 1) else ""
     bodies = [line for involved in why.bodies for line in involved.lines()]
@@ -153,7 +153,7 @@ def lines(why: Why, path: str) -> Iterator[str]:
             f"Also failed: {phrases.node(branch.task.motion)}, at step {branch.task.last_step}", branch.lines()
         )
     yield from section("Attempts", _attempts(why))
-    yield from section("Queries that the plan relied on", _queries(why))
+    yield from section("Queries on which the plan relied", _queries(why))
     yield from section("Changes since the last success", _changes(why))
     yield from section("Look closer", _commands(why, shlex.quote(path)))
 
@@ -167,7 +167,7 @@ def _headline(why: Why) -> Iterator[str]:
     if run.outcome == "failed":
         message, failure = run.failure, why.failure
         if why.exceptions and failure is not None and " " in failure.message and not hasattr(builtins, failure.type):
-            message = failure.message  # clear without its type, unlike messages of Python's own errors
+            message = failure.message  # clear without its type, unlike messages of Python's errors
         yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
         failed = "a task failed."
@@ -177,15 +177,15 @@ def _headline(why: Why) -> Iterator[str]:
     elif run.outcome == "interrupted":
         yield f"{name} was interrupted after {run.seconds:.1f} s."
     elif run.outcome == "lost":
-        yield f"The end of {name} is lost; the last readable step is {run.records - 1}."
+        yield f"The end of the recording of {name} is lost; the last readable step is {run.records - 1}."
     else:
         ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
-        yield f"{name} {ended}." + ("" if why.failure else " Until then nothing failed.")
+        yield f"{name} {ended}." + ("" if why.failure else " No task had failed.")
     if why.task is not None:
         yield from _summary(why, why.task)
     warning = why.warning
     if warning is not None and not why.is_python_error:
-        yield f"The plan had been warned: {_asked_again(warning)} was answered no at step {warning.seq}."
+        yield f"The plan could have known: {_asked_again(warning)} was answered no at step {warning.seq}."
 
 
 def _summary(why: Why, task: Node) -> Iterator[str]:
@@ -216,7 +216,7 @@ def _where(why: Why) -> Iterator[str]:
     for error in why.exceptions:
         fresh = [line for line in error.lines if (line.file, line.number) not in shown]
         if shown and fresh:
-            yield f"which became {error.type}:"
+            yield f"which raised {error.type}:"
         for line in fresh:
             shown.add((line.file, line.number))
             yield from _line(line, why)
@@ -243,7 +243,7 @@ def _line(line: Line, why: Why) -> Iterator[str]:
         rows[-1] += f"{', ' if rows[-1] else ''}{name}={phrases.one_line(value)}"
     yield from (f"    with {row}" for row in rows[:_MAX_ROWS] if row)
     if len(rows) > _MAX_ROWS:
-        yield "    and more, see `why --json`"
+        yield "    and more: see `why --json`"
 
 
 def _tasks(why: Why) -> Iterator[str]:
@@ -259,7 +259,7 @@ def _tasks(why: Why) -> Iterator[str]:
             state = "not finished"
         else:
             took = phrases.seconds(task.finished.duration_ns) if task.finished is not None else ""
-            state = f"failed after {took}" if task.failed else f"went on, {took}"
+            state = f"failed after {took}" if task.failed else f"continued, {took}"
         yield f"{'  ' * depth}{phrases.node(task)}  [steps {task.started.seq}-{task.last_step}, {state}]"
         if task is why.task.motion and task.decision is not None:
             yield f"{'  ' * depth}    {decision_text(task.decision, full=True)}"
@@ -268,7 +268,7 @@ def _tasks(why: Why) -> Iterator[str]:
         yield from (f"{'  ' * len(path)}    {line}" for line in rejection_lines(choice))
     if why.task.failure is not None:
         yield from (f"{'  ' * len(path)}{line}" for line in format_failure(why.task.failure).splitlines())
-    attempted = {attempt.task for attempt in why.attempts}  # they have a section of their own
+    attempted = {attempt.task for attempt in why.attempts}  # attempts have their own section
     siblings = [
         part
         for part in why.task.outermost_failed.children
@@ -283,7 +283,7 @@ def _attempts(why: Why) -> Iterator[str]:
         tasks = "tasks" if why.other_failures > 1 else "task"
         yield f"{why.other_failures} other {tasks} failed before (see `pycram-replay tree`)"
     if why.forgotten:
-        yield f"{why.forgotten} earlier failures are skipped, as there are too many"
+        yield f"{why.forgotten} earlier failures are left out, as there are too many"
     if len(why.attempts) < 2:
         return
     *earlier, last = (attempt.task.motion.parameters for attempt in why.attempts)
@@ -293,7 +293,7 @@ def _attempts(why: Why) -> Iterator[str]:
         for robot in (attempt.robot for attempt in why.attempts)
     ]
     differ = len({pose for pose in poses if pose}) > 1
-    groups: list[tuple[str, str, list[int]]] = []  # parameters, error and steps of equal attempts in a row
+    groups: list[tuple[str, str, list[int]]] = []  # parameters, error and steps of consecutive equal attempts
     for attempt, pose in zip(why.attempts, poses, strict=True):
         how = [f"{key}={phrases.value(attempt.task.motion.parameters.get(key))}" for key in varying]
         how += [pose] if pose and differ else []
@@ -313,19 +313,19 @@ def _attempts(why: Why) -> Iterator[str]:
 
 def _queries(why: Why) -> Iterator[str]:
     if why.earlier_queries:
-        yield f"... {why.earlier_queries} earlier ones ..."
+        yield f"... {why.earlier_queries} earlier queries ..."
     for relevant in why.queries:
         query = relevant.query
         reasons = phrases.reasons(query)
         yield f"step {query.seq}: {phrases.question(query)}"
         yield f"    {phrases.answer(query)}" + (f": {reasons}" if reasons else "")
         if relevant.world:
-            yield f"    asked in another world: {relevant.world}"
+            yield f"    it was asked in another world: {relevant.world}"
         if relevant.moved:
-            yield f"    since then {phrases.names(relevant.moved)} moved"
+            yield f"    later {phrases.names(relevant.moved)} moved"
         if relevant.removed:
             were = "was" if len(relevant.removed) == 1 else "were"
-            yield f"    since then {phrases.names(relevant.removed)} {were} removed"
+            yield f"    later {phrases.names(relevant.removed)} {were} removed"
 
 
 def _changes(why: Why) -> Iterator[str]:
@@ -346,12 +346,12 @@ def _since(since: ChangesSince) -> Iterator[str]:
     changes = list(difference_lines(since.difference)) if since.difference.notable or since.difference.added else []
     name = f"{phrases.node(task)} succeeded at step {task.last_step}"
     if not changes:
-        yield f"{name}; since then nothing in the world has changed."
+        yield f"{name}; the world hasn't changed since."
         return
-    yield f"{name}; since then:"
+    yield f"{name}; changes since:"
     yield from (f"  {line}" for line in changes[:_MAX_LINES])
     if len(changes) > _MAX_LINES:
-        yield f"  ... {len(changes) - _MAX_LINES} more lines; `diff` lists all"
+        yield f"  ... {len(changes) - _MAX_LINES} more lines; `diff` prints all"
 
 
 def _commands(why: Why, path: str) -> Iterator[str]:
@@ -381,7 +381,7 @@ def _asked_again(query: Query) -> str:
     for name, term in question.keywords.items():
         if name in ("threshold", "margin", "grasp", "orientation", "collision_free"):
             break
-        arguments.append(Name(term) if isinstance(term, str) else term)  # queries accept both
+        arguments.append(Name(term) if isinstance(term, str) else term)  # queries accept names and strings
     return str(QueryCall(query.name, tuple(arguments)))
 
 
@@ -393,7 +393,7 @@ def _movable(why: Why) -> list[InvolvedBody]:
 
 def _nearer(why: Why) -> str:
     """Return the option that moves the object nearer to the robot; "" without a robot."""
-    if not why.bodies:  # a damaged recording may have lost them
+    if not why.bodies:  # a damaged recording may have lost the bodies
         return ""
     robot = next((involved.body for involved in why.bodies if involved.is_robot), None)
     last = _movable(why)[-1]

@@ -1,1 +1,1 @@
-"""What happened: the tasks, failures and changes of a recording, who made them, and the lines of the plan."""
+"""The history of a run: tasks, failures, changes and their originators, and the lines of the plan."""

@@ -1,6 +1,6 @@
-"""Finds the record that last changed a body or a joint, with its tasks and lines of the plan.
+"""Finds the last change of a body or a joint, with its tasks and lines of the plan.
 
-A carried body moves with its carrier: then the record is the carrier's, and the attaching record is returned too.
+A carried body moves with its carrier. Then the record is the carrier's, and the attaching record is returned, too.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, State, World
 
 
-#: In simulation, smaller changes are settling: m (or a joint's rad), rad.
+#: Smaller changes in simulation are settling: m (or a joint's rad), rad.
 _SETTLING: Final = 5e-3, math.radians(5)
-#: Smaller changes are rounding, as above: an object in a resting hand moves by it when the head turns.
+#: Smaller changes are rounding, m and rad: a turn of the head moves an object in a resting hand by so much.
 _ROUNDING: Final = 1e-6, 1e-6
 
 
@@ -33,7 +33,7 @@ _ROUNDING: Final = 1e-6, 1e-6
 class Carried:
     """An attachment by which a body moved."""
 
-    held: Attachment  # just before
+    held: Attachment  # as it was before the move
     step: int | None  # of the record that attached it; None: before the recording began
     causes: CausingTasks | None  # of the attaching record
 
@@ -43,33 +43,33 @@ class Blame:
     """The last change of a body or joint."""
 
     world: str
-    other_worlds: tuple[str, ...]  # open, with a body of that name
-    default_world: str  # the world that is meant where none is named, if it has no such body; or ""
+    other_worlds: tuple[str, ...]  # other open worlds with a body of that name
+    default_world: str  # the world opened last, if it has no such body; "" otherwise
     body: str
     joint: str  # "": the body's pose changed
-    #: "command" (it was moved itself), "load", "carried" (with what holds it), "along" (with what it lies on or in),
+    #: "command" (on the body itself), "load", "carried" (by its holder), "along" (with the body that it lies on or in),
     #: "hand" (dragged in the window), "driven" (it followed a trajectory), "physics", "reset", "restored" (a saved
     #: state), "removed", or "before" (the recording began later)
     how: str
-    before: Pose | float | None  # None: it wasn't there
+    before: Pose | float | None  # None: it didn't exist
     after: Pose | float | None  # None: it was removed
     distance: float  # m; of a revolute joint rad
     angle: float  # rad; 0 for joints
-    record: Mutation | Keyframe  # that changed it; a keyframe if nothing did since the recording began
+    record: Mutation | Keyframe  # the change; a keyframe if nothing has changed since the recording began
     causes: CausingTasks  # of the record
-    carried: tuple[Carried, ...]  # the attachments that made it move with the commanded body, its own first
-    #: Before a change in simulation: the last one that is more than settling. Before a removal: the last change.
+    carried: tuple[Carried, ...]  # the attachments to the commanded body, its own first
+    #: Before a change in simulation: the last change of more than settling. Before a removal: the last change.
     earlier: Blame | None = None
 
 
 def blame(log: RecordReader, target: str, at: int | None = None, world: str | None = None) -> Blame:
-    """Return the last change of a body, or a joint (``BODY.JOINT``), until a step.
+    """Return the last change of a body, or a joint (``BODY.JOINT``), up to a step.
 
-    By default: until worlds were closed, in the world with such a body that was opened last.
+    By default the step is the last step before worlds were closed, and the world the last opened world with the body.
 
     Raises:
         NoSuchStep: there is no such step.
-        NoSuchName: the body or joint wasn't there then, nor was it removed before.
+        NoSuchName: the body or joint didn't exist at the step or before.
     """
     step = log.final_step() if at is None else at
     state = state_at(log, step)
@@ -110,7 +110,7 @@ def _removal(log: RecordReader, state: State, target: str, world: str | None, er
     """
     opened = {name: log.lifetime_at(name, state.step) for name, each in state.worlds.items() if each.open}
     candidates = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
-    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # where none is open, the error has that hint
+    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # if no world is open, the error has this hint
     removals: list[Mutation] = []
     closed: NoSuchName | None = None
     for body in _possible_bodies(target) if candidates or some_closed else ():
@@ -123,7 +123,7 @@ def _removal(log: RecordReader, state: State, target: str, world: str | None, er
                 break
             in_closed = some_closed and closed is None and lifetime != opened.get(record.world)
             if in_closed and any(changed.body == body for changed in record.effect.bodies[:]):
-                hint = f"it was in {lifetime.title}, which was closed later: --at {record.seq}, or an earlier step"
+                hint = f"{lifetime.title} had it and was closed later: use --at {record.seq}, or an earlier step"
                 closed = NoSuchName("object", body, error.known, hint)
     if not removals:
         raise (closed or error) from None
@@ -165,7 +165,7 @@ class _Search:
         self._world, self._body, self._joint = subject.world, subject.body, subject.joint
 
     def run(self, step: int) -> Blame:
-        """Return the last change; if that was by physics, with the change before it."""
+        """Return the last change; for a change by physics, with the previous change."""
         records = self._changes(step)
         for last in records:
             change = self._explained(last)
@@ -174,7 +174,7 @@ class _Search:
             if change.how != "physics":
                 return change
             return replace(change, earlier=self._explained(self._before(last, records)))
-        raise Damaged(self._log.path, f"what moved {self._body}", "it was lost")
+        raise Damaged(self._log.path, f"the last change of {self._body}", "its record was lost")
 
     def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
         """Return the last earlier record of more than settling, without folding states."""
@@ -217,7 +217,7 @@ class _Search:
             return
         start = lifetime.start
         for record in self._log.backwards(step, Mutation, naming=self._body):
-            if not lifetime.has(record.seq):  # earlier records are of another world
+            if not lifetime.has(record.seq):  # earlier records belong to another world
                 break
             if record.world != self._world:
                 continue
@@ -277,7 +277,7 @@ def is_physics(record: Mutation | Keyframe) -> bool:
 
 
 def commanded(record: Mutation | Keyframe) -> str:
-    """Return the body that a record's command is about; empty if it is about none."""
+    """Return the body of a record's command; "" if the command has no body."""
     command = record.WhichOneof("command") if isinstance(record, Mutation) else None
     return str(getattr(getattr(record, command), "body", "")) if command else ""
 

@@ -1,4 +1,4 @@
-"""The plan's source, as attached to a recording: its lines, and the exceptions of a traceback with their lines."""
+"""The plan's source in a recording, and the exceptions of a traceback with their lines of the plan."""
 
 from __future__ import annotations
 
@@ -21,20 +21,19 @@ if TYPE_CHECKING:
 class Line:
     """A line of the plan."""
 
-    file: str  # as it was when the plan ran
+    file: str  # its path when the plan ran
     number: int  # from 1
-    function: str = ""  # the one that it is in; "" if its source is not attached
-    text: str = ""  # the line itself; "" if its source is not attached
+    function: str = ""  # its function; "" if its source isn't attached
+    text: str = ""  # "" if its source isn't attached
 
     def __str__(self) -> str:
         return f"{name_of(self.file)}:{self.number}"
 
 
 class PlanSource:
-    """The attached source files of a recording, without those whose names are ambiguous."""
+    """The attached source files of a recording, without files of ambiguous names."""
 
     def __init__(self, log: RecordReader) -> None:
-        """Read nothing yet."""
         self._assets = log.assets
         keys = [key for key in log.assets if key.endswith(".py")]
         names = [name_of(key) for key in keys]
@@ -42,7 +41,7 @@ class PlanSource:
         self._texts: dict[str, str] = {}
 
     def line(self, file: str, number: int) -> Line | None:
-        """Return a line by the path of its file at run time and its number; None for number 0."""
+        """Return a line by its number and the path of its file at run time; None for number 0."""
         if not file or number < 1:
             return None
         text = self.text(file)
@@ -63,7 +62,7 @@ class PlanSource:
         return (*(caller for caller in above if caller is not None), line)
 
     def text(self, file: str) -> str:
-        """Return the text of a file; "" if it is not attached, or damaged."""
+        """Return the text of a file; "" if it isn't attached, or is damaged."""
         key = self._keys.get(name_of(file))
         if key is None:
             return ""
@@ -90,14 +89,14 @@ def name_of(path: str) -> str:
 
 
 def is_file(path: str, name: str) -> bool:
-    """Return whether a path ends with a name, which may have folders."""
+    """Return whether a path ends with a name; the name may contain folders."""
     searched = PurePosixPath(name.replace("\\", "/")).parts
     return bool(searched) and PurePosixPath(path.replace("\\", "/")).parts[-len(searched) :] == searched
 
 
 @lru_cache(maxsize=8)
 def syntax_nodes(text: str) -> tuple[ast.AST, ...]:
-    """Return the nodes of a file's syntax tree, outer ones first; none if it isn't Python."""
+    """Return the nodes of a file's syntax tree, outer nodes first; empty if it isn't Python."""
     try:
         return tuple(ast.walk(ast.parse(text)))
     except (SyntaxError, ValueError, RecursionError):
@@ -116,29 +115,29 @@ _NEXT: Final = re.compile(
 )
 _START: Final = re.compile(r"^\s*(?:\+ )?(?:Exception Group )?Traceback \(most recent call last\):\s*$")
 _TITLE: Final = re.compile(r"^(?:[\w<>]+\.)*(?P<type>[A-Za-z_]\w*)(?:: (?P<message>.*))?$", re.DOTALL)
-#: The executor's folder, recognised by the modules through which plans enter it.
+#: The executor's folder; its modules are the entry points of plans.
 _ROOT: Final = re.compile(
     r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|tracing[/\\]span)"
     r"|pycram[/\\](?:world|motions|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"
     r"|recorder[/\\]span|pycram[/\\](?:process_module|designator|blocks|fluent|objects|bullet_world"
     r"|bullet_world_reasoning|funnel))\.py$"  # as they were named in release 0.1.0
 )
-#: Files that are no plans.
+#: Files that aren't part of a plan.
 _FOREIGN: Final = re.compile(r"^<|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]")
 
 
 @dataclass(frozen=True, slots=True)
 class ParsedException:
-    """One exception."""
+    """An exception in a traceback."""
 
     type: str
     message: str
-    lines: tuple[Line, ...]  # the plan's own lines that led to it, outermost first
-    own: bool = False  # the last of these lines raised it itself
+    lines: tuple[Line, ...]  # the plan's lines that led to it, outermost first
+    own: bool = False  # the last line raised it
 
 
 def parse_traceback(traceback: str, source: PlanSource) -> list[ParsedException]:
-    """Return the exceptions in a traceback as Python prints it, causes first."""
+    """Return the exceptions in a traceback, causes first."""
     frames = [frame for text in traceback.splitlines() if (frame := _FRAME.match(text))]
     roots = tuple({root["root"] for frame in frames if (root := _ROOT.match(frame["file"]))})
     parts = (part.strip("\n") for part in _NEXT.split(traceback))

@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from replay.file.lifetimes import Lifetime
     from replay.file.record_reader import RecordReader
 
-HINT: Final = "number, negative from the end, last, failure, 12.5s of simulated time, or task:PATH@start, @end"
+HINT: Final = "a number (negative: from the end), last, failure, a simulated time as 12.5s, or task:PATH@start or @end"
 _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>start|end)")
 
 
 def step_of(log: RecordReader, name: int | str) -> int:
     """Return the number of a step.
 
-    Names are numbers (negative ones count from the end), ``last``, ``failure`` (the moment that ``why`` explains),
-    simulated seconds with an ``s`` (the last step before the clock of a world passes them, of the first world that gets
-    so far), and tasks, see :func:`task_step`.
+    Names are numbers (negative numbers count from the end), ``last``, ``failure`` (the step that ``why`` explains),
+    simulated seconds with an ``s`` (the last step before a world's clock passes that time, of the first world that
+    reaches it), and tasks, see :func:`task_step`.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -34,7 +34,7 @@ def step_of(log: RecordReader, name: int | str) -> int:
     if text == "last":
         return len(log) - 1
     if text == "failure":
-        from replay.history.tasks import root_cause  # noqa: PLC0415  it and what it needs take long to import
+        from replay.history.tasks import root_cause  # noqa: PLC0415  slow to import
 
         cause = root_cause(log)
         if cause is None:
@@ -48,7 +48,7 @@ def step_of(log: RecordReader, name: int | str) -> int:
     try:
         number = int(text)
     except ValueError:
-        raise NoSuchStep(repr(text), len(log), f"a step is a {HINT}") from None
+        raise NoSuchStep(repr(text), len(log), f"a step is {HINT}") from None
     step = number + len(log) if number < 0 else number
     if not 0 <= step < len(log):
         raise NoSuchStep(number, len(log))
@@ -56,7 +56,7 @@ def step_of(log: RecordReader, name: int | str) -> int:
 
 
 def moment_of(name: int | str) -> float | None:
-    """Return the simulated time, s, that names a step; None for other names."""
+    """Return the simulated time, s, in the name of a step; None for other names."""
     text = str(name).strip()
     try:
         moment = float(text[:-1]) if text.endswith("s") else math.nan
@@ -68,15 +68,15 @@ def moment_of(name: int | str) -> float | None:
 def task_step(log: RecordReader, text: str) -> int:
     """Return the start or the end of a task: ``task:PATH@start`` or ``task:PATH@end``.
 
-    A path is names from the outside in, such as ``par/moving`` or just ``pick-up``, or the task's id; it may leave out
-    outer tasks. Of several that fit it is the first; ``task:pick-up#2@end`` is the second, ``#-1`` the last.
+    A path is the task's id, or names from the outside in, such as ``par/moving``; outer names may be left out. If
+    several tasks match, ``task:pick-up@end`` is the first, ``task:pick-up#2@end`` the second, and ``#-1`` the last.
 
     Raises:
-        NoSuchStep: there is no such task, or it has not ended.
+        NoSuchStep: there is no such task, or the task hasn't ended.
     """
     match = _TASK.fullmatch(text)
     if match is None:
-        raise NoSuchStep(repr(text), len(log), "a task's step is task:PATH@start or task:PATH@end")
+        raise NoSuchStep(repr(text), len(log), "the step of a task is task:PATH@start or task:PATH@end")
     number = int(match["which"] or 1)
     executions = _executions(log, match["path"], number)
     if not number or len(executions) < abs(number):
@@ -90,7 +90,7 @@ def task_step(log: RecordReader, text: str) -> int:
 def _executions(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
     """Return start and end of the tasks that match a path, up to that number."""
     searched = tuple(path.strip("/").casefold().split("/"))
-    paths: dict[int, tuple[str, ...]] = {}  # names from the outside in, of the tasks that run
+    paths: dict[int, tuple[str, ...]] = {}  # names of running tasks, from the outside in
     executions: list[list[int | None]] = []
     running: dict[int, list[int | None]] = {}
     for record in log.records(Task):
@@ -112,9 +112,9 @@ def _executions(log: RecordReader, path: str, number: int) -> list[list[int | No
 
 def _no_task_hint(log: RecordReader, path: str, count: int) -> str:
     if count:
-        return f"{count} tasks fit {path!r}; #1 is the first of them, #-1 the last"
+        return f"{count} tasks match {path!r}; #1 is the first, #-1 the last"
     names = (record.name for record in log.records(Task))
-    return f"no task fits {path!r}; {suggestion(path.rpartition('/')[2], names)}"
+    return f"no task matches {path!r}; {suggestion(path.rpartition('/')[2], names)}"
 
 
 def _at_time(log: RecordReader, seconds: float, text: str) -> int:
@@ -126,12 +126,12 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
         end = log.end_of(lifetime)
         if end is not None and end.sim_step > limit:
             return max(0, _passing(log, lifetime, limit) - 1)
-        if end is not None and end.sim_step == limit:  # up to its end, but not when it is closed: then it is empty
+        if end is not None and end.sim_step == limit:  # its last open step, as a closed world is empty
             return end.seq - 1 if closes_world(end) else (lifetime.stop or len(log)) - 1
         ends[lifetime.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
     longest = max(ends, key=lambda title: ends[title])
     raise NoSuchStep(
-        text, len(log), f"no world was simulated that long; the clock of {longest} ends at {ends[longest]:.3f}s"
+        text, len(log), f"no world was simulated for so long; the clock of {longest} ends at {ends[longest]:.3f}s"
     )
 
 

@@ -1,4 +1,4 @@
-"""A summary of a recording: what ran, when, for how long, and how it ended. Long recordings are read at both ends."""
+"""A summary of a recording: plan, times, worlds and outcome. Of a long recording only both ends are read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from replay.file.record_reader import RecordReader
 
-#: Recordings up to this size, in bytes, are read whole to check them; of larger ones only both ends.
+#: Recordings up to this size, bytes, are checked completely; of larger recordings only both ends are read.
 MAX_CHECKED: Final = 16 << 20
 
 
@@ -33,28 +33,28 @@ class Summary:
     """A summary of a recording."""
 
     plan: str
-    started: datetime  # wall-clock time of the first record
-    seconds: float  # by the clock from the first to the last record
-    worlds: tuple[WorldClock, ...]  # with the simulated time that each reached, in the order of their opening
+    started: datetime  # wall-clock time of the first record, UTC
+    seconds: float  # from the first to the last record
+    worlds: tuple[WorldClock, ...]  # in the order of their opening
     outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" where its end is damaged
-    failure: str  # of the plan, as "Type: message"; or ""
-    #: failures that ended threads of the plan's own while it went on, with the names of the threads
+    failure: str  # of the plan, as "Type: message"; "" without a failure
+    #: Names of the plan's own threads that failed while the plan continued, with their failures.
     threads: tuple[tuple[str, str], ...]
     records: int  # number of steps
     counts: Mapping[str, int]  # number of records of each kind
     attachments: int
     size: int  # of the file, bytes
-    problems: str  # what is missing or damaged, in words; or ""
-    checked: bool  # every part was read
+    problems: str  # missing or damaged parts, in words; "" without any
+    checked: bool  # whether every part was read
     metadata: Mapping[str, str]  # of the run
-    start: Run | None  # the first record, with what the plan was given; None if it is lost
+    start: Run | None  # the first record, with the plan's arguments; None if it is lost
 
 
 def summary(log: RecordReader) -> Summary:
     """Sum up a recording.
 
     Raises:
-        Unreadable: all of its records are damaged.
+        Unreadable: all records are damaged.
     """
     size = log.path.stat().st_size
     checked = size <= MAX_CHECKED
@@ -67,8 +67,8 @@ def summary(log: RecordReader) -> Summary:
     unfinished = "running" if log.live else "lost" if is_lost else "cut off"
     failed = "interrupted" if end is not None and end.failure.type == INTERRUPT else "failed"
     outcome = unfinished if end is None else "succeeded" if end.succeeded else failed
-    elapsed_ns = last.monotonic_ns - first.monotonic_ns  # right also if the wall clock was set meanwhile
-    if not last.monotonic_ns:  # as in older recordings
+    elapsed_ns = last.monotonic_ns - first.monotonic_ns  # correct even if the wall clock was set during the run
+    if not last.monotonic_ns:  # an older recording
         elapsed_ns = last.wall_time_ns - first.wall_time_ns
     ends = [(lifetime, log.end_of(lifetime)) for lifetime in log.lifetimes]
     steps = [(lifetime, end.sim_step if end is not None else 0) for lifetime, end in ends]

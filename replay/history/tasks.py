@@ -1,14 +1,14 @@
-"""The tasks of a recording: its failures and their root cause, the tasks around a record, and the tree of all.
+"""The tasks of a recording: its failures and their root cause, the tasks around a record, and the task tree.
 
-Failures are collected in one pass. Of successful tasks only motions, and the last of each kind, are kept; of very many
-tasks only the last ones, so that memory is bounded.
+Failures are collected in one pass. To bound memory, only motions and the last task of each kind are kept of successful
+tasks, and only the last tasks of very many.
 
-The root cause is the one failure that explains how a plan ended; ``why``, the step ``failure`` and trees use it:
+The root cause is the failure that explains how a plan ended. ``why``, the step ``failure`` and trees use it:
 
-- The plan failed: the task that raised its exception, or the nearest cause of that; else the plan's own code.
-- It was interrupted: the point of the interrupt, whatever failed before.
-- It succeeded, but a thread of its own failed: as if the plan had failed with that exception.
-- Otherwise, or if the recording was cut: the last failure that no task around it recovered from, or else the last.
+- If the plan failed: the task that raised the exception, or its nearest cause; without one, the plan's own code.
+- If the plan was interrupted: the point of the interrupt.
+- If the plan succeeded, but one of its threads failed: as if the plan had failed with that exception.
+- Otherwise: the last failure from which no outer task recovered; without one, the last failure.
 """
 
 from __future__ import annotations
@@ -32,33 +32,33 @@ if TYPE_CHECKING:
     from replay.history.source import Line
 
 
-_RUN_RECORDS: Final = 2  # of a run without failed threads: started, finished
-#: What a plan ends with that somebody interrupts.
+_RUN_RECORDS: Final = 2  # started and finished, of a run without failed threads
+#: The exception of an interrupted plan.
 INTERRUPT: Final = "KeyboardInterrupt"
-_UNPACKED: Final = 20_000  # tasks of a tree; each takes some 3 kB, packed ones less than 1
-_MAX_KEPT: Final = 5_000  # failures, and motions: a node with its records takes some 3 kB
+_UNPACKED: Final = 20_000  # tasks of a tree; each takes about 3 kB, a packed task less than 1 kB
+_MAX_KEPT: Final = 5_000  # failures or motions; a node with its records takes about 3 kB
 
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """Failed, unfinished and successful tasks; as parts they have only failed and unfinished tasks."""
+    """Failed, unfinished and successful tasks; successful parts of tasks are dropped."""
 
-    origins: tuple[Node, ...]  # the tasks in which failures began, in the order of their ends; the last ones
-    running: tuple[Node, ...]  # the tasks that have not ended, in the order of their starts
-    successes: Mapping[tuple[str, str], Node]  # the last successful one of each kind and name
-    motions: tuple[Node, ...] = ()  # the motions that have ended, in the order of their ends; the last ones
-    forgotten: int = 0  # number of earlier origins that were left out
-    first_motion: int | None = None  # the step at which the first motion began; None if none did
+    origins: tuple[Node, ...]  # the last tasks in which failures began, in the order of their ends
+    running: tuple[Node, ...]  # unfinished tasks, in the order of their starts
+    successes: Mapping[tuple[str, str], Node]  # the last successful task of each kind and name
+    motions: tuple[Node, ...] = ()  # the last finished motions, in the order of their ends
+    forgotten: int = 0  # number of earlier origins that were dropped
+    first_motion: int | None = None  # the step at which the first motion began; None without a motion
 
     @property
     def last_success(self) -> Node | None:
-        """The last motion, or else task, that succeeded."""
+        """The last successful motion; without one, the last successful task."""
         motions = [task for (kind, _), task in self.successes.items() if kind == "motion"]
         return max(motions or self.successes.values(), key=lambda task: task.last_step, default=None)
 
 
 def failures(log: RecordReader, stop: int | None = None) -> Failures:
-    """Return the failures of a recording, or of its part before a step."""
+    """Return the failures of a recording, or of the part before a step."""
     running: dict[int, Node] = {}
     successes: dict[tuple[str, str], Node] = {}
     origins: deque[Node] = deque()
@@ -98,7 +98,7 @@ def _keep(origins: deque[Node], task: Node) -> int:
 
 
 def failed_threads(log: RecordReader) -> tuple[Run, ...]:
-    """Return the records of the plan's own threads that failed while the plan went on."""
+    """Return the records of the plan's own threads that failed while the plan continued."""
     if log.counts().get("run", 0) <= _RUN_RECORDS:
         return ()
     return tuple(record for record in log.records(Run) if record.phase == Run.THREAD_FAILED)
@@ -108,13 +108,13 @@ def failed_threads(log: RecordReader) -> tuple[Run, ...]:
 class RootCause:
     """The root cause of a failure."""
 
-    #: The end of the task in which it began. If the plan's own code failed: the last step before worlds were closed, or
-    #: the step in which its thread ended.
+    #: The end of the task in which it began. If the plan's own code failed, the last step before worlds were closed, or
+    #: the end of the plan's thread.
     step: int
-    task: Node | None  # the task in which it began; None if the plan's own code did it
-    failure: Failure | None = None  # what the plan, or a thread of it, failed with; None if neither did
-    thread: str = ""  # name of that thread; "" if the plan failed
-    exceptions: tuple[ParsedException, ...] = ()  # those from that task on that led to the plan's failure, causes first
+    task: Node | None  # the task in which it began; None for the plan's own code
+    failure: Failure | None = None  # of the plan or its thread; None if neither failed
+    thread: str = ""  # name of the failed thread; "" if the plan failed
+    exceptions: tuple[ParsedException, ...] = ()  # from that task to the plan's failure, causes first
 
 
 def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:
@@ -126,12 +126,10 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
         return RootCause(task.last_step, task) if task is not None else None
     thread = end.thread if end.phase == Run.THREAD_FAILED else ""
     parsed = parse_traceback(end.failure.traceback, PlanSource(log))
-    last = parsed.pop() if parsed else ParsedException("", "", ())  # it is the failure itself: the record has its words
+    last = parsed.pop() if parsed else ParsedException("", "", ())  # the failure itself, whose message is in the record
     exceptions = (*parsed, ParsedException(end.failure.type, end.failure.message, last.lines, last.own))
-    earlier = [
-        task for task in failed.origins if task.last_step < end.seq
-    ]  # the plan may fail with the same error later
-    if end.failure.type == INTERRUPT:  # earlier failures aren't the reason
+    earlier = [task for task in failed.origins if task.last_step < end.seq]  # a later failure may have the same error
+    if end.failure.type == INTERRUPT:  # earlier failures didn't end the plan
         exceptions = exceptions[-1:]
         earlier = [task for task in earlier if task.error is not None and task.error[0] == INTERRUPT]
     origin = _origin(earlier, exceptions)
@@ -165,10 +163,10 @@ def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> t
 
 @dataclass(frozen=True, slots=True)
 class CausingTask:
-    """A task that a record is part of."""
+    """A task around a record."""
 
     started: Task  # the record of its start
-    #: the plan's lines that led to it, outermost first and that which started it last; empty if unknown
+    #: The plan's lines that led to the task, outermost first; empty if unknown.
     call_stack: tuple[Line, ...]
 
 
@@ -176,15 +174,15 @@ class CausingTask:
 class CausingTasks:
     """The tasks around a record, and the lines of the plan that led to it."""
 
-    #: the tasks that it is part of, innermost first; none if the plan itself did it, outside of any task
+    #: The tasks around the record, innermost first; empty if the plan acted outside of any task.
     tasks: tuple[CausingTask, ...]
-    #: the plan's lines that led to the record, outermost first and that line last: those that the record has if the
-    #: plan's own code made it, else those of the innermost task that has them
+    #: The plan's lines that led to the record, outermost first: the lines of the record, or of the innermost task that
+    #: has lines.
     call_stack: tuple[Line, ...]
 
 
 def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
-    """Return the tasks around a record; the record of a task is part of that task."""
+    """Return the tasks around a record; a record of a task is inside that task."""
     source = PlanSource(log)
     tasks = []
     number = record.task
@@ -199,7 +197,7 @@ def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
 
 
 def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterator[Query]:
-    """Yield the choices of a failed task's motion and of its parts."""
+    """Yield the choices of a failed task's motion and the motion's parts."""
     motion = failed.motion
     ids = {node.id for _, node in motion.walk()}
     end = motion.last_step + 1
@@ -209,10 +207,10 @@ def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterato
 
 
 def tree(log: RecordReader, stop: int | None = None) -> Tree:
-    """Return the task tree of a recording, as it was before a step if one is given.
+    """Return the task tree of a recording, by default at its end.
 
     Raises:
-        Damaged: tasks are nested deeper than any plan's.
+        Damaged: tasks are nested too deep.
     """
     folded = Tree(unpacked=_UNPACKED)
     depths = TaskDepths()
@@ -224,7 +222,7 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
                 raise Damaged(log.path, f"step {record.seq}", too_deep)
             folded.apply(record)
     if stop is None and uncaught_failure(log) is not None:
-        cause = root_cause(log)  # the plan's own failure is more specific than those of its tasks
+        cause = root_cause(log)  # the plan's failure is more specific than failures of its tasks
         folded.began = cause.task.id if cause is not None and cause.task is not None else 0
     failed = folded.failure_path()
     if failed:

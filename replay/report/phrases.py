@@ -1,4 +1,4 @@
-"""Phrases of all texts: values, numbers, tasks, lines of the plan, changes, records, answers of queries."""
+"""Phrases of all texts: values, numbers, lines of the plan, tasks, changes, records, answers and their evidence."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, Sampled
 
 
-_WIDTH: Final = 100  # characters of a value
-_MAX_NAMES: Final = 4  # that are listed one by one
-_MAX_REASONS: Final = 3  # why other candidates were rejected, in a line
+_WIDTH: Final = 100  # maximum characters of a value
+_MAX_NAMES: Final = 4  # names that are listed
+_MAX_REASONS: Final = 3  # reasons for rejected candidates in a line
 _PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling", "attempt"})
 
 
@@ -48,18 +48,18 @@ def value(recorded: Plain) -> str:
 
 
 def short(text: str) -> str:
-    """Return a text, cut to the width of a line."""
+    """Return a text, truncated to the width of a line."""
     return text if len(text) <= _WIDTH else text[: _WIDTH - 3] + "..."
 
 
 def one_line(text: str) -> str:
-    """Return the first line of a text, with "..." if there are more."""
+    """Return the first line of a text, with "..." if further lines follow."""
     first, _, more = text.strip().partition("\n")
     return f"{first} ..." if more else first
 
 
 def percent(share: float) -> str:
-    """Return a share."""
+    """Return a share in percent."""
     return f"{share:.0%}" if share in (0, 1) or 0.01 <= share <= 0.99 else f"{share:.1%}"
 
 
@@ -69,7 +69,7 @@ def plural(count: int, what: str) -> str:
 
 
 def names(items: Sequence[str]) -> str:
-    """Return the first few names as "a, b and 3 more"."""
+    """Return the first names, as in "a, b and 3 more"."""
     shown = list(items[:_MAX_NAMES])
     if len(items) > _MAX_NAMES:
         shown.append(f"{len(items) - _MAX_NAMES} more")
@@ -83,7 +83,7 @@ def number(amount: float) -> str:
 
 
 def apart(before: float, after: float) -> tuple[str, str]:
-    """Return two numbers with as many digits as distinguish them."""
+    """Return two numbers with enough digits to distinguish them."""
     if number(before) != number(after) or before == after:
         return number(before), number(after)
     texts = ((f"{before:.{digits}g}", f"{after:.{digits}g}") for digits in range(3, 17))
@@ -96,7 +96,7 @@ def vector(values: Sequence[float]) -> str:
 
 
 def vectors(before: Sequence[float], after: Sequence[float]) -> tuple[str, str]:
-    """Return two vectors with as many digits as distinguish them."""
+    """Return two vectors with enough digits to distinguish them."""
     pairs = [apart(a, b) for a, b in zip(before, after, strict=True)]
     return f"[{', '.join(a for a, _ in pairs)}]", f"[{', '.join(b for _, b in pairs)}]"
 
@@ -109,18 +109,18 @@ def length(metres: float) -> str:
 
 
 def degrees(angle: float) -> str:
-    """Return an angle."""
+    """Return an angle (rad) in degrees."""
     value = math.degrees(angle)
     return f"{value:.1f} degrees" if value >= 0.05 else f"{value:.1g} degrees"
 
 
 def turned(angle: float) -> str:
-    """Return by how much something turned."""
+    """Return a turn by an angle (rad)."""
     return f"turned by {degrees(angle)}"
 
 
 def seconds(duration_ns: int) -> str:
-    """Return how long something took."""
+    """Return a duration in s or ms."""
     return f"{duration_ns / 1e9:.2f} s" if duration_ns >= 1e9 else f"{duration_ns / 1e6:.1f} ms"
 
 
@@ -128,8 +128,8 @@ def seconds(duration_ns: int) -> str:
 
 
 def path(file: str) -> str:
-    """Return a file's path, relative to the current folder if it is in there."""
-    with suppress(ValueError, OSError):  # it is elsewhere; the folder is gone
+    """Return a file's path, relative to the current folder if the folder contains the file."""
+    with suppress(ValueError, OSError):  # the file is in another folder, or the current folder is gone
         return str(PurePath(file).relative_to(Path.cwd()))
     return file
 
@@ -140,18 +140,18 @@ def place(line: Line) -> str:
 
 
 def at(line: Line | None) -> str:
-    """Return ", at file:line" for the end of a clause; "" if the line isn't known."""
+    """Return ", at file:line" for the end of a clause; "" for an unknown line."""
     return f", at {place(line)}" if line is not None else ""
 
 
 def location(line: Line) -> str:
-    """Return a line of the plan: its location and its text."""
+    """Return the location and the text of a line of the plan."""
     function = f" in {line.function}" if line.function else ""
     return f"{place(line)}{function}" + (f":  {short(line.text)}" if line.text else "")
 
 
 def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> Iterator[str]:
-    """Yield a call stack, innermost line first, without the outer lines that were printed with another one."""
+    """Yield a call stack, innermost line first, without outer lines that were printed with another stack."""
     common = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, earlier, strict=False)) for earlier in printed)
     shared = max((len(list(pairs)) for pairs in common), default=0)
     printed.append(stack)
@@ -174,7 +174,7 @@ def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
     if kind == "timeout":
-        from recorder.records.text import timeout_text  # noqa: PLC0415  most verbs show no tasks
+        from recorder.records.text import timeout_text  # noqa: PLC0415  few verbs need it
 
         return timeout_text(name, parameters.get("clock"))
     called = name if kind == "process-module" else call(name, parameters)
@@ -187,7 +187,7 @@ def node(task_: Node) -> str:
 
 
 def error(task_: Node) -> str:
-    """Return the error of a task in a line; its status if it has none."""
+    """Return the error of a task in a line; without an error, its status."""
     return one_line(task_.error[1] or task_.error[0]) if task_.error is not None else task_.status.word
 
 
@@ -211,7 +211,7 @@ def handler(started: Task) -> str:
 # --- the world: changes, attachments, beliefs -------------------------------------------------------------------------
 
 
-#: How something changed, as in :class:`replay.history.blame.Blame` and the causes of failures.
+#: Verbs for the values of ``how`` in :class:`replay.history.blame.Blame` and in causes of failures.
 _CHANGES: Final[Mapping[str, str]] = {
     "command": "was moved",
     "carried": "was carried",
@@ -223,14 +223,14 @@ _CHANGES: Final[Mapping[str, str]] = {
     "restored": "moved when a saved state was restored",
     "load": "was loaded",
     "removed": "was removed",
-    "attached": "was taken",
+    "attached": "was attached",
     "detached": "was detached",
-    "in-hand": "was moved itself while a hand held it, off that hand",
+    "in-hand": "was moved away from the hand that held it",
 }
 
 
 def change(name: str, how: str, mover: str = "") -> str:
-    """Return the change of a body or joint; ``mover`` carried it, or moved it along."""
+    """Return the change of a body or joint; ``mover`` is the body that carried it, or on which it moved along."""
     if how in ("gravity", "joints"):
         return "gravity was set" if how == "gravity" else f"joints of {name} moved"
     word = {"carried": "by", "along": "with"}.get(how) if mover else None
@@ -238,25 +238,25 @@ def change(name: str, how: str, mover: str = "") -> str:
 
 
 def carrier(held: Attachment) -> str:
-    """Return a carrier, with the link that holds a body."""
+    """Return a carrier with its holding link."""
     return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
 
 
 def learned(source: str, step: int) -> str:
-    """Return how a robot came to believe something, as "seen at step 40"."""
-    words = {"held": "in its hand since", "told": "told by the world's state at", "placed": "let go of there at"}
+    """Return the source of a belief, as in "seen at step 40"."""
+    words = {"held": "in its hand since", "told": "read from the world's state at", "placed": "released there at"}
     word = words.get(source, f"{source} at")
     return f"{word} step {step}" if step >= 0 else f"{word.rpartition(' ')[0]} before the recording"
 
 
 def sampled(moment: Sampled, *, exact: bool = False) -> str:
-    """Return how a moment within a stretch of simulation is known."""
+    """Return the time of a moment within a stretch of simulation, and the source of its state."""
     stretch = f"step {moment.step} ({moment.world} simulated from {moment.start:.3f} s to {moment.end:.3f} s)"
     if exact:
-        return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to then"
+        return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to that time"
     if moment.at == moment.start:
-        return f"at {moment.asked:.3f} s, within {stretch}: as before it: no sample shows motion until then"
-    return f"at {moment.asked:.3f} s, within {stretch}: as sampled at {moment.at:.3f} s, to 0.01 mm"
+        return f"at {moment.asked:.3f} s, within {stretch}: the state before the stretch, as nothing had moved yet"
+    return f"at {moment.asked:.3f} s, within {stretch}: sampled at {moment.at:.3f} s, accurate to 0.01 mm"
 
 
 # --- records ----------------------------------------------------------------------------------------------------------
@@ -284,11 +284,11 @@ def question(query: Query) -> str:
 
 
 def answer(query: Query) -> str:
-    """Return the answer: yes, no, the objects found, or the failure; and whether a fork gave it."""
+    """Return the answer of a query: yes, no, objects, or the failure; and its override by a fork."""
     if query.HasField("failure"):
         return failure(query.failure)
     if query.by_fork:
-        return f"{_answer(query.answer_json)}, by the fork; else {_answer(query.own_answer_json)}"
+        return f"{_answer(query.answer_json)}, set by the fork (own answer: {_answer(query.own_answer_json)})"
     return _answer(query.answer_json)
 
 
@@ -300,7 +300,7 @@ def _answer(text: str) -> str:
 
 
 def reasons(query: Query) -> str:
-    """Return the evidence for an answer, and why other candidates were rejected."""
+    """Return the evidence for an answer, and the reasons for rejected candidates."""
     evidence = argument_values(query.evidence)
     found = []
     for key, item in evidence.items():
@@ -326,7 +326,7 @@ def _share(share: Plain, evidence: _Evidence) -> str:
         return ""
     visible, unoccluded = evidence.get("pixels_seen"), evidence.get("pixels_alone")
     how_much = "all" if share >= 1 else "nothing" if not share else f"{share:.0%}"
-    return f"{how_much} of it is seen" + (f" ({visible} of {unoccluded} pixels)" if unoccluded else "")
+    return f"{how_much} of it is visible" + (f" ({visible} of {unoccluded} pixels)" if unoccluded else "")
 
 
 def _hidden(bodies: Plain, _: _Evidence) -> str:
@@ -346,7 +346,7 @@ def _distance(distance: Plain, evidence: _Evidence) -> str:
     if isinstance(turn, int | float) and turn >= math.radians(1):
         turned = f" and is turned by {math.degrees(turn):.0f} degrees"
     if distance < 1e-3 and not turned:
-        return "there is a posture for it"
+        return "a posture reaches it"
     return f"the nearest posture stays {distance:.3f} m away{turned}"
 
 
@@ -372,7 +372,7 @@ def _measure(text: str, factor: float) -> Callable[[Plain, _Evidence], str]:
     return lambda amount, _: text.format(amount * factor) if isinstance(amount, int | float) else ""
 
 
-#: Phrases for parts of queries' evidence; single values that are not here are printed with their names.
+#: Phrases for parts of a query's evidence; other values are printed with their names.
 _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
     "share": _share,
     "hidden_by": _hidden,
@@ -385,5 +385,5 @@ _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
         f"in {steps / STEPS_PER_SECOND:.2f} s of simulation" if isinstance(steps, int) else ""
     ),
 }
-#: Parts that the phrases of others include.
+#: Parts that are included in phrases of other parts.
 _INCLUDED: Final = frozenset({"pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})

@@ -1,8 +1,8 @@
-"""Questions as people type them: ``visible(milk, wide_stereo_optical_frame)``.
+"""Questions for ``ask``: ``visible(milk, wide_stereo_optical_frame)``.
 
-A small language, read with Python's parser but never executed: one call of a query with names, strings, numbers, lists
-and keyword arguments. A name is an object, the robot, or a frame: whichever the query takes. A query as records show it
-can be typed as a question too, with ``true``, ``false`` and ``null``.
+A question is one call of a query with names, strings, numbers, lists and keyword arguments. Python's parser reads it,
+but it is never executed. A name is an object, the robot or a frame, depending on the query. The text of a recorded
+query is a question, too, with ``true``, ``false`` and ``null``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """An identifier that isn't in quotes; of a dotted one the last part: ``BulletWorld.robot`` is the robot."""
+    """An identifier without quotes; of a dotted name the last part: ``BulletWorld.robot`` is the robot."""
 
     text: str
 
@@ -36,7 +36,7 @@ Term: TypeAlias = "Name | str | float | int | bool | list[Term] | None"
 
 @dataclass(frozen=True, slots=True)
 class QueryCall:
-    """One call of a query, with positional and keyword arguments."""
+    """A call of a query, with positional and keyword arguments."""
 
     query: str
     arguments: tuple[Term, ...] = ()
@@ -49,24 +49,24 @@ class QueryCall:
 
 
 class BadQuestion(ReplayError):
-    """A question that isn't one, or that the world of that step has no answer to."""
+    """A question that is malformed, or that the world of that step can't answer."""
 
     def __init__(self, question: str, cause: str) -> None:
         super().__init__(f"{question}: {cause}")
-        self.question = question  # as it was asked
-        self.cause = cause  # what is wrong with it
+        self.question = question  # the question's text
+        self.cause = cause  # the error in the question
 
 
 def question_of(record: Query) -> QueryCall:
     """Return a recorded query as a question with its recorded argument names.
 
     Raises:
-        BadQuestion: its arguments can't be read.
+        BadQuestion: the arguments can't be decoded.
     """
     try:
         arguments = {argument.name: _recorded(json.loads(argument.json)) for argument in record.arguments}
     except ValueError as error:
-        raise BadQuestion(f"step {record.seq}", f"its arguments make no sense: {error}") from error
+        raise BadQuestion(f"step {record.seq}", f"its arguments can't be decoded: {error}") from error
     return QueryCall(record.name, (), {name: term for name, term in arguments.items() if term is not None})
 
 
@@ -82,16 +82,16 @@ def parse(text: str) -> QueryCall:
     """Parse a question such as ``visible(milk, [0.5, 0.6, 1.5], threshold=0.5)``.
 
     Raises:
-        BadQuestion: it isn't one call with plain arguments.
+        BadQuestion: the text isn't a single call with plain arguments.
     """
     try:
-        with warnings.catch_warnings(action="ignore"):  # of Python, about what looks like code to it
+        with warnings.catch_warnings(action="ignore"):  # Python warns about text that looks like mistaken code
             call = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         cause = error.msg if isinstance(error, SyntaxError) else str(error)
-        raise BadQuestion(text, f"it can't be read: {cause}") from None
+        raise BadQuestion(text, f"it can't be parsed: {cause}") from None
     if not isinstance(call, ast.Call):
-        raise BadQuestion(text, "a question is the call of a query, as stable(milk)")
+        raise BadQuestion(text, "a question is the call of a query, such as stable(milk)")
     try:
         query = _identifier(call.func)
         arguments = tuple(_term(node) for node in call.args)
@@ -107,7 +107,7 @@ def parse(text: str) -> QueryCall:
 
 
 class _NotATerm(Exception):
-    """An expression that the language doesn't have."""
+    """An expression that a question can't contain."""
 
 
 def _term(node: ast.expr) -> Term:
@@ -124,7 +124,7 @@ def _term(node: ast.expr) -> Term:
             return -number if isinstance(node.op, ast.USub) else number
     if isinstance(node, ast.Constant) and (node.value is None or isinstance(node.value, bool | int | float | str)):
         return node.value
-    raise _NotATerm(f"{ast.unparse(node)} can't be an argument (a name that is no identifier goes into quotes)")
+    raise _NotATerm(f"{ast.unparse(node)} can't be an argument (put a name that isn't an identifier into quotes)")
 
 
 def _identifier(node: ast.expr) -> str:
@@ -133,7 +133,7 @@ def _identifier(node: ast.expr) -> str:
         return node.attr
     if isinstance(node, ast.Name):
         return node.id
-    raise _NotATerm(f"{ast.unparse(node)} is no name")
+    raise _NotATerm(f"{ast.unparse(node)} isn't a name")
 
 
 def _text(term: Term) -> str:

@@ -1,1 +1,1 @@
-"""From records to states: the fold, states as data, and how two of them differ."""
+"""States of worlds: the fold of records, states as data, and checks of records."""

@@ -1,7 +1,7 @@
-"""Fold records into states: each world's last keyframe, then the effects up to a step. No physics runs.
+"""Folds records into states: each world's last keyframe, then the effects up to a step. No physics runs.
 
-Effects hold what was read back from the engine, with all bits. So a state is exact, and the fold gives the same from
-the start as from any keyframe.
+Effects hold the values that were read back from the engine, with all bits. So a state is exact, and the fold from the
+start equals the fold from any keyframe.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 FAR: Final = 1e9
-"""The largest number in a state, m, rad, m/s or rad/s: an object put 1e6 m away may fall from there for hours."""
+"""The largest number in a state, m, rad, m/s or rad/s: an object at 1e6 m may fall for hours."""
 
 CHANGES: Final = (Mutation, Keyframe, Query)
-"""The records that change a state; of queries, those that taught a robot where objects are."""
+"""The records that change a state. A query changes the state if it updates a robot's beliefs."""
 
 _NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # the pose of a body whose loading is lost
 _AT_REST: Final = (0.0,) * 6
@@ -46,9 +46,9 @@ _SHORTEST, _LONGEST = 0.99, 1.01  # squared lengths of a unit quaternion
 
 
 def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
-    """Return the state after records that begin with the opening of each world, or with a keyframe of it.
+    """Return the state after records that begin with the opening or a keyframe of each world.
 
-    The state's step is at least that of the last record; records that don't change worlds only count as steps.
+    The state's step is at least the step of the last record; other records only count as steps.
     """
     worlds: dict[str, WorldBuilder] = {}
     for record in all_records:
@@ -64,15 +64,15 @@ def state_at(log: RecordReader, step: int, moment: float | None = None) -> State
     by the record's samples.
 
     Raises:
-        Damaged: a record makes no sense.
+        Damaged: a record is inconsistent.
     """
     worlds: dict[str, WorldBuilder] = {}
     first = step
     for lifetime in log.lifetimes:
-        if lifetime.has(step):  # else it isn't opened yet, or its name is taken again
+        if lifetime.has(step):  # otherwise it isn't open yet, or its name was reused
             first = min(first, _fold_lifetime(log, lifetime, step, worlds))
     lost = ", ".join(range_text(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
-    uncertainty = f"what steps {lost} changed is lost" if lost else ""
+    uncertainty = f"the changes of steps {lost} are lost" if lost else ""
     sampled = _apply_samples(log, step + 1, worlds, moment) if moment is not None else None
     return State(step, {name: world.build() for name, world in worlds.items()}, uncertainty, log.assets, sampled)
 
@@ -122,7 +122,7 @@ def _last_keyframe(log: RecordReader, lifetime: Lifetime, step: int) -> Keyframe
 
 
 def apply(worlds: dict[str, WorldBuilder], record: records.Record) -> None:
-    """Bring worlds, by name, from before a record to after it; records that don't change worlds are ignored."""
+    """Apply a record to worlds, by name; records that don't change worlds are ignored."""
     name, before = record.world, worlds.get(record.world)
     if isinstance(record, Query) and before is not None and beliefs.is_look(record):
         before.look(record)
@@ -132,7 +132,7 @@ def apply(worlds: dict[str, WorldBuilder], record: records.Record) -> None:
     if isinstance(record, Keyframe):
         worlds[name] = WorldBuilder.of_keyframe(record)
     elif record.HasField("open_world"):
-        worlds.pop(name, None)  # in the order of opening, also when a name is taken again
+        worlds.pop(name, None)  # keeps the order of opening if a name is reused
         worlds[name] = WorldBuilder(name, record.open_world.mode)
         lifetime += before is not None
     elif before is None:
@@ -143,7 +143,7 @@ def apply(worlds: dict[str, WorldBuilder], record: records.Record) -> None:
 
 
 class WorldBuilder:
-    """A mutable :class:`replay.state.state.World`, folded record by record; its attributes are the world's fields."""
+    """A mutable :class:`replay.state.state.World`, built record by record."""
 
     def __init__(self, name: str, mode: str = "DIRECT") -> None:
         self.name = name
@@ -194,11 +194,11 @@ class WorldBuilder:
         )
 
     def look(self, record: Query) -> None:
-        """Apply a query that taught a robot where objects are."""
+        """Apply a query that updates a robot's beliefs."""
         beliefs.look(self.beliefs, argument_values(record.evidence), record.sim_step, record.seq)
 
     def apply(self, record: Mutation) -> None:
-        """Apply a mutation: its command where that alone changes the state, then its effect."""
+        """Apply a mutation: its command, as far as the effect lacks the change, then its effect."""
         self.sim_step = record.sim_step
         command = record.WhichOneof("command")
         if command == "load_body":
@@ -246,7 +246,7 @@ class WorldBuilder:
         elif command == "stop_trajectory":
             number = record.stop_trajectory.number
             known = self.following.pop(number, None)
-            # one whose beginning is lost stays unknown, and one that hasn't moved yet ends
+            # a trajectory whose beginning is lost stays unknown; a trajectory that hasn't moved yet ends
             if known is not None and known.began < self.sim_step:
                 self.following[number] = stopped = Following(begin=known.begin, began=known.began)
                 stopped.stopped = known.stopped or self.sim_step
@@ -348,7 +348,7 @@ def _vector(values: Sequence[float]) -> Vector:
 def _quaternion(values: Sequence[float]) -> Quaternion:
     x, y, z, w = values[:]
     if not _SHORTEST <= x * x + y * y + z * z + w * w <= _LONGEST:
-        raise ValueError(f"{[x, y, z, w]} is no unit quaternion")
+        raise ValueError(f"{[x, y, z, w]} isn't a unit quaternion")
     return x, y, z, w
 
 
@@ -365,13 +365,13 @@ def _beyond(numbers: Sequence[float]) -> ValueError:
 
 
 def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:
-    """Return the last step, up to a step, at which any world or the one of a name was open."""
+    """Return the last step, up to a step, at which a world was open; with a name, the world of that name."""
     worlds = state_at(log, step).worlds
     if any(world.open for world in worlds.values() if name in (None, world.name)):
         return step
     lives = [lifetime for lifetime in log.lifetimes if name in (None, lifetime.world)]
     ends = {record.seq for record in map(log.end_of, lives) if record is not None and closes_world(record)}
     end = max((seq for seq in ends if seq <= step), default=step + 1)
-    while end - 1 in ends:  # the end of a plan closes all worlds, one after the other
+    while end - 1 in ends:  # the end of a plan closes all worlds one after another
         end -= 1
     return end - 1

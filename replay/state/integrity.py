@@ -1,4 +1,4 @@
-"""Verify a recording without an engine: its file is sound and its records are consistent.
+"""Verifies a recording without an engine: its file is sound, and its records are consistent.
 
 - Steps have no gap and time never decreases. A cause is recorded before its effect.
 - Every task that starts ends once, under the same name, and its parent exists.
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """A value that differs from the recorded one."""
+    """A value that differs from the recorded value."""
 
-    field: str  # as ``effect.bodies[milk].position[0]``
-    recorded: Plain  # None if there is none
-    found: Plain  # None if there is none
+    field: str  # such as ``effect.bodies[milk].position[0]``
+    recorded: Plain  # None if it is missing
+    found: Plain  # None if it is missing
 
     @property
     def size(self) -> float:
@@ -79,40 +79,40 @@ def _short(value: Plain) -> str:
 class Problem:
     """An inconsistency."""
 
-    step: int | None  # None if it belongs to no step
+    step: int | None  # None for a problem of no step
     cause: str  # in words
-    deviation: Deviation | None = None  # the first wrong value, if there is one
+    deviation: Deviation | None = None  # the first wrong value
     task: tuple[str, ...] = ()  # names of the tasks around the step, outermost first
 
 
 class Integrity:
-    """Checks records one after the other.
+    """Checks records in their order.
 
     Args:
-        lost: steps that are known to be missing; no world is known after them.
+        lost: missing steps; after them no world is known.
         newer: whether a newer release made the recording, whose tasks may have unknown phases.
     """
 
     def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
         self._lost = tuple(lost)
-        self.steps = self._next = 0  # number of records checked
-        self.keyframes = 0  # number of keyframes compared with the fold of the records before them
+        self.steps = self._next = 0  # number of checked records
+        self.keyframes = 0  # number of keyframes that were compared with the fold
         self.tasks = TaskIntegrity(newer=newer)
-        self.resumed = False  # whether records were missing before the last one
+        self.resumed = False  # whether records were missing before the last record
         self._time = self._monotonic = 0
         self._events: set[int] = set()
         self._worlds: dict[str, WorldBuilder] = {}
 
     def world(self, name: str) -> World:
-        """Return the state of a known world after the records so far."""
+        """Return the current state of a known world."""
         return self._worlds[name].build()
 
     def knows(self, world: str) -> bool:
-        """Return whether the state of a world is known: it was opened, or had a keyframe, after missing records."""
+        """Return whether a world's state is known: since missing records, it was opened or had a keyframe."""
         return world in self._worlds
 
     def check(self, record: Record) -> Problem | None:
-        """Check the next record; return the problem with it, or with the records before it."""
+        """Check the next record; return its problem, or a problem of previous records."""
         step, expected = record.seq, self._next
         self.resumed = step > expected and any(expected in gap and step - 1 in gap for gap in self._lost)
         if self.resumed:
@@ -120,7 +120,7 @@ class Integrity:
             self._worlds.clear()
         elif step != expected:
             lost = str(expected) if step == expected + 1 else f"{expected} to {step - 1}"
-            return Problem(expected, f"step {lost} is missing: what followed from it can't be checked")
+            return Problem(expected, f"step {lost} is missing: its consequences can't be checked")
         self._next = step + 1
         self.steps += 1
         cause = self._check_envelope(record)
@@ -135,7 +135,7 @@ class Integrity:
         deviation = None
         if isinstance(record, Keyframe) and self.knows(record.world) and not cause:
             deviation = self._compare_keyframe(record)
-            cause = "" if deviation is None else "the keyframe differs from the fold of the records before it"
+            cause = "" if deviation is None else "the keyframe differs from the fold of the previous records"
         if isinstance(record, Mutation | Keyframe | Query) and not cause:
             cause = self._apply_change(record)
         return Problem(step, cause, deviation, self.tasks.path(record.task)) if cause else None
@@ -144,11 +144,11 @@ class Integrity:
         before = self._time, self._monotonic
         self._time, self._monotonic = record.wall_time_ns, record.monotonic_ns
         if record.wall_time_ns < before[0]:
-            return "its wall time is before that of the previous step"
+            return "its wall time is before the wall time of the previous step"
         if record.monotonic_ns < before[1]:
-            return "its monotonic time is before that of the previous step"
+            return "its monotonic time is before the monotonic time of the previous step"
         if record.cause and record.cause not in self._events and not self.tasks.partial:
-            return f"its cause, step {record.cause}, is no event before it"
+            return f"its cause, step {record.cause}, isn't a previous event"
         if isinstance(record, Event | Envelope):
             self._events.add(record.seq)
         return ""
@@ -160,7 +160,7 @@ class Integrity:
         try:
             apply(self._worlds, record)
         except (ValueError, IndexError) as error:
-            return f"the record makes no sense: {error}"
+            return f"the record is inconsistent: {error}"
         return ""
 
     def _compare_keyframe(self, frame: Keyframe) -> Deviation | None:
@@ -181,7 +181,7 @@ def _plain(world: World) -> Plain:
     assert isinstance(held, list)  # noqa: S101  for mypy
     pairs: dict[str, Plain] = {f"{each['carrier']}, {each['body']}": each for each in held if isinstance(each, dict)}
     loaded: list[Plain] = [
-        # a keyframe has the present color there
+        # a keyframe has the current color here
         {key: value for key, value in message_data(body.loaded).items() if key != "color"}
         for body in world.bodies.values()
     ]
@@ -190,7 +190,7 @@ def _plain(world: World) -> Plain:
 
 MAX_DEPTH: Final = 2000
 """Levels of nested tasks; Python's stack ends at about 1,000."""
-_MAIN_THREAD: Final = "MainThread"  # ends the run in recordings of release 0.1.0, which don't record the thread
+_MAIN_THREAD: Final = "MainThread"  # the thread that ends the run in recordings of release 0.1.0, which lack it
 #: Phases that may follow each phase of a task; a requested branch may be cancelled before it starts.
 _AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
     None: (Task.ASKED, Task.STARTED),
@@ -213,13 +213,13 @@ class TaskDepths:
         self._depths: dict[int, int] = {}
 
     def too_deep(self, record: Task) -> str:
-        """Check the next record of a task; return that it is nested too deep, or ""."""
+        """Check the next record of a task; return an error if it is nested too deep, otherwise ""."""
         depth = self._depths[record.task] = self._depths.get(record.parent, 0) + 1
-        return f"its task is nested more than {MAX_DEPTH} deep" if depth > MAX_DEPTH else ""
+        return f"its task is nested more than {MAX_DEPTH} levels deep" if depth > MAX_DEPTH else ""
 
 
 class TaskIntegrity:
-    """Checks records of tasks and the run one after the other.
+    """Checks records of tasks and the run in their order.
 
     Args:
         newer: whether a newer release made the recording, whose tasks may have unknown phases and statuses.
@@ -228,17 +228,17 @@ class TaskIntegrity:
     def __init__(self, *, newer: bool = False) -> None:
         self._newer = newer
         self.tasks = 0  # number of tasks
-        self.partial = False  # whether records are missing, which may have begun or ended any task
+        self.partial = False  # whether records are missing, which may have started or finished any task
         self._names: dict[int, tuple[str, int]] = {}
         self._phases: dict[int, Task.Phase] = {}
         self._running: dict[int, Task] = {}
         self._threads: dict[int, str] = {}
-        self._left = 0  # number of tasks that are left running when the recording ends
+        self._left = 0  # number of tasks that still run when the recording ends
         self._run: Run | None = None
 
     @property
     def unfinished(self) -> int:
-        """Number of tasks that have not ended."""
+        """Number of unfinished tasks."""
         return len(self._running) + self._left
 
     def path(self, number: int) -> tuple[str, ...]:
@@ -250,7 +250,7 @@ class TaskIntegrity:
         return tuple(reversed(names))
 
     def knows(self, number: int) -> bool:
-        """Return whether a task has begun, or may have; 0 is no task."""
+        """Return whether a task has started, or may have started; 0 means no task."""
         return not number or number in self._names or self.partial
 
     def resume(self) -> None:
@@ -259,7 +259,7 @@ class TaskIntegrity:
         self._running.clear()
 
     def check(self, record: Task) -> str:
-        """Check the next record of a task; return what is wrong with it, or ""."""
+        """Check the next record of a task; return its error, or ""."""
         number, before = record.task, self._phases.get(record.task)
         if self._newer and record.phase not in Task.Phase.values():
             return ""
@@ -292,7 +292,7 @@ class TaskIntegrity:
         if self._newer and record.status not in Task.Status.values():
             return ""
         if record.status not in _STATUSES.get(record.phase, ()):
-            return f"{subject} is {_name(record.phase)} with a status that doesn't go with that"
+            return f"{subject} is {_name(record.phase)} with a status that contradicts this phase"
         cause = _failure(failed=record.status == Task.FAILED, recorded=record.HasField("failure"))
         if cause:
             return f"{subject} {cause}"
@@ -300,22 +300,22 @@ class TaskIntegrity:
         if began is None:
             return ""
         for field in _SAME:
-            # the parent of a task that runs on may be in no record
+            # the parent of a task that still runs may be in no record
             elsewhere = field == "parent" and (began.began_ns or record.phase == Task.LEFT)
             if getattr(began, field) != getattr(record, field) and not elsewhere:
-                return f"the {field} of {subject} isn't that of its beginning at step {began.seq}"
+                return f"the {field} of {subject} differs from its start at step {began.seq}"
         return ""
 
     def check_run(self, record: Run) -> str:
-        """Check the next record of the run; return what is wrong with it, or ""."""
+        """Check the next record of the run; return its error, or ""."""
         failed = record.phase == Run.THREAD_FAILED or (record.phase == Run.FINISHED and not record.succeeded)
         cause = _failure(failed=failed, recorded=record.HasField("failure"))
         if cause:
             return f"the run {cause}"
         if record.succeeded and record.phase != Run.FINISHED:
-            return "the run succeeded, but does not end here"
+            return "the run succeeded, but doesn't end here"
         if self._run is not None and record.name != self._run.name:
-            return f"the run is called {record.name!r}, at its start {self._run.name!r}"
+            return f"the run is called {record.name!r}, but {self._run.name!r} at its start"
         self._run = self._run or record
         if record.phase != Run.FINISHED:
             return ""
@@ -345,25 +345,25 @@ class Verification:
 
     steps: int  # number of checked steps
     tasks: int  # number of tasks that started
-    unfinished: int  # number of tasks that had not ended when the recording did
-    keyframes: int  # number of keyframes that were compared with the records before them
+    unfinished: int  # number of tasks that were unfinished at the end
+    keyframes: int  # number of keyframes that were compared with the fold
     files: int  # number of attached files
     changes: int  # number of changes that were executed again
     worlds: int  # number of worlds in which changes were executed again
-    # Names of worlds whose physics aren't compared:
+    # Names of worlds whose physics isn't compared:
     late: tuple[str, ...] = ()  # they were open before the recording
-    dragged: tuple[str, ...] = ()  # from where somebody dragged a body by hand
-    environment: tuple[str, ...] = ()  # how this environment differs from that of the recording, in words
-    largest: Deviation | None = None  # that the environment or the engine's rounding may explain
+    dragged: tuple[str, ...] = ()  # after a body was dragged by hand
+    environment: tuple[str, ...] = ()  # differences of this environment from the recorded environment, in words
+    largest: Deviation | None = None  # a deviation that the environment or the engine's rounding may explain
     problem: Problem | None = None  # the first problem
-    damage: str = ""  # damaged or lost parts of the file; that an unclosed recording lacks its end is no damage
-    incomplete: str = ""  # that the recording wasn't closed, or lost records before it was repaired
-    unknown: tuple[str, ...] = ()  # worlds whose physics aren't compared from where a newer release changed them
+    damage: str = ""  # damaged or lost parts of the file; the missing end of an unclosed recording is no damage
+    incomplete: str = ""  # why it is incomplete: it wasn't closed, or records were lost before its repair
+    unknown: tuple[str, ...] = ()  # worlds whose physics isn't compared after a change by a newer release
     static: bool = False  # whether nothing was executed again
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is wrong with the records that exist."""
+        """Whether the existing records have no problem."""
         return self.problem is None and not self.damage
 
     @property
@@ -373,7 +373,7 @@ class Verification:
 
 
 def verify_static(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:
-    """Verify everything that needs no engine, up to the first problem; ``progress`` is called with each step."""
+    """Verify without an engine, up to the first problem; ``progress`` is called with each step."""
     return Verifier(log).run(progress)
 
 
@@ -392,11 +392,11 @@ class Verifier:
         self.unknown: dict[str, None] = {}
         self.environment: tuple[str, ...] = ()
         self.largest: Deviation | None = None
-        self.damage: list[str] = []  # found in records, in addition to the file's
+        self.damage: list[str] = []  # damage of records, in addition to the file's damage
         self._depths = TaskDepths()
 
     def run(self, progress: Callable[[int], None] | None) -> Verification:
-        """Run every check that any verb does, and compare the records."""
+        """Run all checks of reading, and check the records."""
         self.log.check()
         problem = self._first_problem(progress)
         return Verification(

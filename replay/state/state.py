@@ -60,27 +60,27 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """One body carried by another."""
+    """The attachment of a body to its carrier."""
 
     carrier: str
-    carrier_link: str  # "" is its base
+    carrier_link: str  # "": its base
     body: str
-    body_link: str  # the link that is held; "" is its base
+    body_link: str  # the held link; "": its base
     position: Vector  # of the carried body's base in the carrier's link, m
     orientation: Quaternion  # of the same, xyzw
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedBelief:
-    """Where a robot believes an object to be; see :mod:`recorder.records.beliefs`."""
+    """The pose of an object as a robot believes it; see :mod:`recorder.records.beliefs`."""
 
     robot: str
     object: str
-    position: Vector  # of the object's base in the world, m; of a held object, where the gripper has it
+    position: Vector  # of the object's base in the world, m; of a held object, its true position
     orientation: Quaternion  # of the same, xyzw
-    source: str  # "seen"; "told", by the world's state; "held"; "placed", where the robot let go of it
-    sim_step: int  # the simulated step of 1/240 s at which the robot learned it
-    step: int  # the record that taught it: a look, a grasp or a release; -1: it is older than the recording
+    source: str  # "seen"; "told", by the world's state; "held"; "placed", where the robot released it
+    sim_step: int  # simulated steps of 1/240 s until the robot learned it
+    step: int  # its record: a look, a grasp or a release; -1: it is older than the recording
 
     @property
     def pose(self) -> Pose:
@@ -90,7 +90,7 @@ class RecordedBelief:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A world."""
+    """The state of a world."""
 
     name: str
     open: bool = True  # a closed world is empty
@@ -98,17 +98,17 @@ class World:
     sim_step: int = 0  # simulated steps of 1/240 s
     gravity: Vector = (0.0, 0.0, 0.0)  # m/s^2
     realtime: bool = False  # whether it is simulated in real time
-    robot: str = ""  # the robot that plans control
-    lifetime: int = 1  # the number of its lifetime, from 1: a name can be taken again
+    robot: str = ""  # name of the robot of plans
+    lifetime: int = 1  # the number of its lifetime, from 1: a name can be reused
     bodies: Mapping[str, Body] = field(default_factory=dict)  # by name, in the order of loading
     attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)  # by names of carrier and body
     following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow, by number
-    #: By names of robot and object; the latest is last.
+    #: Beliefs by names of robot and object, the latest last.
     beliefs: Mapping[tuple[str, str], RecordedBelief] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
-        """Its name for people; see :func:`replay.file.lifetimes.title`."""
+        """Its name in texts; see :func:`replay.file.lifetimes.title`."""
         return title(self.name, self.lifetime)
 
     @property
@@ -127,7 +127,7 @@ class World:
         return self.bodies[name]
 
     def carrier(self, body: str) -> Attachment | None:
-        """Return the attachment that carries a body, if any."""
+        """Return the attachment of a body to its carrier; None if it isn't carried."""
         return next((held for held in self.attachments.values() if held.body == body), None)
 
     def carried(self, carrier: str) -> list[Attachment]:
@@ -135,7 +135,7 @@ class World:
         return [held for held in self.attachments.values() if held.carrier == carrier]
 
     def believed(self, what: str | None = None, robot: str | None = None) -> list[RecordedBelief]:
-        """Return what robots believe, latest first.
+        """Return the robots' beliefs, latest first.
 
         Args:
             what: name or type of objects; None for all.
@@ -151,14 +151,14 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """A moment within a stretch of simulation, which has 30 samples a simulated second."""
+    """A moment within a stretch of simulation; there are 30 samples in each simulated second."""
 
     step: int  # the record of the stretch
     world: str
     start: float  # the world's clock before the stretch, s of simulated time
     end: float  # the world's clock after the stretch, s
     asked: float  # the requested moment, s
-    #: The last sample until then, s; ``start`` if there is none. A sample is missing only if nothing moved visibly.
+    #: The last sample up to that moment, s; ``start`` without a sample. Samples without visible motion are left out.
     at: float
 
 
@@ -168,12 +168,12 @@ class State:
 
     step: int
     worlds: Mapping[str, World]  # by name, in the order of their opening
-    uncertainty: str = ""  # which lost records could have changed the state, in words
+    uncertainty: str = ""  # lost records that may have changed the state, in words
     assets: Assets | None = field(default=None, repr=False, compare=False)  # the recording's attached files
-    sampled: Sampled | None = None  # how a moment within a stretch is known; None after a step
+    sampled: Sampled | None = None  # the moment within a stretch of simulation; None after a step
 
     def world(self, name: str | None = None) -> World:
-        """Return a world by name; by default the open one that was opened last.
+        """Return a world by name; by default the last opened world that is still open.
 
         Raises:
             NoSuchName: there is no such world.
@@ -188,7 +188,7 @@ class State:
         return self.worlds[name]
 
     def body(self, name: str, world: str | None = None) -> Body:
-        """Return a body by name, of a world or of the world opened last of those that have it.
+        """Return a body by name, of a world; by default of the last opened world with such a body.
 
         Raises:
             NoSuchName: there is no such body.
@@ -200,14 +200,14 @@ class State:
         raise self.no_body(name, worlds)
 
     def no_body(self, name: str, worlds: Iterable[World]) -> NoSuchName:
-        """Return the error for a body that none of some worlds has."""
+        """Return the error for a body that is missing in some worlds."""
         opened = [world for world in worlds if world.open]
         known = [body for world in opened for body in world.bodies]
         elsewhere = [world.name for world in self.worlds.values() if world not in opened and name in world.bodies]
         if opened and elsewhere:
             here, there = (", ".join(names) for names in ([world.name for world in opened], elsewhere))
             return NoSuchName(
-                "object", name, known, f"it is in {there}, not in {here}; choose one with --world, or world="
+                "object", name, known, f"it is in {there}, not in {here}; choose a world with --world, or world="
             )
         return NoSuchName("object", name, known, "" if opened else self._none_open())
 
@@ -219,7 +219,7 @@ class State:
         """Return the model of a body, from the recording.
 
         Raises:
-            NoSuchName: the recording doesn't have it.
+            NoSuchName: the recording lacks the model.
         """
         if self.assets is None or not body.models:
             raise NoSuchName("attached model of", body.name, ())
@@ -229,11 +229,11 @@ class State:
         """Return the pose of a body's link in the world, m and xyzw; "" is its base.
 
         Raises:
-            NoSuchName: the body has no such link, or the recording has no model of it.
+            NoSuchName: the body has no such link, or the recording lacks its model.
         """
         if not link:
             return body.pose
-        from recorder import geometry  # noqa: PLC0415  these need numpy, which reading mostly doesn't
+        from recorder import geometry  # noqa: PLC0415  needs numpy, which most verbs don't
         from recorder.urdf import UrdfError  # noqa: PLC0415
 
         model = self.urdf(body)
@@ -246,9 +246,9 @@ class State:
         """Return the poses of all links of a body in the world, m and xyzw, by name.
 
         Raises:
-            NoSuchName: the recording has no model of the body.
+            NoSuchName: the recording lacks its model.
         """
-        from recorder import geometry  # noqa: PLC0415  needs numpy, which reading mostly doesn't
+        from recorder import geometry  # noqa: PLC0415  needs numpy, which most verbs don't
 
         poses = self.urdf(body).link_poses(body.joints).items()
         return {link: geometry.multiply(body.pose, pose) for link, pose in poses}

@@ -194,7 +194,7 @@ def test_diff_with_a_cut_recording_exits_with_3(tmp_path: Path, capsys: pytest.C
         output = capsys.readouterr()
         assert "has no such record" in output.out or "they diverge" in output.out
         assert "incomplete" in output.err
-        assert "broke off" in output.out.splitlines()[-1]
+        assert "was cut off" in output.out.splitlines()[-1]
 
 
 def test_small_changes_are_printed_with_enough_digits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""The causes of a failure. A new kind is a file with its class, and its place in the list here."""
+"""The kinds of causes of a failure, and their order. A new kind is a class in a file, and an entry in this list."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from replay.explain.causes.waiting import Interruption, Timeout
 if TYPE_CHECKING:
     from replay.explain.causes.case import Cause, FailureCase
 
-#: All kinds, those that explain most first.
+#: All kinds; the kinds that explain most come first.
 KINDS: Final[tuple[type[Cause], ...]] = (
     Swallowed,
     RefusedRequest,
@@ -34,9 +34,9 @@ KINDS: Final[tuple[type[Cause], ...]] = (
 
 
 def find(case: FailureCase) -> tuple[Cause, ...]:
-    """Return the causes of a failure that the recording holds, those that explain most first.
+    """Return the causes of a failure that are on record, those that explain most first.
 
-    What a deeper cause explains isn't listed. There are none if the recording holds no more than the failure.
+    Causes that a deeper cause explains are left out.
     """
     ended = tuple(Interruption.find(case))
     if ended:

@@ -1,7 +1,7 @@
-"""A failure with all that the finders of its causes need, and the base class of all kinds of causes.
+"""A failure with the facts from which causes are found, and the base class of all kinds of causes.
 
-A kind has its data, finder and words in one file. The names of ``kind`` and of the fields are those of ``why --json``
-(docs/why.md): they don't change.
+A kind has its data, finder and text in one file. Its ``kind`` and its field names are keys of ``why --json``
+(docs/why.md), so they don't change.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Cause:
     """A cause of a failure."""
 
     kind: ClassVar[str]
-    steps: tuple[int, ...]  # of the records that it rests on, in order
+    steps: tuple[int, ...]  # steps of the records from which it follows, sorted
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Self]:
@@ -55,12 +55,12 @@ class Cause:
     def _words(self) -> Iterator[str]:
         raise NotImplementedError
 
-    def is_explained(self, found: Sequence[Cause]) -> bool:  # noqa: ARG002  most kinds stand whatever else was found
-        """Return whether a deeper cause that was found explains the same."""
+    def is_explained(self, found: Sequence[Cause]) -> bool:  # noqa: ARG002  most kinds ignore it
+        """Return whether another found cause explains this cause."""
         return False
 
     def lines(self) -> Iterator[str]:
-        """Yield the words with the details indented."""
+        """Yield the text, with indented details."""
         first, *details = self._words()
         yield first
         yield from (f"  {line}" for line in details)
@@ -73,20 +73,22 @@ class CausingChange:
     step: int
     body: str
     joint: str = ""  # "": the body's pose changed
-    #: as in :class:`replay.history.blame.Blame`, or "attached", "detached", "joints", "gravity", "in-hand" (it was
-    #: moved itself while a hand held it, and stays in that hand)
+    #: As in :class:`replay.history.blame.Blame`, or "attached", "detached", "joints", "gravity", or "in-hand" (it was
+    #: moved by a command while a hand held it, and is still attached to the hand).
     how: str = ""
-    task: Task | None = None  # the start of its innermost motion or handler, or else task; None: the plan itself did it
-    line: Line | None = None  # the plan's line that requested it
-    mover: str = ""  # what the command moved, if that is something else: a body, or ``JOINT of BODY``
+    task: Task | None = (
+        None  # the start of its innermost motion or handler; without one, of its task; None: outside of tasks
+    )
+    line: Line | None = None  # the plan's line that requested the change
+    mover: str = ""  # the moved body, or ``JOINT of BODY``, if the command moved something else
     distance: float = 0.0  # m, of a revolute joint rad
     angle: float = 0.0  # rad
-    handler: Task | None = None  # the start of the handler's call that it is part of
-    by_fork: bool = False  # whoever forked the run did it, not the plan
+    handler: Task | None = None  # the start of the handler's call around the change
+    by_fork: bool = False  # the fork made the change, not the plan
 
     @property
     def originator(self) -> str:
-        """Who made the change, and the plan's line."""
+        """The originator of the change, and the plan's line."""
         if self.by_fork:
             return ", by the fork"
         task, handler, by = self.task, self.handler, ""
@@ -110,7 +112,7 @@ class CausingChange:
 
 
 def since(change: CausingChange | None, verb: str = "") -> str:
-    """Return since which step something is so, and who did it; "" if it always was."""
+    """Return ", since step N" with the originator of a change; "" without a change."""
     if change is None:
         return ""
     return f", {f'{verb} at' if verb else 'since'} step {change.step}{change.originator}"
@@ -118,16 +120,18 @@ def since(change: CausingChange | None, verb: str = "") -> str:
 
 @dataclass(frozen=True)
 class FailureCase:
-    """A failure."""
+    """A failure, and the facts around it."""
 
     log: RecordReader
-    step: int  # of the failure
+    step: int  # the step of the failure
     failure: Failure  # the exception that was raised
-    task: Node | None  # in which it began; None: the plan's own code failed, outside of all tasks
-    failed: Failures  # failed and successful tasks until then
-    state: State  # of all worlds then
-    world: World | None  # that the failure is about; None if none was open
-    exceptions: tuple[ParsedException, ...] = field(default=(), repr=False)  # that led to it, causes first
+    task: Node | None  # the task in which it began; None: the plan's own code failed outside of all tasks
+    failed: Failures  # failed and successful tasks before the failure
+    state: State  # of all worlds at the failure
+    world: World | None  # the world of the failure; None without an open world
+    exceptions: tuple[ParsedException, ...] = field(
+        default=(), repr=False
+    )  # the exceptions that led to it, causes first
 
     # --- the failed task ---------------------------------------------------------------------------------------------
 
@@ -138,19 +142,19 @@ class FailureCase:
 
     @cached_property
     def motion(self) -> Node | None:
-        """The failed motion; None if the failure began outside of motions, or in the plan's code within one."""
+        """The failed motion; None if the failure began outside of motions, or in the plan's code inside a motion."""
         if self.task is None or self.task.kind not in _WITH_MOTIONS or self.task.motion.kind != "motion":
             return None
         return self.task.motion
 
     @cached_property
     def began(self) -> int:
-        """The step at which the failed motion began; without one, the step of the failure."""
+        """The step at which the failed motion began; without a motion, the step of the failure."""
         return self.motion.started.seq if self.motion is not None else self.step
 
     @cached_property
     def given(self) -> Mapping[str, Plain]:
-        """The parameters of the motion, with the inferred ones; empty without a motion."""
+        """The parameters of the motion, including inferred parameters; empty without a motion."""
         if self.motion is None or self.task is None:
             return {}
         inner = self.task.parameters if self.task.kind == "process-module" else {}
@@ -185,7 +189,7 @@ class FailureCase:
 
     @cached_property
     def traced(self) -> tuple[ParsedException, ...]:
-        """The exceptions of the task's own failure, causes first; without a task, those of the plan's."""
+        """The exceptions of the task's failure, causes first; without a task, of the plan's failure."""
         if self.task is not None and self.task.failure is not None and self.task.failure.traceback:
             return tuple(parse_traceback(self.task.failure.traceback, self.source))
         return self.exceptions
@@ -194,7 +198,7 @@ class FailureCase:
 
     @property
     def robot(self) -> Body | None:
-        """The robot; None if there is none."""
+        """The robot; None without a robot."""
         return self.world.bodies.get(self.world.robot) if self.world is not None else None
 
     @cached_property
@@ -210,14 +214,14 @@ class FailureCase:
         return state_at(self.log, self.began).worlds.get(self.world.name)
 
     def held_by(self, arm: str) -> Attachment | None:
-        """Return what an arm held when the motion began; None if it held nothing."""
+        """Return the attachment to an arm when the motion began; None for an empty hand."""
         if self.before is None or self.robot is None:
             return None
         held = self.before.carried(self.robot.name)
         return next((each for each in held if each.carrier_link == self.hands.get(arm, "")), None)
 
     def free_body(self, name: str) -> Body | None:
-        """Return a body that can be moved; None if it is fixed, the robot, or not there."""
+        """Return a movable body; None if it is fixed, the robot, or unknown."""
         body = self.world.bodies.get(name) if self.world is not None else None
         return None if body is None or body.fixed_base or body is self.robot else body
 
@@ -239,7 +243,7 @@ class FailureCase:
         return tuple(found)
 
     def holder(self, body: str, step: int | None = None) -> str:
-        """Return who holds an object: the name of the robot's arm, or the carrier with its link; "" for nobody."""
+        """Return the holder of an object: the name of the robot's arm, or the carrier with its link; "" for none."""
         state = self.state if step is None else state_at(self.log, step)
         world = state.worlds.get(self.world.name) if self.world is not None else None
         held = world.carrier(body) if world is not None else None
@@ -252,7 +256,7 @@ class FailureCase:
     # --- records -----------------------------------------------------------------------------------------------------
 
     def motions(self, *names: str) -> Iterator[Node]:
-        """Yield this world's motions with one of the names that ended before the failed motion began, last first."""
+        """Yield this world's motions of some names that ended before the failed motion began, last first."""
         for motion in reversed(self.failed.motions):
             earlier = motion.last_step < self.began and motion is not self.motion
             if earlier and motion.name in names and self.is_here(motion.started):
@@ -266,7 +270,7 @@ class FailureCase:
         return (record.world, lifetime.number if lifetime is not None else 0) == (self.world.name, self.world.lifetime)
 
     def blame(self, target: str) -> Blame | None:
-        """Return the last change of a body, or a joint (``BODY.JOINT``); None if it isn't on record."""
+        """Return the last change of a body or a joint (``BODY.JOINT``); None if it isn't on record."""
         try:
             return blame(self.log, target, self.step, self.world.name if self.world is not None else None)
         except NoSuchName:
@@ -301,7 +305,7 @@ class FailureCase:
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
         handler = next((each for each in tasks if each.kind == HANDLER), None)
         if task is not None and task is handler:
-            stack = because.call_stack or stack  # its own line, not the line that fired the event
+            stack = because.call_stack or stack  # the handler's line, not the line that fired the event
         mover = _mover(record)
         other = mover if mover != body and not joint else ""
         by_fork = isinstance(record, Mutation) and record.by_fork
@@ -311,13 +315,14 @@ class FailureCase:
     # --- lines of the plan -------------------------------------------------------------------------------------------
 
     def line_of(self, record: Task | Mutation | Refusal) -> Line | None:
-        """Return the plan's line that caused a record; None if it isn't known."""
+        """Return the plan's line that caused a record; None if unknown."""
         return self.line(self.source.call_stack(record))
 
     def line(self, stack: Sequence[Line]) -> Line | None:
-        """Return the innermost line of a call stack that caused only one motion, else only motions of one name.
+        """Return the innermost informative line of a call stack.
 
-        Lines of general helper functions aren't informative.
+        A line is informative if it requested a single motion, or only motions of one name. Lines of general helper
+        functions request many motions.
         """
         performed = [(line, self._motions_by_line[line.file, line.number]) for line in reversed(stack)]
         one = [line for line, motions in performed if len(motions) <= 1]
@@ -336,7 +341,7 @@ class FailureCase:
     def names_in(self, lines: Sequence[Line], context: type[ast.expr_context]) -> set[tuple[str, str]]:
         """Return the variables that the statements at some lines read (``ast.Load``), or set or fill (``ast.Store``).
 
-        Each has its function's name before its own.
+        A variable is a pair of its function's name and its own name.
         """
         found: set[tuple[str, str]] = set()
         for line in lines:
@@ -349,7 +354,7 @@ class FailureCase:
         return found
 
 
-_SETTLED = 0.02, math.radians(15)  # m, rad up to which a move in simulation is settling
+_SETTLED = 0.02, math.radians(15)  # m, rad; smaller moves in simulation are settling
 
 
 def _mover(record: Mutation | Keyframe) -> str:
@@ -389,7 +394,7 @@ def _names_in(data: Mapping[str, Plain]) -> Iterator[str]:
         yield from reasons
 
 
-_FILLING: Final = ("add", "append", "extend", "insert", "setdefault", "update")  # methods of lists and the like
+_FILLING: Final = ("add", "append", "extend", "insert", "setdefault", "update")  # methods of containers
 
 
 def _filled_containers(statement: ast.stmt) -> Iterator[str]:
@@ -441,7 +446,7 @@ def about(task: Node, *, body: str = "", arm: str = "") -> bool:
 
 
 def values(task: Node) -> dict[str, Plain]:
-    """Return the parameters of a motion; with the inferred ones if it was resolved."""
+    """Return the parameters of a motion, including inferred parameters if it was resolved."""
     inferred = [part.parameters for part in task.children if part.kind == "process-module"]
     return task.parameters | (inferred[0] if inferred else {}) | task.solution
 

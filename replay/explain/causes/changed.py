@@ -1,6 +1,6 @@
-"""The world had changed: an object was gone, a hand was in the wrong state, an answer or a belief no longer held.
+"""The world had changed: an object was removed, a hand was in a wrong state, an answer or a belief no longer held.
 
-If an answer or a perception contradicts the later failure, something that it depends on has changed. Changes by physics
+If an answer or a perception contradicts the later failure, a fact on which it depends has changed. Changes by physics
 are explained in :mod:`replay.explain.causes.physics`.
 """
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
-#: Which queries, answered yes (or with nothing, of the second kind), contradict which failures.
+#: Queries that contradict a failure if they were answered yes; in ``_NOTHING``, if they found nothing.
 _YES: Final = {
     "Unreachable": _REACH,
     "HandleUnreachable": _REACH,
@@ -37,26 +37,26 @@ _YES: Final = {
 }
 _NOTHING: Final = {"Blocked": ("blocking",), "HandleBlocked": ("blocking",), "PerceptionError": ("occluding",)}
 _MOVED: Final = (1e-3, 5e-3)  # m, rad
-_IN_HAND: Final = 0.05  # m; less is an adjustment
+_IN_HAND: Final = 0.05  # m; smaller moves are adjustments
 _SEARCHED: Final = 5_000  # records before the failure
 _BELIEVED: Final = frozenset(
     ("Blocked", "GraspFailed", "LookingFailed", "ObjectNotFound", "PerceptionError", "PlaceFailed", "Unreachable")
 )
-_AWAY: Final = 0.02  # m; less is settling
-_GONE: Final = re.compile(r": object (.+) is gone$")  # of the message of a WorldClosed
+_AWAY: Final = 0.02  # m; smaller distances are settling
+_GONE: Final = re.compile(r": object (.+) is gone$")  # in messages of WorldClosed
 
 
 @dataclass(frozen=True, slots=True)
 class NoLonger(Cause):
-    """An answer or perception that the plan relied on was true, and isn't any more."""
+    """An answer or a perception on which the plan relied is no longer true."""
 
     kind = "no-longer-true"
-    asked: Query | Node  # the query with its positive answer, or the successful task
-    changes: tuple[CausingChange, ...]  # since then
+    asked: Query | Node  # the query with the outdated answer, or the successful task
+    changes: tuple[CausingChange, ...]  # after the answer
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoLonger]:
-        """Yield the last answer or perception that no longer held, or the pick-up of what was moved in the hand."""
+        """Yield the last outdated answer or perception, or the pick-up of an object that was moved in the hand."""
         yield from _moved_in_hand(case)
         asked: Query | Node | None = _contradicted_query(case)
         if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
@@ -69,7 +69,7 @@ class NoLonger(Cause):
             yield NoLonger((seq, *(change.step for change in changes), case.step), asked, changes)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether misbeliefs explain the outdated perception."""
+        """Return whether wrong beliefs explain the outdated perception."""
         believed = {each.body for each in found if isinstance(each, Misbelief)}
         return isinstance(self.asked, Node) and believed.issuperset(change.body for change in self.changes)
 
@@ -78,21 +78,21 @@ class NoLonger(Cause):
             said = f"{phrases.question(self.asked)} was answered {phrases.answer(self.asked)} at step {self.asked.seq}"
         else:
             said = f"{phrases.node(self.asked)} succeeded at step {self.asked.last_step}"
-        yield f"{said}, and no longer held at step {self.steps[-1]}:"
+        yield f"{said}; at step {self.steps[-1]} it was no longer true:"
         yield from (change.row for change in self.changes)
 
 
 @dataclass(frozen=True, slots=True)
 class Misbelief(Cause):
-    """The robot believed that an object was elsewhere."""
+    """The robot's belief about an object was wrong."""
 
     kind = "misbelief"
     body: str
-    source: str  # "seen", "told" by the world's state, or "placed", where the robot let go of it
-    learned: int  # the step; -1: before the recording
+    source: str  # "seen", "told" by the world's state, or "placed", where the robot released it
+    learned: int  # the step at which the robot learned it; -1: before the recording
     position: tuple[float, ...]  # of the belief, m
     distance: float  # between the belief and the object, m
-    change: CausingChange | None  # the last change of the object since; None if unknown
+    change: CausingChange | None  # the last change of the object since the belief; None if unknown
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Misbelief]:
@@ -118,23 +118,23 @@ class Misbelief(Cause):
 
     def _words(self) -> Iterator[str]:
         moved = f"at step {self.change.step} {self.change}; " if self.change is not None else ""
-        was = f"at step {self.steps[-1]} it was {phrases.length(self.distance)} from there"
+        was = f"at step {self.steps[-1]} it was {phrases.length(self.distance)} away from that position"
         at = phrases.vector(self.position)
         yield f"{self.body} was believed at {at}, {phrases.learned(self.source, self.learned)}; {moved}{was}"
 
 
 @dataclass(frozen=True, slots=True)
 class Gone(Cause):
-    """The object that the plan used, or the last of the type that it looked for, had been removed."""
+    """The object that the plan used, or the last object of a wanted type, had been removed."""
 
     kind = "removed"
     body: str
-    change: CausingChange  # the record that removed it
-    loaded: CausingChange | None = None  # the record that loaded another one of its name since then
+    change: CausingChange  # its removal
+    loaded: CausingChange | None = None  # the later loading of another object with its name
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Gone]:
-        """Yield the removal of the object that the plan used, or of the last one of the type that it looked for."""
+        """Yield the removal of the object that the plan used, or of the last object of a wanted type."""
         name, removal = _removal(case)
         if removal is None:
             return
@@ -154,18 +154,18 @@ class Gone(Cause):
 
 @dataclass(frozen=True, slots=True)
 class HandState(Cause):
-    """A hand didn't hold what it should, or held something that it shouldn't."""
+    """A hand didn't hold its object, or held an object although it should have been empty."""
 
     kind = "hand-state"
-    precondition: str  # "held": the arm should have held the object; "hand-free": it should have been free of it
+    precondition: str  # "held": the arm should have held the object; "hand-free": it should not have held the object
     body: str
     arm: str  # the arm of the failed motion
-    holder: str  # the holder at the failure: an arm, or ``CARRIER (LINK)``; "" if there was none
-    change: CausingChange | None  # the record since when it was so; None if it always was
+    holder: str  # the holder at the failure: an arm, or ``CARRIER (LINK)``; "" without a holder
+    change: CausingChange | None  # the change that led to this state; None without a change
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[HandState]:
-        """Yield why a hand didn't hold the motion's object, or still held another one."""
+        """Yield that a hand didn't hold the motion's object, or still held another object."""
         arm = str(case.given.get("arm") or "")
         for lack in lacking(case):
             if lack.precondition not in ("held", "hand-free") or (lack.precondition == "hand-free" and case.pairs):
@@ -175,7 +175,7 @@ class HandState(Cause):
             yield HandState(steps, lack.precondition, lack.subject, arm, case.holder(lack.subject), change)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether the object was removed, or a failure or refusal before left the hand so."""
+        """Return whether the object was removed, or an earlier failure or refusal explains the state."""
         return any(
             (isinstance(each, Gone) and each.body == self.body)
             or (
@@ -194,7 +194,7 @@ class HandState(Cause):
         if self.holder:
             end = f": the {self.holder} one did" if " " not in self.holder else f": {self.holder} did"
         else:
-            end = since(self.change, "let go of") if self.change is not None else ": nothing had taken it"
+            end = since(self.change, "let go of") if self.change is not None else ": no hand had taken it"
         yield f"the {self.arm} gripper didn't hold {self.body} {step}{end}"
 
 
@@ -257,7 +257,7 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
         ):
             continue
         removal = removal_of(case, name, step) if before is not None else None
-        if removal is not None:  # the body with that name is another one
+        if removal is not None:  # the present body with that name is another body
             yield case.change(removal, name, "removed")
         yield from _last_change(case, name, step)
     before, after = then.bodies.get(robot), case.world.bodies.get(robot)
@@ -272,7 +272,7 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
 def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingChange]:
     change = case.blame(name)
     if change is not None and change.how == "physics" and change.earlier is not None:
-        change = change.earlier  # changes by physics are another cause
+        change = change.earlier  # changes by physics are another kind of cause
     if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
         yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
 
@@ -334,7 +334,7 @@ def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
 
 
 def removal_of(case: FailureCase, name: str, start: int = 0) -> Mutation | None:
-    """Return the last record since a step that removed the object with a name; None if there is none."""
+    """Return the last record since a step that removed an object; None without a removal."""
     for record in case.log.backwards(case.step, Mutation, naming=name):
         if record.seq < start:
             break

@@ -1,9 +1,8 @@
-"""A failed motion lacked a precondition: an earlier motion failed, or a request was refused, and the plan went on.
+"""A failed motion lacked a precondition: an earlier motion failed, or a request was refused, and the plan continued.
 
-The last motion that should have established the precondition failed, was cancelled, or was skipped as a perception had
-found nothing. "Last" is by object, arm and joint. It isn't a cause if a later motion succeeded, or if any other change
-was made to the same object or joint. A refused request is a cause until the request is fulfilled, or something else is
-done to the same object or joint.
+The last motion of the same object, arm or joint that should have established the precondition failed, was cancelled, or
+was skipped as a perception had found nothing. It isn't a cause if a later motion succeeded, or if the object or joint
+changed otherwise. A refused request is a cause until it is fulfilled, or the object or joint changes otherwise.
 """
 
 from __future__ import annotations
@@ -37,32 +36,35 @@ _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
 _SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
 _NEARER: Final = 0.05  # m
-_IN: Final = 0.03  # m by which an object's base may stick out of a drawer's boxes
+_IN: Final = 0.03  # m, tolerance of the boxes of a drawer around an object's base
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
-_MISSING_VALUE: Final = ("DesignatorError", "BadArgument")  # errors due to a plan's None, besides Python's own
+_MISSING_VALUE: Final = (
+    "DesignatorError",
+    "BadArgument",
+)  # errors due to a None of the plan, in addition to Python's errors
 _EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors due to a missing value in a container
 _MAX_ALSO: Final = 3
 _MAX_SETTING: Final = 100  # number of motions that may have filled a list
-_GOES_ON: Final = 2000  # number of records in which the plan's next step is searched
+_GOES_ON: Final = 2000  # number of records that are searched for the plan's next step
 _POSES: Final = ("set_position", "set_orientation", "set_position_and_orientation")
 _JOINTS: Final = ("set_joint_position", "set_joint_positions")
 _SEEN: Final = ("PerceptionError", "LookingFailed")
 _HANDS: Final = ("held", "hand-free")
-_REFUSALS: Final = 200  # number of refusals before the failure that are searched
+_REFUSALS: Final = 200  # number of searched refusals before the failure
 #: Phrases for lacking preconditions.
 _LACKED: Final = {
     "held": "so the {arm} gripper didn't hold {subject}",
     "hand-free": "so the {arm} gripper still held {subject}",
-    "clear": "so {subject} was where it had been",
-    "joint-moved": "so {subject} was as it had been",
-    "at-pose": "so the robot wasn't where it should have been",
+    "clear": "so {subject} had not moved",
+    "joint-moved": "so {subject} had not moved",
+    "at-pose": "so the robot stood at the wrong place",
     "posture": "so the {arm} arm wasn't in that posture",
-    "camera-directed": "so the camera looked elsewhere",
-    "result": "so {subject} had no value from it",
+    "camera-directed": "so the camera looked in another direction",
+    "result": "so {subject} had no value",
 }
 _REFUSED: Final = _LACKED | {
-    "moved": "so {subject} was where it had been",
+    "moved": "so {subject} had not moved",
     "loaded": "so there was no {subject}",
     "held": "so nothing held {subject}",
     "hand-free": "so {subject} was still held",
@@ -71,24 +73,24 @@ _REFUSED: Final = _LACKED | {
 
 @dataclass(frozen=True, slots=True)
 class Swallowed(Cause):
-    """An earlier task failed or was cancelled, the plan went on, and a later task lacked its effect."""
+    """An earlier task failed or was cancelled, the plan continued, and a later task lacked its effect."""
 
     kind = "swallowed-failure"
     #: The lacking precondition: "held" (the arm holds the object), "hand-free" (the arm holds nothing), "clear" (the
-    #: object isn't in the way), "joint-moved", "at-pose" (the robot stands where it was sent), "posture" (of the arm),
+    #: object isn't in the way), "joint-moved", "at-pose" (the robot stands at its target), "posture" (of the arm),
     #: "camera-directed", "result" (of a task, in a variable)
     precondition: str
-    subject: str  # the object, joint or variable; "" for none
-    arm: str  # "" for none
+    subject: str  # the object, joint or variable, or ""
+    arm: str  # or ""
     failed: Node  # the earlier task
-    line: Line | None  # the plan's line that requested it
-    went_on: Line | None  # the plan's line that ran next
-    also: tuple[Node, ...] = ()  # failed alternatives, as with the other arm
-    skipped: Line | None = None  # the plan's line that skipped the use of the variable, such as a loop over nothing
+    line: Line | None  # the plan's line that requested the task
+    went_on: Line | None  # the plan's next line
+    also: tuple[Node, ...] = ()  # other failed attempts, such as with the other arm
+    skipped: Line | None = None  # the line that skipped the use of the variable, such as a loop over an empty list
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Swallowed]:
-        """Yield the failures whose missing effects made the motion, or the plan's line, fail."""
+        """Yield the failures whose missing effects made the motion or the plan's line fail."""
         for lack in lacking(case):
             last = next((motion for motion in case.motions(*lack.motions) if lack.fits(motion)), None)
             if last is not None and last.status in _UNSUCCESSFUL and not _was_done_since(case, lack, last):
@@ -105,19 +107,19 @@ class Swallowed(Cause):
         lacked = f"{_lacked(_LACKED[self.precondition], self.subject, self.arm)} at step {self.steps[-1]}"
         if self.skipped is not None:
             skipped = f"{phrases.place(self.skipped)} was skipped: {self.skipped.text}"
-            lacked = f"so {self.subject} had nothing from it, and {skipped}"
+            lacked = f"so {self.subject} was empty, and {skipped}"
         how = f"{_where(self.line)} {'was cancelled' if failed.status is State.CANCELLED else 'failed'}"
-        went_on = f"the plan went on{_where(self.went_on)}; {lacked}"
+        went_on = f"the plan continued{_where(self.went_on)}; {lacked}"
         yield f"{phrases.node(failed)}{how} at step {failed.last_step} and {went_on}"
         if failed.error is not None:
-            yield f"it failed with: {phrases.error(failed)}"
+            yield f"its failure: {phrases.error(failed)}"
         for task in self.also:
-            yield f"so did {phrases.node(task)} at step {task.last_step}: {phrases.error(task)}"
+            yield f"{phrases.node(task)} failed as well at step {task.last_step}: {phrases.error(task)}"
 
 
 @dataclass(frozen=True, slots=True)
 class RefusedRequest(Cause):
-    """A request of the plan was refused, the plan went on, and a later motion lacked its effect."""
+    """A request of the plan was refused, the plan continued, and a later motion lacked its effect."""
 
     kind = "refused"
     #: The lacking precondition: "held", "hand-free", "clear", "joint-moved" and "result" as of :class:`Swallowed`;
@@ -125,9 +127,9 @@ class RefusedRequest(Cause):
     precondition: str
     subject: str  # the object, joint or variable
     asked: Refusal
-    line: Line | None  # the plan's line that requested it
-    went_on: Line | None  # the plan's line that ran next
-    handler: Task | None = None  # the start of the handler's call that asked for it
+    line: Line | None  # the plan's line that requested the task
+    went_on: Line | None  # the plan's next line
+    handler: Task | None = None  # the start of the handler's call that made the request
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[RefusedRequest]:
@@ -139,7 +141,7 @@ class RefusedRequest(Cause):
             if number == _REFUSALS:
                 return
             if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
-                continue  # it is the failure itself, or was tried before in the same way
+                continue  # the failure itself, or the same attempt before
             if not case.is_here(refusal):
                 continue
             for missed in _missing_effects(case, refusal):
@@ -152,8 +154,8 @@ class RefusedRequest(Cause):
         inside = f", in {phrases.handler(self.handler)}," if self.handler is not None else ""
         lacked = f"{_lacked(_REFUSED.get(self.precondition, ''), self.subject)} at step {self.steps[-1]}"
         refused = f"{phrases.refused(asked)}{_where(self.line)} was refused at step {asked.seq}{inside}"
-        yield f"{refused} and the plan went on{_where(self.went_on)}; {lacked}"
-        yield f"it was refused with: {phrases.failure(asked.failure)}"
+        yield f"{refused} and the plan continued{_where(self.went_on)}; {lacked}"
+        yield f"the reason: {phrases.failure(asked.failure)}"
 
 
 def _where(line: Line | None) -> str:
@@ -172,15 +174,15 @@ class Lacking:
     """A precondition that a motion lacked."""
 
     precondition: str  # as in :class:`Swallowed`
-    subject: str  # the object or joint; "" for none
-    arm: str  # "" for none
-    motions: tuple[str, ...]  # names of motions that establish it
+    subject: str  # the object or joint, or ""
+    arm: str  # or ""
+    motions: tuple[str, ...]  # names of motions that establish the precondition
     fits: Callable[[Node], bool]  # whether such a motion is about the same object, joint and arm
-    owner: str = ""  # whose joints they are, or the robot that should have been elsewhere; "" else
-    joints: tuple[str, ...] = ()  # that should have been moved
+    owner: str = ""  # the body with the joints, or the robot at the wrong place, or ""
+    joints: tuple[str, ...] = ()  # the joints that should have been moved
 
     def done_by(self, record: Mutation) -> bool:
-        """Return whether a change affected the same object or joint: then earlier failures explain nothing."""
+        """Return whether a change affected the same object or joint, so that earlier failures don't matter."""
         if self.precondition in ("held", "hand-free"):
             return record.HasField("attach_body") and self.subject in [each.body for each in record.effect.attached]
         if self.joints:
@@ -194,7 +196,7 @@ def lacking(case: FailureCase) -> Iterator[Lacking]:
     if case.motion is None or case.world is None or case.robot is None:
         return
     by_hands = list(_hands(case, case.motion.name))
-    if by_hands:  # hands are checked first
+    if by_hands:  # motions check the hands first
         yield from by_hands
         return
     yield from _clear(case)
@@ -208,7 +210,7 @@ def lacking(case: FailureCase) -> Iterator[Lacking]:
 
 def _hands(case: FailureCase, name: str) -> Iterator[Lacking]:
     if case.task is None or case.task.kind != "process-module" or case.before is None:
-        return  # the motion wasn't resolved
+        return  # the motion wasn't resolved, so its arm is unknown
     arm = str(case.given.get("arm") or "")
     held = case.held_by(arm)
     body = next(iter(objects_in(case.given.get("object"))), "")
@@ -412,7 +414,7 @@ def _next_step(
         parent = record.parent if isinstance(record, Task) else record.task
         lines = case.source.call_stack(record) if parent in around else ()
         if lines and record.thread == thread:
-            if list(lines) == list(stack):  # in the next iteration of a loop
+            if list(lines) == list(stack):  # the next iteration of a loop
                 return record.seq, case.line(lines)
             fresh = (line for line, before in zip(lines, stack, strict=False) if line != before)
             return record.seq, next(fresh, lines[min(len(stack), len(lines) - 1)])
@@ -422,7 +424,7 @@ def _next_step(
 def _results(case: FailureCase) -> Iterator[Swallowed]:
     """Yield the failures that left a variable empty which the failed line reads."""
     setting = _motions_setting_variables(case) if _lacks_value(case) else iter(())
-    if case.failure.type in _EMPTY:  # several motions may have filled it
+    if case.failure.type in _EMPTY:  # several motions may have filled the container
         found = list(islice(setting, _MAX_SETTING))
         succeeded = [motion.parameters for motion, _ in found if motion.status not in _UNSUCCESSFUL]
         missing = [each for each in found if each[0].status in _UNSUCCESSFUL and each[0].parameters not in succeeded]
@@ -459,7 +461,7 @@ def _variables_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
     stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
     lines = (*stack, *(line for error in case.traced for line in error.lines))
     places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
-    shared = places[0] & places[1]  # lines of helper functions for both
+    shared = places[0] & places[1]  # lines of shared helper functions
     read, written = (
         case.names_in([line for line in each if (line.file, line.number) not in shared], context)
         for each, context in ((lines, ast.Load), (setting, ast.Store))
@@ -539,9 +541,9 @@ def _missing_effects(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str,
     elif refusal.name in ("attach", "detach"):
         held = "held" if refusal.name == "attach" else "hand-free"
         other = next(objects_in(given.get("other")), "")
-        if case.robot is not None and case.robot.name in (subject, other):  # only the robot's hands matter
+        if case.robot is not None and case.robot.name in (subject, other):  # other attachments don't matter
             yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
-    elif is_mistake(case):  # whatever the state of the world
+    elif is_mistake(case):  # the state of the world doesn't matter
         names = _variables_from(case, case.source.call_stack(refusal)) if _lacks_value(case) else []
         yield from [("result", ", ".join(names))] if names else []
     elif by_hands:

@@ -1,4 +1,4 @@
-"""The target was out of reach, something was in the way, or every candidate was rejected."""
+"""The target was out of reach, a body was in the way, or all candidates were rejected."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explai
 
 @dataclass(frozen=True, slots=True)
 class ObstructingBody(Cause):
-    """A body was in the way, or hid the object that was looked for."""
+    """A body was in the way, or hid the wanted object."""
 
     kind = "in-the-way"
     body: str
-    link: str  # "" if it has only one, or that isn't known
-    mover: str  # the link, or the held object, that would have touched it; "" for the camera's view
-    change: CausingChange | None  # the change that put it there; None if it always was
+    link: str  # "" for a body with a single link, or an unknown link
+    mover: str  # the link or the held object that would have touched it; "" for the camera's view
+    change: CausingChange | None  # the change that put the body there; None without a change
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[ObstructingBody]:
-        """Yield the bodies that the robot or a held object would have touched, and those that hid an object."""
+        """Yield the bodies that the robot or a held object would have touched, and the bodies that hid an object."""
         if case.world is None:
             return
         for pair in case.pairs:
             body, link = pair.get("body", ""), pair.get("body_link", "")
             if body in case.world.bodies and body != case.world.robot:
                 yield _obstacle(case, body, link, pair.get("link") or pair.get("mover", ""))
-        touching = case.data.get("touching")  # where it came to rest
+        touching = case.data.get("touching")  # the bodies at its resting place
         for met in touching if isinstance(touching, list) else []:
             body = str(met.get("body", "")) if isinstance(met, dict) else ""
             if case.free_body(body) is not None:
@@ -54,7 +54,7 @@ class ObstructingBody(Cause):
                     yield _obstacle(case, name, "", "")
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether physics moved the body there."""
+        """Return whether physics moved the body."""
         return any(isinstance(each, Physics) and each.body == self.body for each in found)
 
     def _words(self) -> Iterator[str]:
@@ -69,10 +69,10 @@ class UnreachedTarget(Cause):
 
     kind = "out-of-reach"
     arm: str
-    body: str  # "" for a target of the plan's
-    distance: float  # from the robot's base to it on the ground, m
-    miss: float | None  # distance of the nearest posture from the target, m
-    orientation: tuple[float, ...]  # requested xyzw of the tool; empty if any was allowed
+    body: str  # "" for a target that isn't a body
+    distance: float  # from the robot's base to the target on the ground, m
+    miss: float | None  # distance between the nearest reachable posture and the target, m
+    orientation: tuple[float, ...]  # requested orientation of the tool, xyzw; empty for any orientation
     changes: tuple[CausingChange, ...]  # the last changes of the robot, its torso and the object
 
     @classmethod
@@ -101,13 +101,13 @@ class UnreachedTarget(Cause):
         )
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether a change since an earlier success, or a swallowed failure, explains it."""
+        """Return whether a change since an earlier success, or a swallowed failure, explains the distance."""
         return any(isinstance(each, _DEEPER) for each in found)
 
     def _words(self) -> Iterator[str]:
         what = self.body or "the target"
-        miss = f"; the {self.arm} arm stays {phrases.length(self.miss)} away" if self.miss is not None else ""
-        turned = " in the orientation that was asked for" if self.orientation else ""
+        miss = f"; the {self.arm} arm misses it by {phrases.length(self.miss)}" if self.miss is not None else ""
+        turned = " in the requested orientation" if self.orientation else ""
         yield f"{what} was {self.distance:.2f} m from the robot on the ground{miss}{turned}"
         yield from (change.row for change in self.changes)
 
@@ -117,12 +117,12 @@ class NoCandidate(Cause):
     """All candidates, such as grasps or postures, were rejected."""
 
     kind = "no-candidate"
-    asked: Query  # the choice, with its candidates and why each was rejected
+    asked: Query  # the choice, with its candidates and the reasons for their rejection
     count: int  # number of candidates
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoCandidate]:
-        """Yield the last choice of the failed motion, if it rejected all candidates."""
+        """Yield the last choice of the failed motion, if all candidates were rejected."""
         if case.task is None or case.motion is None:
             return
         last = next(reversed(list(choices(case.log, case.task, case.step + 1))), None)
@@ -132,12 +132,12 @@ class NoCandidate(Cause):
                 yield NoCandidate((last.seq, case.step), last, count)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether another cause explains it; a single candidate is explained by the message."""
+        """Return whether another cause explains the choice; the message explains a single candidate."""
         return len(found) > 1 if self.count == 1 else any(isinstance(each, _DEEPER) for each in found)
 
     def _words(self) -> Iterator[str]:
         asked = self.asked
-        yield f"{phrases.question(asked)} considered {self.count} at step {asked.seq}, and none would do:"
+        yield f"{phrases.question(asked)} rejected all {phrases.plural(self.count, 'candidate')} at step {asked.seq}:"
         yield from rejection_lines(asked)
 
 

@@ -1,7 +1,8 @@
-"""An object fell, tipped or moved in simulation from where the plan wanted it; with the changes that let it move.
+"""An object fell, tipped or moved in simulation; with the changes of the plan that let it move.
 
-The motion of an object counts since the plan's last change of it, or since the last success with it, if that is later.
-If the object wasn't at rest after that change, the change let it move; else the plan's changes near it since its rest.
+The motion of an object counts since the plan's last change of the object, or the last success with it, whichever is
+later. If the object wasn't at rest after that change, the change let it move. Otherwise changes near the object since
+its rest let it move.
 """
 
 from __future__ import annotations
@@ -26,38 +27,38 @@ if TYPE_CHECKING:
     from replay.state.state import Body, State
 
 
-_MOVED: Final = 0.05  # m; less is settling
+_MOVED: Final = 0.05  # m; smaller moves are settling
 _TILTED: Final = math.radians(15)
 _FELL: Final = 0.05  # m
-_PART: Final = 0.3  # share of the whole move that counts as its beginning
-_NEAR: Final = 0.6  # m between the bases of objects of which one may have supported the other
-_ABOVE: Final = 0.15  # m on the ground between the bases of objects that stand on each other
-_PUSHED: Final = 0.35  # m from the frame of a link that may push it
+_PART: Final = 0.3  # share of the whole move after which it counts as begun
+_NEAR: Final = 0.6  # m between the bases of an object and its possible support
+_ABOVE: Final = 0.15  # m on the ground between the bases of stacked objects
+_PUSHED: Final = 0.35  # m from the frame of a link that may push an object
 _QUIET: Final = STEPS_PER_SECOND // 10  # steps without motion after which an object is at rest
 _WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
 _MAX_LETS: Final = 3
-_FAST: Final = 0.1  # m/s; lower speeds at the release aren't mentioned
+_FAST: Final = 0.1  # m/s; lower speeds at a release aren't mentioned
 _SPINNING: Final = 1.0  # rad/s, likewise
 
 
 @dataclass(frozen=True, slots=True)
 class Physics(Cause):
-    """An object fell, tipped or moved in simulation from where the plan wanted it."""
+    """An object fell, tipped or moved in simulation."""
 
     kind = "physics"
     body: str
     how: str  # "fell", "tipped" or "moved"
     distance: float  # m
-    fall: float  # m by which it is lower
-    tilt: float  # rad by which it leans more
-    moved_at: int  # the step of the simulation in which it began to move
+    fall: float  # m, downwards
+    tilt: float  # rad, increase of its lean
+    moved_at: int  # the step of the simulation in which the motion began
     line: Line | None  # the plan's line that simulated
-    since: int  # the step of the success, or of the plan's own change, after which it moved
-    stood_on: str = ""  # its support, if that was moved; "" if not, or unknown
-    lets: tuple[CausingChange, ...] = ()  # candidates for what let it move; none if only time passed
-    speed: float | None = None  # m/s at its release; None if it wasn't released
+    since: int  # the step of the plan's success or change before the motion
+    stood_on: str = ""  # its support, if the support was moved; "" otherwise, or if unknown
+    lets: tuple[CausingChange, ...] = ()  # changes that may have let it move; empty if only time passed
+    speed: float | None = None  # m/s at its release; None without a release
     spin: float | None = None  # rad/s, likewise
-    hand: str = ""  # the arm that released it; "" if none did
+    hand: str = ""  # the arm that released it; "" without a release
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Physics]:
@@ -71,18 +72,18 @@ class Physics(Cause):
     def _words(self) -> Iterator[str]:
         size = f"by {phrases.length(self.fall if self.how == 'fell' else self.distance)}"
         if self.tilt >= math.radians(1):
-            size += f" and leant over by {math.degrees(self.tilt):.0f} degrees"
+            size += f" and tilted by {math.degrees(self.tilt):.0f} degrees"
         at = f" at {phrases.place(self.line)}" if self.line is not None else ""
         yield f"{self.body} {self.how} {size} in the simulation of step {self.moved_at}{at}{self._let()}"
         if len(self.lets) > 1 and not self.stood_on:
-            yield "possible reasons:"
+            yield "possible causes:"
         yield from (change.row for change in self.lets)
 
     def _let(self) -> str:
         released = next((change for change in self.lets if change.how == "detached"), None)
         if self.stood_on:
             fate = "removed" if any(change.how == "removed" for change in self.lets) else "moved away"
-            return f": {self.stood_on}, on which {self.body} stood, was {fate}"
+            return f": its support {self.stood_on} was {fate}"
         if released is None:
             return f", after {self.lets[0]}" if len(self.lets) == 1 else ""
         hand = f"the {self.hand} gripper's hold" if self.hand and " " not in self.hand else "its hold"
@@ -95,10 +96,10 @@ class Physics(Cause):
 
 
 class _Fate:
-    """The motion of an object in simulation since the plan's last change of it.
+    """The motion of an object in simulation since the plan's last change of the object.
 
-    ``base`` is the record of that change, ``since`` its step, or that of the last success about the object, if that is
-    later; ``moves`` are the later stretches of simulation that moved the object.
+    ``base`` is the record of that change. ``since`` is its step, or the step of the last success with the object,
+    whichever is later. ``moves`` are the later stretches of simulation that moved the object.
     """
 
     def __init__(self, case: FailureCase, name: str) -> None:
@@ -130,13 +131,15 @@ class _Fate:
         self.moves = [record for record in self.moves if record.seq > self.since]
 
     def explained(self) -> Iterator[Physics]:
-        """Yield the motion and the changes that let it happen, if it is more than settling."""
+        """Yield the motion with the changes that let the object move, if it is more than settling."""
         before, after = self._pose(self.since), self._pose(self._case.step)
         if before is None or after is None or not self.moves:
             return
         distance, fall = math.dist(before[0], after[0]), before[0][2] - after[0][2]
         tilt = geometry.lean(after[1], before[1])
-        is_outcome = self._name in self._case.subjects and self._case.data.get("rest") is not None  # of a placing
+        is_outcome = (
+            self._name in self._case.subjects and self._case.data.get("rest") is not None
+        )  # the result of a placing
         if distance < _MOVED and tilt < _TILTED and not is_outcome:
             return
         shifts = []

@@ -1,4 +1,4 @@
-"""The plan's own code raised the failure, or made a mistake."""
+"""The plan's own code raised the failure, or contains a mistake."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _MAX_ANSWERS: Final = 3
 _SEARCHED: Final = 1_000  # changes of fluents
 _RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")  # also after the head of a compound statement
-#: PyCRAM's usage errors: the plan's line made a mistake, in a motion too.
+#: PyCRAM's usage errors: the plan's line has a mistake, also inside a motion.
 USAGE_ERRORS: Final = frozenset(
     (
         "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock",
@@ -39,20 +39,20 @@ _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")
 
 @dataclass(frozen=True, slots=True)
 class Raised(Cause):
-    """The plan's own code raised the failure, or made a mistake that Python or PyCRAM rejected."""
+    """The plan's own code raised the failure, or has a mistake that Python or PyCRAM rejected."""
 
     kind = "raised"
     type: str  # of the exception
     line: Line  # the plan's line
-    own: bool  # the line is a ``raise`` or ``assert``; else it made a mistake
-    task: Node | None  # the branch or other task around the line; None if there is none
-    #: The last queries and waits of that task before it, whose answers it may have judged by; before them the end of
-    #: the last motion, if that failed; of a ``whenever`` the last change of its fluents.
+    own: bool  # the line is a ``raise`` or ``assert``; False: it has a mistake
+    task: Node | None  # the branch or other task around the line; None outside of tasks
+    #: The answers on which the line may depend: the last queries and waits of the task. Before them the end of its last
+    #: motion, if that failed. For a ``whenever``, the last change of its fluents.
     answers: tuple[Query | Task | Fluent, ...] = ()
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Raised]:
-        """Yield the plan's line that raised the failure, or translated it; not if a motion's module raised it."""
+        """Yield the plan's line that raised the failure, or raised it as another exception."""
         yield from _raised_while_handling(case)
         error = next(reversed(case.traced), None)
         asked = case.source.call_stack(case.motion.started) if case.motion is not None else ()
@@ -70,11 +70,11 @@ class Raised(Cause):
         yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
 
     def _words(self) -> Iterator[str]:
-        what = "the plan raised it itself" if self.own else f"a mistake of the plan's: {self.type}"
+        what = "the plan raised the failure" if self.own else f"a mistake in the plan: {self.type}"
         inside = f", in {phrases.node(self.task)}" if self.task is not None else ""
         yield f"{what} at {phrases.place(self.line)}{inside}: {phrases.short(self.line.text)}"
         for answer in self.answers:
-            yield f"before that, at step {answer.seq}: {_answer(answer)}"
+            yield f"before, at step {answer.seq}: {_answer(answer)}"
 
 
 def _answer(record: Query | Task | Fluent) -> str:
@@ -86,7 +86,7 @@ def _answer(record: Query | Task | Fluent) -> str:
         return f"{record.name} became {phrases.value(from_json(record.after_json))}{at}"
     if record.kind != "wait":
         return f"{record.name} failed: {phrases.short(phrases.one_line(record.failure.message))}"
-    done = "it came true" if from_json(record.result_json) is True else "it didn't come true in time"
+    done = "it became true" if from_json(record.result_json) is True else "it didn't become true in time"
     return f"waited for {record.name}: {done}"
 
 
@@ -107,7 +107,7 @@ def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
 
 
 def is_mistake(case: FailureCase) -> bool:
-    """Return whether Python or PyCRAM rejected some code, independently of the world."""
+    """Return whether Python or PyCRAM rejected the code, independently of the world."""
     return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
 
 
@@ -142,7 +142,7 @@ def _watched(case: FailureCase) -> Iterator[Fluent]:
 
 
 def answers(case: FailureCase) -> Iterator[Query | Task]:
-    """Yield the last queries, waits and motions of the same task before the failure, in order."""
+    """Yield the last queries and waits of the same task before the failure, in order."""
     inside = {0} if case.task is None else {case.task.id}
     start = (
         case.task.started.seq if case.task is not None else max((m.last_step for m in case.failed.motions), default=0)

@@ -1,4 +1,4 @@
-"""A deadline was missed, or the plan was interrupted: what it waited for or did then, and what could have helped."""
+"""A deadline was missed, or the plan was interrupted: its pending tasks, and what could have ended its waits."""
 
 from __future__ import annotations
 
@@ -21,62 +21,62 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
 
-_NO_LEAF: Final = "timeout"  # the only parameter of a wait that isn't one of its fluents
+_NO_LEAF: Final = "timeout"  # the only parameter of a wait that isn't a fluent
 _MAX_CHANGES: Final = 5
 _MAX_TASKS: Final = 10_000
 _SETTERS: Final = ("set_value", "pulse")
 _SIMULATED_TIME: Final = "simulated"  # the clock of a limit in simulated time
 _MAX_TOOK: Final = 3
-_NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # early releases didn't record the name
-_MAX_NAMED: Final = 3  # parts of a plan
+_NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # early releases didn't record the signal
+_MAX_NAMED: Final = 3  # pending tasks that are named
 
 
 @dataclass(frozen=True, slots=True)
 class Fulfiller:
     """A line or task of the plan that could have made a fluent true."""
 
-    line: Line | None  # the plan's line that sets it; None if it is known from a record only
-    task: Node | None  # that ran the line, or should have
-    step: int | None = None  # of the record by which it set the fluent last; None if it never did
-    failed: Node | None = None  # the last motion that failed in that task
-    refused: Refusal | None = None  # the last refusal in that task
+    line: Line | None  # the line that sets the fluent; None if only a record shows it
+    task: Node | None  # the task that ran the line, or should have
+    step: int | None = None  # of its last record that set the fluent; None without a record
+    failed: Node | None = None  # the last failed motion in the task
+    refused: Refusal | None = None  # the last refusal in the task
 
     def __str__(self) -> str:
         if self.failed is not None and self.failed is self.task:
             error = phrases.error(self.failed)
-            return f"{phrases.node(self.failed)} could have, and failed at step {self.failed.last_step}: {error}"
+            return f"{phrases.node(self.failed)} could have set it, but failed at step {self.failed.last_step}: {error}"
         if self.line is not None:
             inside = f"{self.line.function} at " if self.line.function not in ("", "<module>") else ""
-            text = f"{inside}{phrases.place(self.line)} would have: {phrases.short(self.line.text)}"
+            text = f"{inside}{phrases.place(self.line)} sets it: {phrases.short(self.line.text)}"
         elif self.task is not None:
-            text = f"{phrases.node(self.task)} could have"
+            text = f"{phrases.node(self.task)} could have set it"
         else:
-            text = "the plan's own code could have"
+            text = "the plan's own code could have set it"
         if self.task is not None:
             finished = self.task.finished is not None
             state = f"{self.task.status.word} at step {self.task.last_step}" if finished else "is still running"
             text += f"; {phrases.node(self.task)} {state}"
-            text += f", having set it at step {self.step}" if self.step is not None else " without that"
+            text += f", and set it last at step {self.step}" if self.step is not None else " without setting it"
         if self.failed is not None:
             name, error = phrases.node(self.failed), phrases.error(self.failed)
             text += f", after {name} failed at step {self.failed.last_step}: {error}"
         if self.refused is not None:
             error = phrases.failure(self.refused.failure)
             text += f", after {phrases.refused(self.refused)} was refused at step {self.refused.seq}: {error}"
-        return text + ("; it never did on record" if self.task is None and self.step is None else "")
+        return text + ("; no record shows that it was set" if self.task is None and self.step is None else "")
 
 
 @dataclass(frozen=True, slots=True)
 class PendingTask:
-    """A task that was under way when its part of the plan was stopped."""
+    """A task that was pending when its part of the plan was stopped."""
 
     task: Node  # a wait for a fluent, a motion, or another task
-    began: bool  # False: it waited for its turn, or for parts of the robot
+    began: bool  # False: it waited for its turn or for parts of the robot
     line: Line | None  # the plan's line
-    values: Mapping[str, Plain] = field(default_factory=dict)  # of a wait: values of its fluents at the stop, by name
-    changed: tuple[int, ...] = ()  # of a wait: the last steps that set one of them meanwhile
-    fulfillers: tuple[Fulfiller, ...] = ()  # of a wait: what could have fulfilled it
-    holders: tuple[Node, ...] = ()  # of a motion that had not begun: the motions that ran then
+    values: Mapping[str, Plain] = field(default_factory=dict)  # for a wait: values of its fluents at the stop, by name
+    changed: tuple[int, ...] = ()  # for a wait: the last steps that set its fluents
+    fulfillers: tuple[Fulfiller, ...] = ()  # for a wait: possible setters of its fluents
+    holders: tuple[Node, ...] = ()  # for a motion that hadn't begun: the running motions
 
     def __str__(self) -> str:
         if self.task.kind == "wait":
@@ -96,17 +96,17 @@ class PendingTask:
                 yield each.refused.seq
 
     def details(self) -> Iterator[str]:
-        """Yield what it waited for: fluents with their values and what sets them, or running motions."""
+        """Yield the reasons for waiting: fluents with their values and setters, or running motions."""
         if self.task.kind == "wait":
             values = ", ".join(f"{name} = {phrases.value(value)}" for name, value in self.values.items())
             steps = phrases.names([str(step) for step in self.changed])
-            changed = f"; it got values at steps {steps}" if self.changed else ""
+            changed = f"; it was set at steps {steps}" if self.changed else ""
             since = f"since step {self.task.started.seq}{phrases.at(self.line)}"
             yield f"{self.task.name}: {values}{changed}  [{since}]"
             yield from map(str, self.fulfillers)
             if not self.fulfillers:
                 leaves = " or ".join(self.values) or self.task.name
-                yield f"nothing in the plan's source sets {leaves}, and no record tells who could have"
+                yield f"no line of the plan sets {leaves}, and no record shows a setter"
         elif self.holders:
             holders = [f"{phrases.node(task)} (since step {task.started.seq})" for task in self.holders]
             yield f"{phrases.node(self.task)} waited for {phrases.names(holders)}{phrases.at(self.line)}"
@@ -115,7 +115,7 @@ class PendingTask:
 def _doing(pending: Sequence[PendingTask]) -> str:
     doing = [str(each) for each in pending[:_MAX_NAMED]]
     doing += [f"{len(pending) - _MAX_NAMED} more"] if len(pending) > _MAX_NAMED else []
-    return " and ".join(doing) or "running the plan's own code"
+    return " and ".join(doing) or "executing the plan's own code"
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ class SimulatedLine:
     steps: tuple[int, ...]  # of the records
 
     def __str__(self) -> str:
-        at = f"{phrases.place(self.line)} simulated" if self.line is not None else "simulated were"
+        at = f"{phrases.place(self.line)} simulated" if self.line is not None else "the plan simulated"
         calls = f" in {len(self.steps)} calls" if len(self.steps) > 1 else ""
         return f"{at} {phrases.number(self.seconds)} s{calls}"
 
@@ -139,14 +139,14 @@ class Timeout(Cause):
     kind = "timeout"
     seconds: float  # the limit
     clock: str  # "wall" or "simulated"
-    pending: tuple[PendingTask, ...]  # the tasks that were under way at the deadline
-    line: Line | None  # the plan's line at which it stopped
-    took: tuple[Node, ...] = ()  # the tasks that ended within the limit, the longest first by its clock
-    simulated: tuple[SimulatedLine, ...] = ()  # of a limit in simulated time, the lines that took most of it
+    pending: tuple[PendingTask, ...]  # the pending tasks at the deadline
+    line: Line | None  # the plan's line at the stop
+    took: tuple[Node, ...] = ()  # the tasks that ended within the limit, longest first by the limit's clock
+    simulated: tuple[SimulatedLine, ...] = ()  # for a limit in simulated time: the lines that took most of the time
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Timeout]:
-        """Yield the missed deadline of a timeout, or of a wait whose outcome made the plan raise the failure."""
+        """Yield the missed deadline of a timeout, or of a wait after which the plan raised the failure."""
         if case.task is not None and case.task.kind == "timeout" and case.failure.type == "TimedOut":
             tree = _tree(case, case.task.last_step + 1)
             scope = tree.nodes[case.task.id]
@@ -155,7 +155,7 @@ class Timeout(Cause):
             took = sorted(_ended(scope), key=lambda node: -_duration(node, clock))[:_MAX_TOOK]
             simulated = _longest_simulated(case, scope) if clock == _SIMULATED_TIME else ()
             stop = next((error for error in case.traced if error.type == "Cancelled" and error.lines), None)
-            line = case.line(stop.lines) if stop is not None else None  # that the deadline stopped
+            line = case.line(stop.lines) if stop is not None else None  # the line that the deadline stopped
             yield _timeout(case, seconds, clock, doing, tuple(took), line, simulated)
             return
         for wait in list(answers(case))[-1:]:
@@ -167,14 +167,14 @@ class Timeout(Cause):
 
     def _words(self) -> Iterator[str]:
         simulated = " of simulated time" if self.clock == _SIMULATED_TIME else ""
-        yield f"after {self.seconds:g} s{simulated} it was still {_doing(self.pending)}{phrases.at(self.line)}"
+        yield f"after {self.seconds:g} s{simulated} the plan was still {_doing(self.pending)}{phrases.at(self.line)}"
         for pending in self.pending:
             yield from pending.details()
         if self.took and not any(pending.task.kind == "wait" for pending in self.pending):
             times = ((task, round(_duration(task, self.clock) * 1e9)) for task in self.took)
             took = [f"{phrases.node(task)} {phrases.seconds(time_ns)}" for task, time_ns in times if time_ns]
             if took:
-                yield f"until then: {', '.join(took)}"
+                yield f"before the deadline: {', '.join(took)}"
             for error, tasks in groupby((task for task in self.took if task.failed), phrases.error):
                 yield f"{phrases.names([phrases.node(task) for task in tasks])} failed: {error}"
         yield from map(str, self.simulated)
@@ -182,19 +182,19 @@ class Timeout(Cause):
 
 @dataclass(frozen=True, slots=True)
 class Interruption(Cause):
-    """The plan was interrupted, or its process ended; that isn't a failure of the plan."""
+    """The plan was interrupted, or its process ended; neither is a failure of the plan."""
 
     kind = "interrupted"
     by: str  # "Ctrl-C", "SIGTERM"; "" if the process ended without closing its recording
-    pending: tuple[PendingTask, ...]  # the tasks that were under way
-    line: Line | None  # the plan's line at which it stopped
+    pending: tuple[PendingTask, ...]  # the pending tasks
+    line: Line | None  # the plan's line at the stop
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Interruption]:
-        """Yield what interrupted a plan, and the tasks that were under way."""
+        """Yield the interrupt of a plan, and the pending tasks."""
         end = case.log[-1]
         closed = isinstance(end, Run) and end.phase == Run.FINISHED
-        if case.failure.type != (INTERRUPT if closed else ""):  # earlier failures are another case
+        if case.failure.type != (INTERRUPT if closed else ""):  # earlier failures have other causes
             return
         by = _NAMES.get(end.interrupted_by, end.interrupted_by) if isinstance(end, Run) and closed else ""
         tree = _tree(case, len(case.log))
@@ -211,7 +211,7 @@ class Interruption(Cause):
             yield from pending.details()
 
 
-# --- what was under way ----------------------------------------------------------------------------------------------
+# --- pending tasks ---------------------------------------------------------------------------------------------------
 
 
 def _interrupted(tree: Tree) -> list[Node]:

@@ -76,7 +76,7 @@ def test_tree_and_log_say_what_was_foreseen_and_where(run: Path, capsys: pytest.
 def test_a_run_that_imagined_nothing_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = small(tmp_path / "log.mcap")
     assert main(["view", str(log), "--imagined", "--save", str(tmp_path / "x.rrd")]) == 2
-    assert "nothing that it imagined is recorded beside it" in capsys.readouterr().err
+    assert "its folder has no recordings of its projections" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -200,15 +200,15 @@ def test_missing_models_are_reported_each_time(tmp_path: Path, capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--save", "there.png"], "called .rrd"),
+        (["--save", "there.png"], "opens .rrd files only"),
         (["--save", "no/such/folder/x.rrd"], "can't be written"),
         (["--at", "99999", "--save", "x.rrd"], "no step"),
-        (["--web", "--save", "x.rrd"], "give it alone"),
+        (["--web", "--save", "x.rrd"], "it can't be combined"),
         (["--connect", "rerun+http://127.0.0.1:1/proxy"], "no viewer answers"),
         (["--connect", "somewhere"], "isn't the address of a viewer"),
         (["--connect", "spawn"], "isn't the address of a viewer"),
         (["--connect", "connect"], "isn't the address of a viewer"),
-        (["--save", ""], "called .rrd"),
+        (["--save", ""], "opens .rrd files only"),
         (["missing.mcap", "--save", "x.rrd"], "No such file"),
     ],
 )

@@ -46,12 +46,12 @@ def test_a_moment_within_a_simulation_is_known_by_its_samples(
         for whole in ("0.5s", "1s", "last", 3):
             assert log.state_at(whole).sampled is None
     assert main(["state", str(falling), "0.71s", "apple"]) == 0
-    assert "as sampled at 0.700 s" in capsys.readouterr().out
+    assert "sampled at 0.700 s" in capsys.readouterr().out
     assert main(["state", str(falling), "0.71s", "--json"]) == 0
     sampled = json.loads(capsys.readouterr().out)["sampled"]
     assert (sampled["start"], sampled["asked"], sampled["end"]) == (0.5, 0.71, 1.0)
     assert main(["state", str(falling), "0.2s"]) == 0
-    assert "no sample shows motion until then" in capsys.readouterr().out
+    assert "as nothing had moved yet" in capsys.readouterr().out
 
 
 def test_worlds_questions_and_pictures_are_of_the_moment_too(
@@ -75,13 +75,13 @@ def test_worlds_questions_and_pictures_are_of_the_moment_too(
         )
     for verb in (["ask", "0.71s", "contact(apple, apple)"], ["render", "0.71s", "-o", str(tmp_path / "x.png")]):
         assert main([verb[0], str(falling), *verb[1:]]) == 0
-        assert "as sampled at 0.700 s" in capsys.readouterr().err
+        assert "sampled at 0.700 s" in capsys.readouterr().err
     script = tmp_path / "script.py"
     script.write_text("print(world.get_object('apple').get_position()[2])")
     assert main(["restore", str(falling), "0.71s", "--exact", "--script", str(script)]) == 0
     output = capsys.readouterr()
     assert float(output.out) < sampled[2]
-    assert "simulated again up to then" in output.err
+    assert "simulated again up to that time" in output.err
 
 
 def test_where_links_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -107,4 +107,4 @@ def test_an_object_is_shown_as_it_was_when_its_world_ended(tmp_path: Path, capsy
     assert main(["state", str(path), "last", "apple"]) == 0
     output = capsys.readouterr()
     assert "1.0000]" in output.out
-    assert "no world is open after step 4; this is how it was after step 2" in output.err
+    assert "no world is open after step 4; this is the state after step 2" in output.err

@@ -92,7 +92,7 @@ def test_a_removed_body_is_not_listed_as_moved(taken: Recording, capsys: pytest.
     assert why.warning is None
     assert main(["why", str(taken.path)]) == 0
     output = capsys.readouterr().out
-    assert "since then ball was removed" in output
+    assert "later ball was removed" in output
     assert "ball had been removed" in output
 
 
@@ -151,4 +151,4 @@ def test_the_error_names_another_world_that_has_the_object(
 ) -> None:
     name, *rest = verb.split()
     assert main([name, str(taken.path), *rest]) == 2
-    assert "there is no object 'floor'; it is in lab, not in hall; choose one with --world" in capsys.readouterr().err
+    assert "there is no object 'floor'; it is in lab, not in hall; choose a world with --world" in capsys.readouterr().err

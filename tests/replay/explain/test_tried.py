@@ -66,7 +66,7 @@ def log(tmp_path: Path) -> Path:
 
 def test_why_lists_each_choice_with_its_failure(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(log)]) == 0
-    _, _, text = capsys.readouterr().out.partition("What fetching(object=milk) action tried\n")
+    _, _, text = capsys.readouterr().out.partition("Attempts of fetching(object=milk) action\n")
     lines = [line.strip() for line in text.partition("\n\n")[0].splitlines()]
     assert [line.partition(": ")[2] for line in lines if line.startswith("step")] == [
         "arm=left",
@@ -116,11 +116,11 @@ def test_why_tells_which_choice_a_transport_could_not_make(
     assert main(["why", str(file)]) == 0
     printed = capsys.readouterr().out
     assert "The cause: delivering(" in printed, "the part of it that failed"
-    _, _, text = printed.partition("What transporting(")
+    _, _, text = printed.partition("Attempts of transporting(")
     lines = [line.strip() for line in text.partition("\n\n")[0].splitlines()]
     assert any(line.startswith("NoPlace: no place for milk on table: ") and "by reach" in line for line in lines)
     taking = next(number for number, line in enumerate(lines) if ": standing_places(" in line)
     putting = max(number for number, line in enumerate(lines) if ": free_places(" in line)  # once more, for that arm
     assert lines[taking + 1] == "of 1 place 1 was taken"
-    assert lines[putting + 1] == "no place was left on its map"
-    assert lines[-1] == "there were no more choices"
+    assert lines[putting + 1] == "its map had no places left"
+    assert lines[-1] == "there were no further choices"

@@ -65,7 +65,7 @@ def test_why_of_another_failure(small: Recording) -> None:
     for step in (first, first - 1, "failure", "task:put#2@start"):
         why = small.why(step)
         assert why.task.parameters["height"] == (0.5 if step in ("failure", "task:put#2@start") else 1.0)
-    with pytest.raises(replay.NoSuchStep, match="no task failed"):
+    with pytest.raises(replay.NoSuchStep, match="no task had failed"):
         small.why(5)
 
 
@@ -88,7 +88,7 @@ def test_a_branch_s_failure_is_explained_down_to_its_line(tmp_path: Path, capsys
     where = capsys.readouterr().out.partition("Where in the plan\n")[2].partition("\n\n")[0]
     lines = [line.strip() for line in where.splitlines()]
     assert lines.index("block(drop_in_branch, ball)") < lines.index('with span("motion", "drop", {"object": ball}):')
-    assert "which became BranchesFailed:" in lines
+    assert "which raised BranchesFailed:" in lines
     assert "with par as block:" in lines
 
 

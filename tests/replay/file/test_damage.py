@@ -202,8 +202,8 @@ def test_why_does_not_call_unfinished_what_ended_in_the_damage(
 
     zeroed_chunks(file, 6)
     said = why()
-    assert "Unfinished when the recording ended" not in said
-    at = said.index("Without an end, which may be among the lost records")
+    assert "Unfinished at the end of the recording" not in said
+    at = said.index("Unfinished, or finished in a lost record")
     assert said[at + 1].endswith("in par block  [since step 22]")
     zeroed_chunks(file, 8, 9, 10)
     assert why() == ["The end of plan is lost; the last readable step is 122."]

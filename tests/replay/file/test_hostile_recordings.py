@@ -660,7 +660,7 @@ def test_an_error_of_our_own_is_said_as_one(
     assert main(["info", str(GOLDEN)]) == 4
     output = capsys.readouterr()
     (kept,) = tmp_path.glob("pycram-replay-*.txt")
-    assert "an error of PyCRAM's own" in output.err
+    assert "an internal error of PyCRAM" in output.err
     assert str(kept) in output.err
     assert "Traceback" not in output.err
     assert "nobody foresaw it" in kept.read_text()

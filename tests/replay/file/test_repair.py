@@ -149,9 +149,9 @@ def test_nothing_is_overwritten_without_saying_so(
         assert target.read_bytes() == before
         return capsys.readouterr().err
 
-    assert "it is there already; name another file, or add --overwrite" in refused(other)
+    assert "exists; name another file, or add --overwrite" in refused(other)
     assert "no recording" in refused(notes, "--overwrite")
-    assert "that is the recording itself" in refused(damaged, "--overwrite")
+    assert "is the recording itself" in refused(damaged, "--overwrite")
     assert main(["repair", str(damaged), "-o", str(other), "--overwrite"]) == 3
     assert f"{other} is replaced" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.part"))

@@ -207,7 +207,7 @@ def test_a_packed_recording_goes_anywhere(folder: Path, tmp_path: Path, capsys: 
         assert whole.render("last").tobytes() == pixels
     code, _, err = answer(capsys, "pack", run(folder, 2), "-o", target)
     assert code == 2
-    assert "it is there already" in err
+    assert "exists; name another file" in err
 
 
 @pytest.mark.slow

@@ -220,7 +220,7 @@ def test_blame_hints_at_a_closed_world_that_had_the_body(tmp_path: Path, capsys:
             hall.simulate(0.1)
     assert main(["blame", str(file), "cup"]) == 2
     output = capsys.readouterr().err
-    assert "there is no object 'cup'; it was in lab, which was closed later: --at " in output
+    assert "there is no object 'cup'; lab had it and was closed later: use --at " in output
     assert main(["blame", str(file), "cup", "--at", output.split("--at ")[1].split(",")[0]]) == 0
     assert "cup was moved: by 1.000 m" in capsys.readouterr().out
     assert main(["blame", str(file), "cap"]) == 2
@@ -241,7 +241,7 @@ def test_blame_names_its_world_if_the_default_one_has_no_such_body(
             b.simulate(0.1)
     assert main(["blame", str(file), "cup"]) == 0
     output = capsys.readouterr().out
-    assert output.startswith("cup in a was at [0, 0, 0] already when the recording began\n")
+    assert output.startswith("cup in a was already at [0, 0, 0] when the recording began\n")
     assert "(b, the world opened last, has no cup: --world chooses one)" in output
     assert main(["blame", str(file), "ball"]) == 0
     assert capsys.readouterr().out.startswith("ball in a was removed from [0, 0, 0]\n")

@@ -212,7 +212,7 @@ def tampered_time(record: Record) -> int | None:
         (tampered_sample, "another effect"),
         (tampered_attachment, "another effect"),
         (tampered_command, "another effect"),
-        (tampered_keyframe, "differs from the fold of the records before it"),
+        (tampered_keyframe, "differs from the fold of the previous records"),
         (tampered_task, "never started"),
         (tampered_time, "wall time"),
     ],

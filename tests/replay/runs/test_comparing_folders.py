@@ -61,7 +61,7 @@ def test_a_folder_is_the_same_as_itself(runs: Path, capsys: pytest.CaptureFixtur
     assert main(["diff", str(runs), str(runs)]) == 0
     assert "change   0%" in capsys.readouterr().out
     assert main(["diff", str(runs), str(next(runs.glob("*.mcap")))]) == 2
-    assert "two folders are compared" in capsys.readouterr().err
+    assert "diff compares two folders" in capsys.readouterr().err
 
 
 def test_a_folders_failures_are_looked_at_side_by_side(
@@ -74,7 +74,7 @@ def test_a_folders_failures_are_looked_at_side_by_side(
     assert main(["view", *some[:3], "--save", str(tmp_path / "three.rrd")]) == 0
     capsys.readouterr()
     assert main(["view", *some[:5], "--save", str(tmp_path / "five.rrd")]) == 2
-    assert "give up to four" in capsys.readouterr().err
+    assert "give at most four" in capsys.readouterr().err
 
 
 def test_why_of_a_folder_has_the_causes(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -110,7 +110,7 @@ def test_videos_show_what_a_camera_sees(opened: Path, tmp_path: Path, capsys: py
 
     out = tmp_path / "set"
     assert main(["export", str(opened), "--to", "lerobot", str(out), "--images"]) == 2
-    assert "the robot has no camera; name one of its frames" in capsys.readouterr().err
+    assert "the robot has no camera; name a frame of the robot" in capsys.readouterr().err
     assert not out.exists()
     assert main(["export", str(opened), "--to", "lerobot", str(out), "--images", "drawer"]) == 0
     info = json.loads((out / "meta" / "info.json").read_text())

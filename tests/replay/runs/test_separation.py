@@ -171,7 +171,7 @@ def test_how_far_runs_got_comes_after_what_made_them_fail(
     assert main(["separate", str(tmp_path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[2].startswith("1. speed=fast: ")
-    assert sum("how far runs got" in line for line in lines) == len(others[:4])
+    assert sum("reflects the run's progress" in line for line in lines) == len(others[:4])
 
 
 @pytest.mark.slow

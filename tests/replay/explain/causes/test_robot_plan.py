@@ -184,7 +184,7 @@ def test_of_very_many_failures_the_last_are_looked_at_and_the_others_counted(
         assert why.forgotten == 30
     text = words(tmp_path, capsys)
     assert "take was attempted at least 10 times" in text
-    assert "30 earlier failures are skipped" in text
+    assert "30 earlier failures are left out" in text
 
 
 @pytest.mark.slow

@@ -48,7 +48,7 @@ def test_a_timeout_tells_the_fluent_its_value_and_who_sets_it(
     (fulfiller,) = pending.fulfillers
     assert fulfiller.line.number == line_of(tmp_path, "ready.set_value")
     assert (fulfiller.task.name, fulfiller.task.failed, fulfiller.step) == ("fetch", False, None)
-    assert "after 0.05 s it was still waiting for apple ready" in words(tmp_path, capsys)
+    assert "after 0.05 s the plan was still waiting for apple ready" in words(tmp_path, capsys)
 
 
 def test_a_timeout_tells_what_took_the_time_in_a_block(explained: Callable[..., Why]) -> None:
