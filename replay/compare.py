@@ -5,7 +5,7 @@ branches may be scheduled differently in each run. Clocks, durations, ids and th
 are streamed.
 
 A process numbers the worlds and fluents that a plan doesn't name (``world_3``), across all of its runs. Worlds are
-paired by name; numbered worlds, and the remaining ones, in the order of opening. Fluents are paired by their offset
+paired by name; numbered worlds and remaining worlds in the order of opening. Fluents are paired by their offset
 from the first numbered fluent.
 """
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 #: Smaller changes are physics settling.
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
-_MAX_LISTED: Final = 8  # joints or fields that are listed one by one
+_MAX_LISTED: Final = 8  # joints or fields that are listed
 _MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
 #: Number of records after the divergence in which missing records are searched, as they may be in another order.
 _WINDOW: Final = 2000
@@ -332,7 +332,7 @@ def _first_divergence(
     waiting: Sequence[Mapping[_Key, Record]],
     explaining: Sequence[bool],
 ) -> Divergence | None:
-    """Return the earliest divergence: a differing pair, or a record that only one run has.
+    """Return the earliest divergence: a differing pair, or a record of a single run.
 
     A record that explains a choice is ignored if the other run has no such records.
     """

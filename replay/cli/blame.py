@@ -26,11 +26,9 @@ _MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the object, the step and the world."""
-    parser.add_argument("object", metavar="OBJECT[.JOINT]", help="the object, or one of its joints")
+    parser.add_argument("object", metavar="OBJECT[.JOINT]", help="the object, or a joint of the object")
     parser.add_argument("--at", metavar="STEP", help=f"the last change up to this step: {HINT}")
-    parser.add_argument(
-        "--world", metavar="NAME", help="in this world (default: the last opened world with that object)"
-    )
+    parser.add_argument("--world", metavar="NAME", help="in this world (default: the last opened with the object)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -74,9 +72,9 @@ def _lines(change: Blame, printed: list[Sequence[Line]], *, is_earlier: bool = F
     for carried in change.carried:
         yield from _held(carried, printed)
     if change.other_worlds and not is_earlier:
-        yield f"  ({change.body} is in {phrases.names(change.other_worlds)} too: --world chooses one)"
+        yield f"  ({change.body} is in {phrases.names(change.other_worlds)}, too; choose a world with --world)"
     if change.default_world and not is_earlier:
-        yield f"  ({change.default_world}, the world opened last, has no {change.body}: --world chooses one)"
+        yield f"  ({change.default_world}, the last opened world, has no {change.body}; choose a world with --world)"
     if change.earlier is not None:
         yield ""
         yield "Before that:"
@@ -92,7 +90,7 @@ def _headline(change: Blame) -> str:
     if isinstance(change.record, Keyframe):
         return f"{name} was already at {where} when the recording began"
     if change.how == "load":
-        return f"{name} has been at {where} since it was loaded"
+        return f"{name} has been at {where} since its loading"
     carrier = change.carried[-1].held.carrier if change.carried else ""
     moved = phrases.change(name, change.how, commanded(change.record) if change.how == "along" else carrier)
     if isinstance(change.before, float) and isinstance(change.after, float):
@@ -126,5 +124,5 @@ def _held(carried: Carried, printed: list[Sequence[Line]]) -> Iterator[str]:
     if carried.step is None or carried.causes is None:
         yield f"  {phrases.carrier(held)} already held {held.body} when the recording began"
         return
-    yield f"  {phrases.carrier(held)} held {held.body} since step {carried.step}, where it was attached"
+    yield f"  {phrases.carrier(held)} has held {held.body} since step {carried.step}"
     yield from _because(carried.causes, "    ", printed)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 _HISTORY: Final = 1000  # lines
 _MAIN_THREAD: Final = "MainThread"
-_AROUND: Final = 5  # lines before and after the current one, as pdb lists them
+_AROUND: Final = 5  # lines that are listed before and after the current line, as in pdb
 #: Verbs of ``pycram-replay`` as commands: arguments before and after the typed arguments; "STEP" is the current step.
 _VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "ask": (("STEP",), ()),
@@ -72,12 +72,7 @@ help (h) [COMMAND]  quit (q)"""
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the plan and the checkpoints."""
     parser.epilog = "Commands are pdb's; help lists them. A script on stdin may hold commands, too."
-    parser.add_argument(
-        "step",
-        metavar="STEP",
-        nargs="?",
-        help=f"first step (default: the failure; without a failure, the start): {HINT}",
-    )
+    parser.add_argument("step", metavar="STEP", nargs="?", help=f"first step (default: the failure, or 0): {HINT}")
     parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it has moved since the recording")
     parser.add_argument(
         "--no-checkpoints", action="store_true", help="keep no copies of the process: stepping back runs the plan again"
@@ -160,7 +155,7 @@ class LinePrompt(cmd.Cmd):
     # --- lines ------------------------------------------------------------------------------------------------------
 
     def precmd(self, line: str) -> str:
-        """Split a line at ``;;``, as pdb does; print those of a script."""
+        """Split a line at ``;;``, as pdb does; echo lines of a script."""
         if not self._asks:
             print("" if line == "EOF" else visible(line.rstrip("\n")))
         first, separator, rest = line.partition(";;")
@@ -259,7 +254,7 @@ class Prompt(LinePrompt):
         return f": {texts[0]} -> {texts[1]}"
 
     def _frame_of(self, halt: Halt) -> int:
-        """Return the number of the frame at a breakpoint; 0, the innermost, without one."""
+        """Return the number of the frame at a breakpoint; without a breakpoint 0, the innermost frame."""
         lines = [each.line for each in halt.met if each.line is not None]
         frames = [number for number, each in enumerate(self.stack) if (each["file"], each["line"]) in lines]
         return frames[0] if frames else 0

@@ -26,11 +26,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("second", metavar="STEP", nargs="?", help="the second step")
     parser.add_argument("--all", action="store_true", help="also print settling in simulation, and every joint")
     parser.add_argument(
-        "--tolerance",
-        type=_tolerance,
-        default=0.0,
-        metavar="X",
-        help="numbers of two recordings that differ by at most X are equal",
+        "--tolerance", type=_tolerance, default=0.0, metavar="X", help="numbers that differ by at most X are equal"
     )
 
 
@@ -51,7 +47,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError(f"{options.first}: no such recording; to compare two steps of this recording, give both")
     with Recording(options.first) as other:
         compared = compare_recordings(log, other, options.tolerance)
-        problems = other.problems  # known now, as it was read to its end
+        problems = other.problems  # known after reading to the end
     print_result(lambda: report.data(compared), comparison_lines(compared, whole=options.all), as_json=options.json)
     if problems:
         print_message(f"{other.path} is incomplete: {problems}")

@@ -1,7 +1,7 @@
 """``export``: the trajectories of a recording as a table; a folder of recordings as a data set for training.
 
 The table has a row for each moment of a joint, planned and driven. Driven positions are known 30 times a simulated
-second, from the samples of simulations. Velocities of joints are read from the engine; a base has none, as it is moved
+second, from the samples of simulations. Velocities of joints are read from the engine; a base has none, as it moves
 from pose to pose.
 """
 
@@ -41,11 +41,7 @@ _DATA_SETS: Final = ("lerobot",)
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the selection and the target."""
-    parser.add_argument(
-        "--trajectories",
-        action="store_true",
-        help="for a recording: planned and driven positions of each joint and base, a row for each moment",
-    )
+    parser.add_argument("--trajectories", action="store_true", help="recording: planned and driven positions over time")
     parser.add_argument(
         "--to",
         nargs=2,
@@ -53,7 +49,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="for a folder of recordings: write a data set for training policies; FORMAT is lerobot, OUT a new folder",
     )
     parser.add_argument(
-        "--plan", metavar="NAME", help="for a folder: only runs of this plan (default: the plan with the most runs)"
+        "--plan", metavar="NAME", help="folder: only runs of this plan (default: the most frequent plan)"
     )
     parser.add_argument("--succeeded", action="store_true", help="for a folder: only successful runs")
     parser.add_argument(

@@ -57,7 +57,7 @@ def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
     """Yield names and texts; a text is empty if the recording lacks the fact."""
     start, metadata = info.start or Run(), info.metadata
     yield "file", f"{log.path} ({f'{info.size / 1e6:.1f} MB' if info.size >= 1e5 else f'{info.size} bytes'})"
-    given = shlex.join(start.arguments) or metadata.get("plan_arguments", "")  # older recordings have them as one text
+    given = shlex.join(start.arguments) or metadata.get("plan_arguments", "")  # older recordings have a single text
     yield "plan", f"{info.plan} {given}".strip()
     yield "parameters", ", ".join(f"{each.name}={each.value_json}" for each in start.parameters)
     if start.HasField("sweep"):

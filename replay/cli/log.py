@@ -39,11 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--task", metavar="ID|NAME", help="only records of this task and its subtasks")
     parser.add_argument("--object", metavar="NAME", help="only records about this object")
     parser.add_argument("--world", metavar="NAME", help="only records about this world")
-    parser.add_argument(
-        "--where",
-        metavar="FILE[:LINE]",
-        help="only records with this line of the plan, or this file, in their call stack",
-    )
+    parser.add_argument("--where", metavar="FILE[:LINE]", help="only records with this line in their call stack")
     parser.add_argument("--text", metavar="TEXT", help="only lines with this text")
     parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"first step: {HINT}")
     parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="last step")
@@ -84,7 +80,7 @@ def line_of(text: str) -> tuple[str, int | None]:
 def follow(
     log: Recording, wanted: RecordFilter, start: int, pause: Callable[[], object] | None = None
 ) -> Iterator[tuple[Record, str]]:
-    """Yield matching records, also new ones, until the recording is closed or its process ends."""
+    """Yield matching and new records until the recording is closed or its process ends."""
     wait = pause or (lambda: threading.Event().wait(_POLL_PERIOD))
     while True:
         live = log.live  # read before the last refresh, so that no record is missed
@@ -100,7 +96,7 @@ def follow(
 
 @dataclass(slots=True)
 class RecordFilter:
-    """Selects the records of a recording, also of a growing one."""
+    """Selects records of a recording that may be growing."""
 
     kinds: Collection[str]  # names of kinds ("task", "mutation", ...); empty for all
     task: str | None  # id or part of the name of a task; subtasks match, too

@@ -74,8 +74,10 @@ class Verb(NamedTuple):
     """The functions of a verb."""
 
     add: Callable[[argparse.ArgumentParser], None]  # adds its arguments
-    run: Callable[[Recording, argparse.Namespace], int] | None  # on a recording; None if it takes none
-    run_folder: Callable[[Runs, argparse.Namespace], int] | None  # on a folder of recordings; None if it takes none
+    run: Callable[[Recording, argparse.Namespace], int] | None  # on a recording; None if the verb takes only folders
+    run_folder: (
+        Callable[[Runs, argparse.Namespace], int] | None
+    )  # on a folder of recordings; None if the verb takes no folders
 
 
 def main(argv: Sequence[str] | None = None) -> int:

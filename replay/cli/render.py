@@ -22,9 +22,7 @@ _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the file, and the viewpoint."""
     parser.add_argument("step", metavar="STEP", help=HINT)
-    parser.add_argument(
-        "-o", dest="file", metavar="FILE", help="the picture (default: LOG_STEP.png in the current folder)"
-    )
+    parser.add_argument("-o", dest="file", metavar="FILE", help="the picture (default: LOG_STEP.png)")
     parser.add_argument("--camera", metavar="FRAME", help="a frame of the robot, such as wide_stereo_optical_frame")
     parser.add_argument(
         "--from",

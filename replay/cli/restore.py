@@ -33,22 +33,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, and the use of the world."""
     parser.add_argument("step", metavar="STEP", help=HINT)
     doing = parser.add_mutually_exclusive_group()
-    doing.add_argument(
-        "--script",
-        metavar="FILE",
-        help="run a Python file with the variables world, robot and a variable for each object",
-    )
+    doing.add_argument("--script", metavar="FILE", help="run a Python file with variables for world and objects")
     doing.add_argument("--shell", action="store_true", help="open interactive Python (default)")
-    parser.add_argument(
-        "--gui",
-        action="store_true",
-        help="show PyBullet's window; without --script and --shell, wait until it is closed",
-    )
-    parser.add_argument(
-        "--exact",
-        action="store_true",
-        help="repeat every change since the start, so that the future equals the original's",
-    )
+    parser.add_argument("--gui", action="store_true", help="show PyBullet's window; alone, wait until it is closed")
+    parser.add_argument("--exact", action="store_true", help="repeat every change, for the same future as the original")
     parser.add_argument("--world", metavar="NAME", help="restore this world (default: the last opened world)")
     parser.add_argument("--log", dest="target", metavar="FILE", help="record the session into this file")
 

@@ -30,14 +30,12 @@ _MAX_CALLERS: Final = 4
 def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the choice of the source, and the plan's arguments."""
     parser.add_argument(
-        "--recorded-source",
-        action="store_true",
-        help="run the source that is attached to the recording (default: the files on disk)",
+        "--recorded-source", action="store_true", help="run the recorded source (default: the files on disk)"
     )
     parser.add_argument(
         "--arguments",
         nargs=argparse.REMAINDER,
-        help="the plan's arguments, to the end of the line (default: the recorded arguments)",
+        help="the plan's arguments (default: the recorded arguments); the last option",
     )
 
 
@@ -107,7 +105,7 @@ def _facts(result: Retracing) -> dict[str, object]:
 
 
 def _lines(result: Retracing, of: str) -> Iterator[str]:
-    """Yield the result as text; ``of`` stands before the plan's name."""
+    """Yield the result as text; ``of`` is printed before the plan's name."""
     difference = result.difference
     of += phrases.path(str(result.plan))
     if difference is None:
@@ -156,12 +154,8 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         help="override the answer of the next such query: 'reachable_object(milk, ...)=false', 'blocking(...)=[bowl]'; "
         "repeatable",
     )
-    parser.add_argument(
-        "--seed", metavar="N", type=int, help="seed of random numbers and of the order of branches after that step"
-    )
-    parser.add_argument(
-        "--control", action="store_true", help="also run the plan without the change, and compare it with the recording"
-    )
+    parser.add_argument("--seed", metavar="N", type=int, help="seed of random numbers and of the order after that step")
+    parser.add_argument("--control", action="store_true", help="also compare an unchanged run with the recording")
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.fork.mcap)")
     add_source_and_arguments(parser)
 
@@ -239,6 +233,8 @@ def run_resume(log: Recording, options: argparse.Namespace) -> int:
         plan=options.plan,
         arguments=options.arguments,
         recorded_source=options.recorded_source,
-        begun=lambda: print_message(f"the plan runs again up to step {len(log) - 1}, where it was killed; {AGAIN}"),
+        begun=lambda: print_message(
+            f"the plan runs again up to step {len(log) - 1}, the last before it was killed; {AGAIN}"
+        ),
     )
     return _print_fork(log, resumed, as_json=options.json)

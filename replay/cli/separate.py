@@ -29,12 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the cause, and the number of claims."""
     parser.epilog = "Random data would lead to any claim in fewer than 1 of 100 folders (Westfall, Young)."
     parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
-    parser.add_argument(
-        "--cause",
-        metavar="N",
-        type=int,
-        help="only failures of this cause; N is its number in the output of stats, from 1",
-    )
+    parser.add_argument("--cause", metavar="N", type=int, help="only failures of cause number N in the output of stats")
     parser.add_argument("--all", action="store_true", help=f"print all claims (default: {_MAX_CLAIMS})")
 
 

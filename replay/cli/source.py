@@ -20,14 +20,9 @@ _SHORT = 8  # digits of a hash
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the file and the target."""
     parser.add_argument(
-        "file",
-        metavar="FILE",
-        nargs="?",
-        help="print this file; HASH/FILE if several files share a name (default: list all files)",
+        "file", metavar="FILE", nargs="?", help="print this file; HASH/FILE for a shared name (default: list all)"
     )
-    parser.add_argument(
-        "-o", dest="target", metavar="PATH", help="write the file to PATH, or all files into the folder PATH"
-    )
+    parser.add_argument("-o", dest="target", metavar="PATH", help="write the file to PATH, or all files to a folder")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:

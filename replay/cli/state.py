@@ -1,4 +1,4 @@
-"""``state``: poses, joints, attachments and what robots believe after a step."""
+"""``state``: poses, joints, attachments and the robots' beliefs after a step."""
 
 from __future__ import annotations
 

@@ -83,9 +83,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the report and the picture."""
     parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
     parser.add_argument("--html", metavar="FILE", help="write a report with plots and pictures, as a single file")
-    parser.add_argument(
-        "--picture", metavar="FILE", help="write pictures of the failures of each cause into a PNG file"
-    )
+    parser.add_argument("--picture", metavar="FILE", help="write pictures of failures of each cause into a PNG file")
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:

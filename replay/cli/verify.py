@@ -29,9 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Exit code 0: the recording is sound. 1: it is complete, but records differ. 3: it is damaged or incomplete."
     )
-    parser.add_argument(
-        "--static", action="store_true", help="check only the file and its records, without the physics engine"
-    )
+    parser.add_argument("--static", action="store_true", help="check only the file and its records, without the engine")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -109,7 +107,7 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
 def _notes(verification: Verification) -> Iterator[str]:
     if verification.environment:
         same = "" if verification.largest is None else "; not comparable bit for bit"
-        yield f"note   this environment differs from the recorded one: {', '.join(verification.environment)}{same}"
+        yield f"note   this environment differs from the recorded environment: {', '.join(verification.environment)}{same}"
     if verification.late:
         yield f"note   {', '.join(verification.late)} began before the recording: its physics isn't compared"
     if verification.unknown:

@@ -27,9 +27,7 @@ _COMMONEST: Final = 3  # causes of a folder's failures that are explained
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step of the failure, and the folder for pictures."""
     parser.add_argument("step", metavar="STEP", nargs="?", help=f"a step of another failed task: {HINT}")
-    parser.add_argument(
-        "--pictures", metavar="DIR", help="write pictures of the failure: the robot's view, and a view from the side"
-    )
+    parser.add_argument("--pictures", metavar="DIR", help="write pictures: the robot's view, and a view from the side")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:

@@ -157,7 +157,7 @@ def branches(case: FailureCase) -> Iterator[FailedBranch]:
 
 
 def _origins(task: Node) -> Iterator[Node]:
-    """Yield the tasks in which a failure began: of a block one for each failed part."""
+    """Yield the tasks in which a failure began; a block has such a task for each failed part."""
     failed = [child for child in task.children if child.failed]
     if task.kind != "block":
         failed = [child for child in failed if any(each is child for each in task.origin.around())]

@@ -36,7 +36,7 @@ class Summary:
     started: datetime  # wall-clock time of the first record, UTC
     seconds: float  # from the first to the last record
     worlds: tuple[WorldClock, ...]  # in the order of their opening
-    outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" where its end is damaged
+    outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" if its end is damaged
     failure: str  # of the plan, as "Type: message"; "" without a failure
     #: Names of the plan's own threads that failed while the plan continued, with their failures.
     threads: tuple[tuple[str, str], ...]

@@ -140,7 +140,7 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
 
 
 def uncaught_failure(log: RecordReader) -> Run | None:
-    """Return the record of the uncaught failure of the plan, else of its last failed thread."""
+    """Return the record of the uncaught failure of the plan, or of its last failed thread."""
     end = log[-1]
     if isinstance(end, Run) and end.HasField("failure"):
         return end
@@ -148,7 +148,7 @@ def uncaught_failure(log: RecordReader) -> Run | None:
 
 
 def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
-    """Return the task that raised the failure or else its nearest cause, and the index of that exception.
+    """Return the task that raised the failure, or its nearest cause, and the index of that exception.
 
     Earlier exceptions were handled, even if they are in Python's traceback. Of several failed tasks in a block, the
     origin is the task whose error became the block's error.

@@ -230,7 +230,7 @@ _CHANGES: Final[Mapping[str, str]] = {
 
 
 def change(name: str, how: str, mover: str = "") -> str:
-    """Return the change of a body or joint; ``mover`` is the body that carried it, or on which it moved along."""
+    """Return the change of a body or joint; ``mover`` carried the body, or moved the body along."""
     if how in ("gravity", "joints"):
         return "gravity was set" if how == "gravity" else f"joints of {name} moved"
     word = {"carried": "by", "along": "with"}.get(how) if mover else None

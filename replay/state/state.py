@@ -138,8 +138,8 @@ class World:
         """Return the robots' beliefs, latest first.
 
         Args:
-            what: name or type of objects; None for all.
-            robot: name of the robot; None for all.
+            what: name or type of objects; None for all objects.
+            robot: name of the robot; None for all robots.
         """
         types = {name: body.type for name, body in self.bodies.items()}
         return [

@@ -34,7 +34,7 @@ KINDS: Final[tuple[type[Cause], ...]] = (
 
 
 def find(case: FailureCase) -> tuple[Cause, ...]:
-    """Return the causes of a failure that are on record, those that explain most first.
+    """Return the recorded causes of a failure; the causes that explain most come first.
 
     Causes that a deeper cause explains are left out.
     """

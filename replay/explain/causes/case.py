@@ -263,7 +263,7 @@ class FailureCase:
                 yield motion
 
     def is_here(self, record: Task | Refusal | Mutation) -> bool:
-        """Return whether a record belongs to the world of the failure, not to an earlier one of the same name."""
+        """Return whether a record belongs to the world of the failure, not to an earlier world of the same name."""
         if self.world is None:
             return True
         lifetime = self.log.lifetime_at(record.world, record.seq)

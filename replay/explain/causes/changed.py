@@ -192,9 +192,9 @@ class HandState(Cause):
             yield f"{hand} held {self.body} {step}{since(self.change, 'taken')}"
             return
         if self.holder:
-            end = f": the {self.holder} one did" if " " not in self.holder else f": {self.holder} did"
+            end = f": the {self.holder} gripper did" if " " not in self.holder else f": {self.holder} did"
         else:
-            end = since(self.change, "let go of") if self.change is not None else ": no hand had taken it"
+            end = since(self.change, "released") if self.change is not None else ": no hand had taken it"
         yield f"the {self.arm} gripper didn't hold {self.body} {step}{end}"
 
 

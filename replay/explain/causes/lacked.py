@@ -133,7 +133,7 @@ class RefusedRequest(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[RefusedRequest]:
-        """Yield the refusals whose missing effects made the motion or line fail; the last one for each subject."""
+        """Yield the refusals whose missing effects made the motion or line fail; the last refusal for each subject."""
         if not case.log.counts().get("refusal"):
             return
         found: set[tuple[str, str]] = set()
@@ -166,7 +166,7 @@ def _lacked(text: str, subject: str, arm: str = "") -> str:
     return text.format(subject=subject, arm=arm).replace("the  ", "the ")
 
 
-# --- what a motion lacked --------------------------------------------------------------------------------------------
+# --- preconditions of a motion ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,7 +422,7 @@ def _next_step(
 
 
 def _results(case: FailureCase) -> Iterator[Swallowed]:
-    """Yield the failures that left a variable empty which the failed line reads."""
+    """Yield the failures that left a variable of the failed line empty."""
     setting = _motions_setting_variables(case) if _lacks_value(case) else iter(())
     if case.failure.type in _EMPTY:  # several motions may have filled the container
         found = list(islice(setting, _MAX_SETTING))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from recorder.records import Query
 
 
-_DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain this one
+_DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain the causes here
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""A deadline was missed, or the plan was interrupted: its pending tasks, and what could have ended its waits."""
+"""A deadline was missed, or the plan was interrupted: its pending tasks, and possible ends of its waits."""
 
 from __future__ import annotations
 
