@@ -62,10 +62,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
             lifetime = log.lifetime_at(record.world, record.seq) if record.world and len(log.lifetimes) > 1 else None
             world = f"{lifetime.title}: " if lifetime is not None else ""
             cause = f"  (by a handler of the event at step {record.cause})" if record.cause else ""
-            print_text(
-                f"{record.seq:6} {clock:>10} {kind_of(record):8} {world}{line}{cause}",
-                flush=options.follow,
-            )
+            print_text(f"{record.seq:6} {clock:>10} {kind_of(record):8} {world}{line}{cause}", flush=options.follow)
     if not found and not options.follow:
         wanted.check(log)
     return 0

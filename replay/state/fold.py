@@ -10,16 +10,7 @@ import math
 from bisect import bisect_left, bisect_right
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import (
-    STEPS_PER_SECOND,
-    Belief,
-    Following,
-    Keyframe,
-    Mutation,
-    Query,
-    argument_values,
-    beliefs,
-)
+from recorder.records import STEPS_PER_SECOND, Belief, Following, Keyframe, Mutation, Query, argument_values, beliefs
 from recorder.records.motion import has_ended
 from replay.errors import Damaged
 from replay.file.lifetimes import closes_world
