@@ -46,11 +46,11 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         state.world(options.world)
     if state.uncertainty:
         print_message(state.uncertainty)
-    print_result(
-        lambda: _data(state, options.object, options.world, links=options.links),
-        _lines(state, options.object, options.world, links=options.links),
-        as_json=options.json,
-    )
+    details, links = options.object is not None, options.links
+    lines = [f"after step {state.step}" if state.sampled is None else phrases.sampled(state.sampled)]
+    for world, bodies in _shown(state, options.object, options.world):
+        lines += _world(state, world, bodies, details=details, links=links)
+    print_result(lambda: _data(state, options.object, options.world, links=links), lines, as_json=options.json)
     return 0
 
 
@@ -75,12 +75,6 @@ def _shown(state: State, only: str | None, name: str | None) -> Iterator[tuple[W
     for world in state.worlds.values():
         if name in (None, world.name) and (only is None or only in world.bodies):
             yield world, [body for body in world.bodies.values() if only in (None, body.name)]
-
-
-def _lines(state: State, only: str | None, name: str | None, *, links: bool) -> Iterator[str]:
-    yield f"after step {state.step}" if state.sampled is None else phrases.sampled(state.sampled)
-    for world, bodies in _shown(state, only, name):
-        yield from _world(state, world, bodies, details=only is not None, links=links)
 
 
 def _world(state: State, world: World, bodies: list[Body], *, details: bool, links: bool) -> Iterator[str]:

@@ -48,7 +48,9 @@ class PlanSource:
         lines = text.splitlines()
         if number > len(lines):
             return Line(file, number)
-        return Line(file, number, _function(text, number), lines[number - 1].strip())
+        functions = (node for node in syntax_nodes(text) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+        names = [node.name for node in functions if node.lineno <= number <= (node.end_lineno or node.lineno)]
+        return Line(file, number, names[-1] if names else "<module>", lines[number - 1].strip())
 
     def call_stack(self, record: Record) -> tuple[Line, ...]:
         """Return the plan's lines that led to a record, outermost first; empty if unknown."""
@@ -101,12 +103,6 @@ def syntax_nodes(text: str) -> tuple[ast.AST, ...]:
         return tuple(ast.walk(ast.parse(text)))
     except (SyntaxError, ValueError, RecursionError):
         return ()
-
-
-def _function(text: str, number: int) -> str:
-    functions = (node for node in syntax_nodes(text) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
-    names = [node.name for node in functions if node.lineno <= number <= (node.end_lineno or node.lineno)]
-    return names[-1] if names else "<module>"
 
 
 _FRAME: Final = re.compile(r'^[\s|+]*File "(?P<file>[^"]+)", line (?P<line>\d+), in (?P<function>.+)$')

@@ -80,7 +80,11 @@ def task_step(log: RecordReader, text: str) -> int:
     number = int(match["which"] or 1)
     executions = _executions(log, match["path"], number)
     if not number or len(executions) < abs(number):
-        raise NoSuchStep(repr(text), len(log), _no_task_hint(log, match["path"], len(executions)))
+        names = (record.name for record in log.records(Task))
+        hint = f"no task matches {match['path']!r}; {suggestion(match['path'].rpartition('/')[2], names)}"
+        if executions:
+            hint = f"{len(executions)} tasks match {match['path']!r}; #1 is the first, #-1 the last"
+        raise NoSuchStep(repr(text), len(log), hint)
     step = executions[number - 1 if number > 0 else number][match["end"] == "end"]
     if step is None:
         raise NoSuchStep(repr(text), len(log), "the recording ends before this task does")
@@ -108,13 +112,6 @@ def _executions(log: RecordReader, path: str, number: int) -> list[list[int | No
             if len(executions) == number > 0 and executions[-1][1] is not None:
                 break
     return executions
-
-
-def _no_task_hint(log: RecordReader, path: str, count: int) -> str:
-    if count:
-        return f"{count} tasks match {path!r}; #1 is the first, #-1 the last"
-    names = (record.name for record in log.records(Task))
-    return f"no task matches {path!r}; {suggestion(path.rpartition('/')[2], names)}"
 
 
 def _at_time(log: RecordReader, seconds: float, text: str) -> int:

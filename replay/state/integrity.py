@@ -263,8 +263,10 @@ class TaskIntegrity:
         number, before = record.task, self._phases.get(record.task)
         if self._newer and record.phase not in Task.Phase.values():
             return ""
-        cause = self._misplaced(record, before) or self._unlike(record)
-        if cause:
+        if record.phase not in _AFTER.get(before, ()) and not self.partial:
+            last = "never started" if before is None else f"was {_name(before)} before"
+            return f"task {number} is {_name(record.phase)}, but it {last}"
+        if cause := self._unlike(record):
             return cause
         if before is None:
             if not self.knows(record.parent):
@@ -279,12 +281,6 @@ class TaskIntegrity:
             self._running[number] = record
             self._threads[number] = record.thread
         return ""
-
-    def _misplaced(self, record: Task, before: Task.Phase | None) -> str:
-        if record.phase in _AFTER.get(before, ()) or self.partial:
-            return ""
-        last = "never started" if before is None else f"was {_name(before)} before"
-        return f"task {record.task} is {_name(record.phase)}, but it {last}"
 
     def _unlike(self, record: Task) -> str:
         """Return how a record contradicts itself or its task's start; "" if it doesn't."""

@@ -345,7 +345,9 @@ class FailureCase:
         """
         found: set[tuple[str, str]] = set()
         for line in lines:
-            for statement in _simple_statements(self.source.text(line.file)):
+            for statement in syntax_nodes(self.source.text(line.file)):
+                if not isinstance(statement, ast.stmt) or hasattr(statement, "body"):
+                    continue
                 if statement.lineno <= line.number <= (statement.end_lineno or statement.lineno):
                     nodes = [node for node in ast.walk(statement) if isinstance(node, ast.Name)]
                     found |= {(line.function, node.id) for node in nodes if isinstance(node.ctx, context)}
@@ -408,10 +410,6 @@ def _filled_containers(statement: ast.stmt) -> Iterator[str]:
             owner = None
         if isinstance(owner, ast.Name):
             yield owner.id
-
-
-def _simple_statements(text: str) -> Iterator[ast.stmt]:
-    return (node for node in syntax_nodes(text) if isinstance(node, ast.stmt) and not hasattr(node, "body"))
 
 
 def hands(robot: Body | None) -> dict[str, str]:

@@ -20,7 +20,7 @@ from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import answers
 from replay.report import phrases
 from replay.state.fold import state_at
-from replay.state.state import Body, turn
+from replay.state.state import turn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -262,7 +262,8 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
         yield from _last_change(case, name, step)
     before, after = then.bodies.get(robot), case.world.bodies.get(robot)
     if named and isinstance(asked, Query) and before is not None and after is not None:
-        for joint in _relevant_joints(after, asked.name):
+        head = joints_of(after, "head") if asked.name in ("visible", "occluding") else ()  # other queries vary the head
+        for joint in (*joints_of(after, "torso"), *head):
             if abs(before.joints.get(joint, 0.0) - after.joints.get(joint, 0.0)) > _MOVED[1]:
                 change = case.blame(f"{robot}.{joint}")
                 if change is not None and change.record.seq > step:
@@ -303,12 +304,6 @@ def _commanded_moves(case: FailureCase, name: str, start: int) -> Iterator[Causi
         distance = math.dist(before.position, after.position)
         if distance > _IN_HAND:
             yield case.change(record, name, "in-hand", size=(distance, turn(before.orientation, after.orientation)))
-
-
-def _relevant_joints(robot: Body, query: str) -> tuple[str, ...]:
-    """Return the joints that affect an answer, without the joints that the query varies."""
-    head = joints_of(robot, "head") if query in ("visible", "occluding") else ()
-    return (*joints_of(robot, "torso"), *head)
 
 
 def _removal(case: FailureCase) -> tuple[str, Mutation | None]:

@@ -37,6 +37,14 @@ _PUSHED: Final = 0.35  # m from the frame of a link that may push an object
 _QUIET: Final = STEPS_PER_SECOND // 10  # steps without motion after which an object is at rest
 _WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
 _MAX_LETS: Final = 3
+#: Changes of the object by commands; other commands move it.
+_HOW: Final = {
+    "load_body": "load",
+    "detach_body": "detached",
+    "attach_body": "attached",
+    "remove_body": "detached",
+    "move_joints": "along",
+}
 _FAST: Final = 0.1  # m/s; lower speeds at a release aren't mentioned
 _SPINNING: Final = 1.0  # rad/s, likewise
 
@@ -180,7 +188,7 @@ class _Fate:
                     break
                 continue
             if record.seq == start:
-                candidates.append(case.change(record, self._name, _how(record)))
+                candidates.append(case.change(record, self._name, _HOW.get(record.WhichOneof("command"), "command")))
             elif record.HasField("simulate") and record.simulate.steps >= _QUIET and record not in self.moves:
                 break  # it was at rest after this
             elif record in self.moves and record.simulate.steps >= _QUIET and not self._is_moving(record):
@@ -268,13 +276,6 @@ class _Fate:
     def _pose(self, step: int) -> Pose | None:
         body = self._body(state_at(self._case.log, step), self._name)
         return body.pose if body is not None else None
-
-
-def _how(record: Mutation) -> str:
-    """Return how a record changed the object that it names."""
-    command = record.WhichOneof("command") or ""
-    known = {"load_body": "load", "detach_body": "detached", "attach_body": "attached", "remove_body": "detached"}
-    return known.get(command, "along" if command == "move_joints" else "command")
 
 
 def _shift(before: Pose | None, after: Pose) -> float:
