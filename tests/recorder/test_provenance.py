@@ -63,7 +63,7 @@ def test_a_program_s_arguments_directory_and_computer_are_recorded(
     assert main(["info", str(file)]) == 0
     shown = {line[:12].strip(): line[13:] for line in capsys.readouterr().out.splitlines()}
     assert shown["directory"] == str(tmp_path)
-    assert shown["seed"].startswith("none is known")
+    assert shown["seed"].startswith("unknown")
     assert start.cpu in shown["computer"]
     assert start.pycram.sha256[:12] in shown["revision"] or start.pycram.commit[:12] in shown["revision"]
 

@@ -211,7 +211,9 @@ def test_blame_tree_and_log_name_the_handler(tmp_path: Path, capsys: pytest.Capt
     main(["tree", str(file)])
     assert 'lift(event="attachment", sender="world_' in capsys.readouterr().out
     main(["log", str(file), "--kind", "mutation"])
-    assert f"move body milk [1.000, 0.000, 2.000]  (by a handler of step {step})" in capsys.readouterr().out
+    assert (
+        f"move body milk [1.000, 0.000, 2.000]  (by a handler of the event at step {step})" in capsys.readouterr().out
+    )
     main(["show", str(file), str(step + 2), "--json"])
     assert json.loads(capsys.readouterr().out)["cause"] == step
     assert main(["verify", str(file)]) == 0

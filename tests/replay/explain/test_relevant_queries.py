@@ -139,7 +139,7 @@ def test_blame_takes_the_world_opened_last_and_names_others(
     assert main(["blame", str(taken.path), "ball"]) == 0
     output = capsys.readouterr().out
     assert output.startswith("ball in hall has been at [7, 7, 7]")
-    assert "ball is in lab too" in output
+    assert "ball is in lab, too" in output
 
 
 @pytest.mark.parametrize("taken", ["another world"], indirect=True)
@@ -151,4 +151,6 @@ def test_the_error_names_another_world_that_has_the_object(
 ) -> None:
     name, *rest = verb.split()
     assert main([name, str(taken.path), *rest]) == 2
-    assert "there is no object 'floor'; it is in lab, not in hall; choose a world with --world" in capsys.readouterr().err
+    assert (
+        "there is no object 'floor'; it is in lab, not in hall; choose a world with --world" in capsys.readouterr().err
+    )

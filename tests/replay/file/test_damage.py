@@ -206,7 +206,7 @@ def test_why_does_not_call_unfinished_what_ended_in_the_damage(
     at = said.index("Unfinished, or finished in a lost record")
     assert said[at + 1].endswith("in par block  [since step 22]")
     zeroed_chunks(file, 8, 9, 10)
-    assert why() == ["The end of plan is lost; the last readable step is 122."]
+    assert why() == ["The end of the recording of plan is lost; the last readable step is 122."]
     assert main(["diff", str(GOLDEN), str(file)]) == 3
     assert "the second lost its end" in capsys.readouterr().out
     assert main(["info", str(file)]) == 3

@@ -150,7 +150,7 @@ def test_nothing_is_overwritten_without_saying_so(
         return capsys.readouterr().err
 
     assert "exists; name another file, or add --overwrite" in refused(other)
-    assert "no recording" in refused(notes, "--overwrite")
+    assert "isn't a recording" in refused(notes, "--overwrite")
     assert "is the recording itself" in refused(damaged, "--overwrite")
     assert main(["repair", str(damaged), "-o", str(other), "--overwrite"]) == 3
     assert f"{other} is replaced" in capsys.readouterr().err

@@ -158,7 +158,7 @@ def test_steps_by_name(tmp_path: Path) -> None:
     ("name", "hint"),
     [
         ("task:pick-it@end", "did you mean pick-up"),
-        ("task:pick-up#9@start", "2 tasks fit"),
+        ("task:pick-up#9@start", "2 tasks match"),
         ("task:pick-up", "task:PATH@start"),
         ("10000", "steps 0 to"),
         ("-10000", "steps 0 to"),

@@ -242,7 +242,7 @@ def test_blame_names_its_world_if_the_default_one_has_no_such_body(
     assert main(["blame", str(file), "cup"]) == 0
     output = capsys.readouterr().out
     assert output.startswith("cup in a was already at [0, 0, 0] when the recording began\n")
-    assert "(b, the world opened last, has no cup: --world chooses one)" in output
+    assert "(b, the last opened world, has no cup; choose a world with --world)" in output
     assert main(["blame", str(file), "ball"]) == 0
     assert capsys.readouterr().out.startswith("ball in a was removed from [0, 0, 0]\n")
     assert main(["blame", str(file), "cup", "--world", "b"]) == 0

@@ -160,8 +160,8 @@ def test_every_query_can_be_asked() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "can't be read"),
-        ("stable(", "can't be read"),
+        ("", "can't be parsed"),
+        ("stable(", "can't be parsed"),
         ("stable", "is the call of a query"),
         ("stable(milk) and stable(bowl)", "is the call of a query"),
         ("stable(open('x'))", "can't be an argument"),
@@ -170,11 +170,11 @@ def test_every_query_can_be_asked() -> None:
         ("stable(lambda: 0)", "can't be an argument"),
         ("stable([x for x in milk])", "can't be an argument"),
         ("stable(milk.__class__.__mro__[0])", "can't be an argument"),
-        ("(lambda: 0)()", "is no name"),
+        ("(lambda: 0)()", "isn't a name"),
         ("stable(f'{milk}')", "can't be an argument"),
         ("stable(-milk)", "can't be an argument"),
         ("stable(" + "[" * 5000 + "]" * 5000 + ")", "nest"),
-        ("stable(\0)", "can't be read"),
+        ("stable(\0)", "can't be parsed"),
         ("stable(1j)", "can't be an argument"),
     ],
 )
