@@ -62,7 +62,7 @@ def test_a_recording_within_tasks_begins_with_them(
     main(["tree", str(file)])
     assert "not finished, began before the recording" in capsys.readouterr().out
     main(["verify", str(file)])
-    assert "2 of them not ended then" in capsys.readouterr().out
+    assert "2 of them unfinished" in capsys.readouterr().out
 
 
 def test_a_recording_that_is_left_within_tasks_says_so(tmp_path: Path) -> None:

@@ -228,7 +228,7 @@ def test_the_explanation_of_the_demo_has_every_section(failed_log: Path, capsys:
         "milk at [1.72, 0.85,",
         "arm=left, pr2 at [0.65, 0.9]",
         "arm=right, pr2 at [0.65, 0.6]",
-        "all of it is seen",
+        "all of it is visible",
         "No pick-up succeeded before.",
         "detecting(object-type=milk) succeeded",
         "pycram-replay blame",

@@ -120,7 +120,7 @@ def test_what_is_left_of_a_repaired_recording_verifies(tmp_path: Path, capfd: py
         assert "were lost before it was repaired" in verdict.incomplete
     capfd.readouterr()
     assert main(["verify", str(tmp_path / "5.sound.mcap")]) == 3
-    assert capfd.readouterr().out.startswith("sound  129 steps, as far as there are records: steps ")
+    assert capfd.readouterr().out.startswith("sound  129 steps, up to the last record: steps ")
 
 
 def test_a_sound_recording_is_copied_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -153,7 +153,7 @@ def test_nothing_is_overwritten_without_saying_so(
     assert "isn't a recording" in refused(notes, "--overwrite")
     assert "is the recording itself" in refused(damaged, "--overwrite")
     assert main(["repair", str(damaged), "-o", str(other), "--overwrite"]) == 3
-    assert f"{other} is replaced" in capsys.readouterr().err
+    assert f"{other} existed, and is replaced" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.part"))
     with recorder.record(tmp_path / "running.mcap"):
         assert main(["repair", str(tmp_path / "running.mcap")]) == 3

@@ -115,7 +115,7 @@ def test_a_thread_s_task_that_outlives_a_plan_after_ctrl_c_is_no_damage(plan: st
     assert verification.exact, verification
     assert verification.unfinished == 1
     assert main(["verify", str(file)]) == 0
-    assert "1 of them not ended then" in capfd.readouterr().out
+    assert "1 of them unfinished" in capfd.readouterr().out
 
 
 @pytest.mark.slow
