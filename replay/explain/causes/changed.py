@@ -43,7 +43,8 @@ _BELIEVED: Final = frozenset(
     ("Blocked", "GraspFailed", "LookingFailed", "ObjectNotFound", "PerceptionError", "PlaceFailed", "Unreachable")
 )
 _AWAY: Final = 0.02  # m; smaller distances are settling
-_GONE: Final = re.compile(r": object (.+) is gone$")  # in messages of WorldClosed
+#: In messages of WorldClosed, also of other releases.
+_GONE: Final = re.compile(r": object (.+) (?:is gone|was removed|has been removed|no longer exists)$")
 
 
 @dataclass(frozen=True, slots=True)
