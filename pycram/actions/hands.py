@@ -264,7 +264,7 @@ def check_target(body: Object, target: Any) -> None:
     turns = [place["orientation"]] if place["orientation"] is not None else _UPRIGHT
     for number, turn in enumerate(turns):
         try:
-            settling.set_down(body, place["position"], turn)
+            settling.resting_position(body, place["position"], turn)
         except PlaceFailed:
             if number == len(turns) - 1:
                 raise

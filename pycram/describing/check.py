@@ -12,7 +12,7 @@ from pycram.describing.grippers import Corners
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.kinematics import pan_tilt
 from pycram.reasoning.kinematics.forward import Chain
-from pycram.reasoning.kinematics.inverse import Solver, spread
+from pycram.reasoning.kinematics.inverse import Solver, halton_postures
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
 def _reach(robot: Object, arm: Arm) -> Finding:
     """Check that inverse kinematics solves poses of the tool that some postures have."""
     chain = chain_of(robot, arm)
-    postures = chain.limited(spread(chain, 0, _POSES))
+    postures = chain.limited(halton_postures(chain, 0, _POSES))
     root = robot.get_link_position_and_orientation(arm.base_link)
     poses = []
     for matrix in chain.poses(postures):
@@ -141,7 +141,7 @@ def _head(robot: Object, description: RobotDescription) -> Finding:
     now = robot.get_joint_positions()
     frame = camera.pose(robot.urdf.forward_kinematics(now, camera.frame))
     point = frame[0][0] + 1.5, frame[0][1], max(frame[0][2] - 0.5, 0.0)
-    _, (x, y, z) = pan_tilt.look(robot.urdf, joints, camera, point, now)
+    _, (x, y, z) = pan_tilt.aim_camera(robot.urdf, joints, camera, point, now)
     angle = math.degrees(math.atan2(math.hypot(x, y), z))
     limit = math.degrees(min(camera.horizontal_fov, camera.vertical_fov)) / 2
     text = f"it looks {angle:.1f} degrees past a point 1.5 m in front of it and 0.5 m below"
@@ -175,7 +175,7 @@ def chain_of(robot: Object, arm: Arm) -> Chain:
 def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
     """Return pairs of links that overlap in all sampled postures of an arm: their shapes are too large."""
     chain = chain_of(robot, arm)
-    postures = [dict(zip(arm.joints, row, strict=True)) for row in spread(chain, 0, _SAMPLED).tolist()]
+    postures = [dict(zip(arm.joints, row, strict=True)) for row in halton_postures(chain, 0, _SAMPLED).tolist()]
     with CollisionChecker(robot, arm.joints) as checker:
         found = [
             {(pair.link, pair.body_link) for pair in checker.self_collisions(candidate)}
@@ -187,7 +187,7 @@ def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
 def parked(robot: Object, arm: Arm) -> list[float]:
     """Return a compact posture of an arm in which the robot doesn't touch itself; other arms don't move."""
     chain = chain_of(robot, arm)
-    postures = chain.limited(spread(chain, 0, _TRIED))
+    postures = chain.limited(halton_postures(chain, 0, _TRIED))
     root = geometry.pose_matrix(robot.urdf.forward_kinematics(robot.get_joint_positions(), arm.base_link))
     frames = np.concatenate([chain.frames(postures), chain.poses(postures)[None]])
     points = (root @ frames)[:, :, :3, 3]

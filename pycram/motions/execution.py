@@ -306,11 +306,11 @@ class ContinuousExecution(Execution):
 
     def open(self, robot: Object, arm: Arm) -> Step:
         """Open the fingers until something stops them."""
-        return self.grip(robot, fingers.moved(robot, arm, 1.0).positions)
+        return self.grip(robot, fingers.finger_motion(robot, arm, 1.0).positions)
 
     def close(self, robot: Object, arm: Arm) -> Step:
         """Close the fingers until something stops them."""
-        return self.grip(robot, fingers.moved(robot, arm, 0.0).positions)
+        return self.grip(robot, fingers.finger_motion(robot, arm, 0.0).positions)
 
     def pull(
         self,

@@ -16,7 +16,7 @@ from pycram.planning.timing import base_rates, joint_rates, stacked
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.kinematics.forward import Chain, rotation_error
-from pycram.reasoning.kinematics.inverse import descend
+from pycram.reasoning.kinematics.inverse import search_postures
 from pycram.reasoning.places.search import check_drives, check_ground
 from pycram.reasoning.rejections import Touching
 from pycram.world.joints import checked_positions, coupled
@@ -97,7 +97,7 @@ def joint_motion(
                 raise PostureInCollision(moved.arms, list(dict.fromkeys(pair.body for pair in touched)), touched)
             rates = joint_rates(robot, moved.searched)
             query = path.Query(moved.name, moved.searched, moved.space(), moved.start, moved.goal, rates, seed)
-            found = path.find(query, clearance, choice)
+            found = path.find_path(query, clearance, choice)
             return _planned(robot, moved, found, clearance.checks)
 
 
@@ -256,7 +256,9 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
     for number in range(1, count + 1):
         share = number / count
         goals, turns = (tool[:3, 3] + share * way)[None], (_rotation(share * turn) @ tool[:3, :3])[None]
-        found, reached = descend(chain, posture[None], goals, turns, np.zeros(1, dtype=np.intp), stop_early=True)
+        found, reached = search_postures(
+            chain, posture[None], goals, turns, np.zeros(1, dtype=np.intp), stop_early=True
+        )
         change = found[0] - posture
         moved = np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)  # less than half a turn
         left = float(np.linalg.norm(way)) * (1 - (number - 1) / count)
@@ -322,7 +324,7 @@ def base_motion(
                 raise InCollision(target, turn, list(dict.fromkeys(pair.body for pair in touched)), touched)
             space, wider = (_space(begin, end, room) for room in (_ROOM, _WIDER))
             query = path.Query("base", BASE_COORDINATES, space, begin, end, base_rates(robot), seed, wider)
-            found = path.find(query, clearance, choice)
+            found = path.find_path(query, clearance, choice)
     return PlannedMotion(trajectory_of((), found.knots), search_record(found, clearance.checks, found.way_points))
 
 

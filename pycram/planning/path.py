@@ -72,7 +72,7 @@ class Path:
     knots: Knots  # of the timed path
 
 
-def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
+def find_path(query: Query, clearance: Clearance, choice: Choice) -> Path:
     """Return a path without new collisions: it touches only what is touched at its ends.
 
     The first search, with half of the budget, keeps a distance to obstacles and stays in the narrow space.

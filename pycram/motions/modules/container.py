@@ -22,7 +22,14 @@ from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.grasping.handles import DeadEnd, Handle, arms_in_the_way, plan, plan_with_torso, remedies
+from pycram.reasoning.grasping.handles import (
+    DeadEnd,
+    Handle,
+    arms_in_the_way,
+    plan_path,
+    plan_path_with_torso,
+    remedies,
+)
 from pycram.reasoning.rejections import Touching
 from pycram.world import attachment
 
@@ -108,7 +115,7 @@ class Accessing(SimulatedModule):
             HandleUnreachable: The arm doesn't reach the whole path.
             HandleBlocked: An obstacle is in the way.
         """
-        found = plan(robot, arm, handle, values, choice=choice)
+        found = plan_path(robot, arm, handle, values, choice=choice)
         swept = list(_swept(handle, values))
         if swept:
             pairs = [pair for _, pair in swept]
@@ -117,7 +124,7 @@ class Accessing(SimulatedModule):
             raise HandleBlocked(handle.joint, _in_the_way(pairs), pairs=pairs, **details)
         if not isinstance(found, DeadEnd):
             return found
-        lifted = plan_with_torso(robot, arm, handle, values, choice)
+        lifted = plan_path_with_torso(robot, arm, handle, values, choice)
         if lifted is not None:
             return lifted
         with choosing("remedy", robot.world, object=handle.container, joint=handle.joint, to=values[-1]) as other:

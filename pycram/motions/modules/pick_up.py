@@ -21,7 +21,7 @@ from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import fingers
-from pycram.reasoning.grasping.choice import ways_to_hold
+from pycram.reasoning.grasping.choice import holding_grasps
 from pycram.reasoning.rejections import Touching, Unreached, short
 from pycram.world import overlaps
 from recorder import geometry
@@ -174,7 +174,7 @@ def _plan(
     """
     failures: list[PlanFailure] = []
     searched = 0
-    for grasp, posture, closing in ways_to_hold(robot, arm, body, names, failures, choice):
+    for grasp, posture, closing in holding_grasps(robot, arm, body, names, failures, choice):
         if giver is not None and (pairs := _meeting(robot, arm, giver, posture.positions)):
             failures.append(Blocked(arm.name, center(body), pairs))
             choice.reject(str(grasp), Touching(pairs))
@@ -220,7 +220,7 @@ def _release(robot: Object, giver: Arm, body: Object) -> Mapping[str, float]:
     Raises:
         GripperBlocked: Something stops its fingers earlier.
     """
-    motion = fingers.moved(robot, giver, 1.0, release=body)
+    motion = fingers.finger_motion(robot, giver, 1.0, release=body)
     if motion.stopped_by and motion.gap < fingers.CLEAR:
         raise GripperBlocked(giver.name, body.name, motion.stopped_by)
     return motion.positions

@@ -109,7 +109,7 @@ def _aimed(
     """
     target = looked_at["target"] if "target" in looked_at else center(looked_at["object"])
     point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
-    positions, seen = pan_tilt.look(robot.urdf, joints, camera, point, robot.get_joint_positions())
+    positions, seen = pan_tilt.aim_camera(robot.urdf, joints, camera, point, robot.get_joint_positions())
     x, y, z = seen
     angle = math.atan2(math.hypot(x, y), z)
     if angle > _ACCURACY and (len(joints) == _PAN_AND_TILT or not _in_picture(camera, seen)):
@@ -255,7 +255,7 @@ class MoveGripper(SimulatedModule):
                 robot.world.lock,
                 choosing("finger_motion", robot.world, arm=arm.name, motion=solution["motion"], release=held) as choice,
             ):
-                motion = fingers.moved(robot, arm, 1.0 if opening else 0.0, release=held)
+                motion = fingers.finger_motion(robot, arm, 1.0 if opening else 0.0, release=held)
                 if motion.stopped_by:
                     choice.reject("all the way", Touching(motion.stopped_by))
                 if held is not None and motion.stopped_by and motion.gap < fingers.CLEAR:

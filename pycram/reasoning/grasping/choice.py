@@ -66,7 +66,7 @@ class GraspPlan:
         return fields | {"obstacles": {body.name: info for body, info in self.obstacles.items()}}
 
 
-def best(
+def best_grasp(
     body: Object,
     robot: Object,
     link: str,
@@ -261,7 +261,7 @@ class _Choice:
         return self._target in depths, furniture, len(counted) - furniture, sum(sorted(counted.values()))
 
 
-def ways_to_hold(
+def holding_grasps(
     robot: Object,
     arm: Arm,
     body: Object,
@@ -282,11 +282,11 @@ def ways_to_hold(
     """
     refused: list[Grasp] = []
     while len(failures) < _MAX_GRASPS:
-        plan = best(body, robot, arm.tool_frame, names, refused, choice, base)
+        plan = best_grasp(body, robot, arm.tool_frame, names, refused, choice, base)
         if plan.grasp is None or plan.posture is None:
             failures.append(_nothing(robot, arm, body, names, plan, base))
             return
-        closing = fingers.closed_around(robot, arm, plan.posture.positions, body, base)
+        closing = fingers.close_around(robot, arm, plan.posture.positions, body, base)
         failure = _problem(arm, body, plan, closing)
         if failure is not None:
             failures.append(failure)

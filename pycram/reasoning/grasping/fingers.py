@@ -64,7 +64,7 @@ def _share_open(gripper: Gripper, now: Mapping[str, float]) -> float:
     return min(1.0, max(0.0, sum(shares) / len(shares))) if shares else 0.0
 
 
-def moved(
+def finger_motion(
     robot: Object,
     arm: Arm,
     goal: float,
@@ -132,7 +132,7 @@ class Closing:
     obstacles: Sequence[CollisionPair] = ()  # other links that the fingers would overlap, deepest first
 
 
-def closed_around(
+def close_around(
     robot: Object, arm: Arm, posture: Mapping[str, float], body: Object, base: Pose | None = None
 ) -> Closing | None:
     """Return how a gripper closes on an object, from open until the first touch; None if it never touches the object.

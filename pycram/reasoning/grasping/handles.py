@@ -197,7 +197,7 @@ class _Layer:
     angles: Array  # (n,) of the gripper about the bar, rad
 
 
-def plan(
+def plan_path(
     robot: Object,
     arm: Arm,
     handle: Handle,
@@ -241,12 +241,12 @@ def plan(
     return max(ends, key=lambda end: -1.0 if end.reached is None else abs(end.reached - values[0]))
 
 
-def plan_with_torso(
+def plan_path_with_torso(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> HandlePath | None:
-    """Return a path with the torso at another height, the nearest that allows one; see :func:`plan`."""
+    """Return a path with the torso at another height, the nearest that allows one; see :func:`plan_path`."""
     for height in _torso_heights(robot):
-        found = plan(robot, arm, handle, values, others=height, choice=choice)
+        found = plan_path(robot, arm, handle, values, others=height, choice=choice)
         if isinstance(found, HandlePath):
             return found
     return None
@@ -264,7 +264,7 @@ def _torso_heights(robot: Object) -> list[dict[str, float]]:
 
 
 class _Search:
-    """The search for a path; see :func:`plan` for the arguments. ``kept`` are the joints except the arm's."""
+    """The search for a path; see :func:`plan_path` for the arguments. ``kept`` are the joints except the arm's."""
 
     def __init__(
         self,
@@ -512,7 +512,7 @@ def arms_in_the_way(
     found: list[Remedy | InTheWay] = []
     for other in robot.description.arms.values() if robot.description else ():
         if other is not arm and any(_meets(robot, other, pair) for pair in pairs):
-            path = plan(robot, arm, handle, values, others=other.posture("park"))
+            path = plan_path(robot, arm, handle, values, others=other.posture("park"))
             found.append(Remedy(arm.name, parked=other.name) if isinstance(path, HandlePath) else InTheWay(other.name))
     return found
 
@@ -546,8 +546,8 @@ def remedies(
     found: list[Remedy] = []
     for other in free:
         if other is not arm:
-            remedy, path = Remedy(other.name), plan(robot, other, handle, values)
-            if isinstance(path, HandlePath) or plan_with_torso(robot, other, handle, values) is not None:
+            remedy, path = Remedy(other.name), plan_path(robot, other, handle, values)
+            if isinstance(path, HandlePath) or plan_path_with_torso(robot, other, handle, values) is not None:
                 found.append(remedy)
             else:
                 choice.reject(str(remedy), path.rejection())
@@ -574,7 +574,7 @@ def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[fl
         if touched:
             choice.reject(str(remedy), Touching([collision["pair"] for collision in touched.values()]))
             continue
-        path = plan(robot, arm, handle, values, base, quick=True)
+        path = plan_path(robot, arm, handle, values, base, quick=True)
         if isinstance(path, HandlePath):
             return remedy
         choice.reject(str(remedy), path.rejection())

@@ -40,7 +40,7 @@ _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
 _YAWS: Final = 12  # orientations about the vertical that are tried
 
 
-def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> Vector:
+def resting_position(body: Object, target: Sequence[float], orientation: Quaternion) -> Vector:
     """Return the position at which an object rests.
 
     Args:
@@ -91,7 +91,7 @@ def _resting_height(
     touched: Callable[[float], list[CollisionPair]],
     gap: Callable[[float], float],
 ) -> float:
-    """Return the height at which an object touches something on its way down; see :func:`set_down`.
+    """Return the height at which an object touches something on its way down; see :func:`resting_position`.
 
     Args:
         target: xyz, m.
@@ -226,7 +226,9 @@ def placements(
                 (candidate,) = own.predict([posture.positions], base)
                 pairs = own.in_the_way(candidate) or _pressed(own, candidate, arm, body)
             if not pairs:
-                opening = fingers.moved(robot, arm, 1.0, posture=posture.positions, release=body, pose=pose, base=base)
+                opening = fingers.finger_motion(
+                    robot, arm, 1.0, posture=posture.positions, release=body, pose=pose, base=base
+                )
                 if opening.gap >= fingers.CLEAR or not opening.stopped_by:
                     yield Placement(name, pose, tool, posture.positions, opening.positions)
                     continue
@@ -280,7 +282,7 @@ def _poses(
     for turn in turns:
         if turn not in rests:
             try:
-                rests[turn] = set_down(body, target, turn)
+                rests[turn] = resting_position(body, target, turn)
             except PlaceFailed as failure:
                 rests[turn] = failure
         position = rests[turn]

@@ -61,7 +61,7 @@ _MAX_KNOWN: Final = 8  # searches with cached results
 _MAX_CHAINS: Final = 16  # cached chains of a robot
 
 
-def descend(
+def search_postures(
     chain: Chain, start: Array, goals: Array, turns: Array | None, targets: NDArray[np.intp], *, stop_early: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Search for postures that reach targets, from several starts for each, all together.
@@ -134,7 +134,7 @@ def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: 
     return step
 
 
-def spread(chain: Chain, start: int, count: int) -> Array:
+def halton_postures(chain: Chain, start: int, count: int) -> Array:
     """Return postures (count, joints) over a chain's range, from number ``start`` of a Halton sequence on."""
     postures: Array = chain.lower + _halton(start, count, len(chain.joints)) * (chain.upper - chain.lower)
     return postures
@@ -255,12 +255,12 @@ class ArmKinematics:
     def _descend(
         self, start: Array, goals: Array, turns: Array | None, which: NDArray[np.intp], *, stop_early: bool
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Do the same as :func:`descend`, with cached results: long searches begin like quick ones."""
+        """Do the same as :func:`search_postures`, with cached results: long searches begin like quick ones."""
         inputs = (start, goals, which) if turns is None else (start, goals, which, turns)
         key = stop_early, *(part.tobytes() for part in inputs)
         known = self._known.get(key)
         if known is None:
-            known = descend(self.chain, start, goals, turns, which, stop_early=stop_early)
+            known = search_postures(self.chain, start, goals, turns, which, stop_early=stop_early)
             if len(self._known) >= _MAX_KNOWN:  # another thread may add results too
                 self._known.clear()
             self._known[key] = known
@@ -346,8 +346,11 @@ class ArmKinematics:
         few, many = _BATCHES
         if float(np.linalg.norm(goal - self.chain.shoulder)) - self.chain.length > POSITION_TOLERANCE:
             one = np.zeros(1, dtype=np.intp)
-            return descend(self.chain, home[None], goal[None], None, one, stop_early=True)[0], []
-        starts = [np.vstack([home, *seeds, *spread(self.chain, 0, few)]), spread(self.chain, few, many)]
+            return search_postures(self.chain, home[None], goal[None], None, one, stop_early=True)[0], []
+        starts = [
+            np.vstack([home, *seeds, *halton_postures(self.chain, 0, few)]),
+            halton_postures(self.chain, few, many),
+        ]
         return home[None], starts
 
     def _postures(self, found: Sequence[Array], goals: Array, turns: Array | None) -> list[list[Posture]]:

@@ -25,7 +25,7 @@ _MAX_STEP: Final = 0.5  # rad
 _STARTS: Final = ((0.0, 0.0), (2.0, 0.3), (-2.0, 0.3))  # rad, pan and tilt
 
 
-def look(
+def aim_camera(
     urdf: Urdf, joints: Sequence[str], camera: CameraDescription, point: Sequence[float], now: Mapping[str, float]
 ) -> tuple[dict[str, float], Vector]:
     """Return the joint values that turn the camera's axis (z of its frame) to a point, or as near as possible.

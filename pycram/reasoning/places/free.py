@@ -23,8 +23,8 @@ from pycram.reasoning.grasping.fingers import held
 from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
-from pycram.reasoning.places.goals import PutDown, Putting, description_of
-from pycram.reasoning.places.maps import Grid, arm_reach, generator, room, spread
+from pycram.reasoning.places.goals import PutDown, PutDownGoal, description_of
+from pycram.reasoning.places.maps import Grid, arm_reach, draw_cells, random_generator, room
 from pycram.reasoning.places.search import Batch, Place, Search, Spot, drives
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
@@ -202,11 +202,11 @@ class SurfaceSearch(Search):
         best = max(range(len(left)), key=lambda each: left[each].share * found[each][2])
         searched, (grid, scores, _) = left[best], found[best]
         batch.arguments = {**self._arguments, "on": [searched.furniture, searched.surface.name]}
-        random = generator(self._seed, self.query, number, repr(batch.arguments))
+        random = random_generator(self._seed, self.query, number, repr(batch.arguments))
         start = self._heading(searched)
         (_, _, height), _ = searched.pose()
         spots = []
-        for cell, (x, y) in spread(grid, scores, _SPOTS, random):
+        for cell, (x, y) in draw_cells(grid, scores, _SPOTS, random):
             step = int(random.integers(_YAWS))
             if (
                 self._stays() and step % 2
@@ -359,7 +359,7 @@ class SurfaceSearch(Search):
         if taken is not None:
             return taken
         try:
-            rest = placing.set_down(self._body, (x, y, z), turn)
+            rest = placing.resting_position(self._body, (x, y, z), turn)
         except PlaceFailed as failure:
             return "room", NoRoom(failure.reason)
         if abs(rest[2] - z) > _RESTS:
@@ -393,7 +393,7 @@ class SurfaceSearch(Search):
         position, turn = robot.get_position_and_orientation()
         base: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
         if self._body in held(robot, arm):
-            found = Putting(robot, PutDown(pose[0], pose[1], self._body)).reached(arm, base)
+            found = PutDownGoal(robot, PutDown(pose[0], pose[1], self._body)).reached(arm, base)
             return None if isinstance(found, str) else found
         moved = geometry.multiply(pose, geometry.invert(self._body.get_position_and_orientation()))
         tools = [

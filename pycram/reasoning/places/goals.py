@@ -24,10 +24,10 @@ from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import grasps
-from pycram.reasoning.grasping.choice import ways_to_hold
+from pycram.reasoning.grasping.choice import holding_grasps
 from pycram.reasoning.grasping.fingers import held
 from pycram.reasoning.grasping.grasps import GRASPS, candidates, grasp_orientation
-from pycram.reasoning.grasping.handles import ANGLES, DeadEnd, Handle, plan
+from pycram.reasoning.grasping.handles import ANGLES, DeadEnd, Handle, plan_path
 from pycram.reasoning.grasping.placing import Refusals, placements
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.queries.query import world_of
@@ -97,13 +97,13 @@ def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
     """
     if isinstance(target, Object):
         world_of(robot, target)
-        return Taking(robot, target, None if grasp is None else (grasp,))
+        return TakeGoal(robot, target, None if grasp is None else (grasp,))
     if isinstance(target, Pull):
         world_of(robot, target.container)
         target.container.check_link(target.handle)
-        return Pulling(robot, target)
+        return PullGoal(robot, target)
     if isinstance(target, PutDown):
-        return Putting(robot, target)
+        return PutDownGoal(robot, target)
     try:
         parts = list(target)
     except TypeError:
@@ -111,8 +111,8 @@ def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
     if len(parts) == 2:
         position, turn = parts
         orientation = None if turn is None else checks.quaternion("orientation", turn)
-        return Putting(robot, PutDown(checks.vector("reach", position), orientation))
-    return Touch(robot, checks.vector("reach", parts))
+        return PutDownGoal(robot, PutDown(checks.vector("reach", position), orientation))
+    return TouchGoal(robot, checks.vector("reach", parts))
 
 
 def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
@@ -152,7 +152,7 @@ def description_of(argument: str, robot: object) -> RobotDescription:
     return robot.description
 
 
-class Taking:
+class TakeGoal:
     """A goal to pick up an object. ``grasps`` are the allowed sides; None for all."""
 
     def __init__(self, robot: Object, body: Object, grasps: Sequence[str] | None = None) -> None:
@@ -187,12 +187,12 @@ class Taking:
         if not any(postures[0].reaches() for postures in near):
             return OutOfReach(min((postures[0].position_error for postures in near), default=None))
         failures: list[PlanFailure] = []
-        for grasp, *_ in ways_to_hold(self._robot, arm, self.body, self._grasps, failures, UNRECORDED, base):
+        for grasp, *_ in holding_grasps(self._robot, arm, self.body, self._grasps, failures, UNRECORDED, base):
             return grasp.name
         return _rejection(failures[0])
 
 
-class Putting:
+class PutDownGoal:
     """A goal to put down an object that an arm holds."""
 
     def __init__(self, robot: Object, target: PutDown) -> None:
@@ -242,7 +242,7 @@ class Putting:
         return NoRoom(refusals.no_room[0].reason)
 
 
-class Pulling:
+class PullGoal:
     """A goal to move a handle."""
 
     def __init__(self, robot: Object, target: Pull) -> None:
@@ -304,11 +304,11 @@ class Pulling:
         steps = max(1, math.ceil(abs(target.to - start) / _STEP))
         values = [start + (target.to - start) * step / steps for step in range(steps + 1)]
         handle = Handle(target.container, target.joint, target.handle)
-        path = plan(self._robot, arm, handle, values, base, quick=True)
+        path = plan_path(self._robot, arm, handle, values, base, quick=True)
         return path.rejection() if isinstance(path, DeadEnd) else ""
 
 
-class Touch:
+class TouchGoal:
     """A goal to bring the tool to a position, in any orientation."""
 
     def __init__(self, robot: Object, position: Vector) -> None:

@@ -207,7 +207,7 @@ class Grid:
         return np.column_stack([columns * self.resolution + (x + half), rows * self.resolution + (y + half)])
 
 
-def generator(seed: int | None, name: str, *about: object) -> np.random.Generator:
+def random_generator(seed: int | None, name: str, *about: object) -> np.random.Generator:
     """Return a generator that depends only on the seed and the question, not on earlier draws.
 
     Args:
@@ -218,7 +218,9 @@ def generator(seed: int | None, name: str, *about: object) -> np.random.Generato
     return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
 
 
-def spread(grid: Grid, scores: Array, count: int, random: np.random.Generator) -> list[tuple[int, tuple[float, float]]]:
+def draw_cells(
+    grid: Grid, scores: Array, count: int, random: np.random.Generator
+) -> list[tuple[int, tuple[float, float]]]:
     """Draw cells without replacement with a probability proportional to their scores, and return them best first.
 
     Args:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 
-_UNEVEN: Final = 0.05  # m between the ground here and there
+_UNEVEN: Final = 0.05  # m between heights of one ground
 _TILT: Final = math.radians(2)
 
 

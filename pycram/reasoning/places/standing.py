@@ -15,8 +15,8 @@ from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.grasps import GRASPS
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
-from pycram.reasoning.places.goals import Pulling, Taking, Target, description_of, goal_of, promising
-from pycram.reasoning.places.maps import Grid, arm_reach, generator, room, spread, surroundings
+from pycram.reasoning.places.goals import PullGoal, TakeGoal, Target, description_of, goal_of, promising
+from pycram.reasoning.places.maps import Grid, arm_reach, draw_cells, random_generator, room, surroundings
 from pycram.reasoning.places.search import Batch, Place, Search, Spot, drives
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE, seen_share
@@ -172,10 +172,10 @@ class StandingSearch(Search):
         if near and not any(math.dist(here[0][:2], each[:2]) < _APART for each in known):
             spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
         if drives(robot):
-            random = generator(self._seed, self.query, number, repr(self._arguments), here)
+            random = random_generator(self._seed, self.query, number, repr(self._arguments), here)
             base = BaseFrame.of(here)
             jitter = _JITTER[self._failed]
-            for cell, (x, y) in spread(grid, scores, _SPOTS[self._failed], random):
+            for cell, (x, y) in draw_cells(grid, scores, _SPOTS[self._failed], random):
                 yaw = round(float(yaws[cell] + random.uniform(-jitter, jitter)), 4)
                 spots.append(Spot(f"[{x:.2f}, {y:.2f}]", base.pose((x, y, yaw)), yaw, float(scores[cell])))
         return batch.draw(grid, scores, spots)
@@ -207,7 +207,7 @@ class StandingSearch(Search):
     def _straight(self, centers: Array, goal: Goal) -> Array:
         """Return almost 0 where an obstacle as high as the goal is between a place and the goal, else 1."""
         x, y, z = goal.position
-        target = [goal.body] if isinstance(goal, Taking) else []
+        target = [goal.body] if isinstance(goal, TakeGoal) else []
         between = maps.Footprints(surroundings(self._robot, *target), z, z + _LEVEL)
         return maps.straight(centers, (x, y), between)
 
@@ -308,7 +308,7 @@ class StandingSearch(Search):
 
     def _struck(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
         """Return for each place which collision a drawer or door would have there, if the goal is to pull it."""
-        return goal.struck(self._arms, bases) if isinstance(goal, Pulling) else [None] * len(bases)
+        return goal.struck(self._arms, bases) if isinstance(goal, PullGoal) else [None] * len(bases)
 
     def _out_of_reach(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
         promises = promising(self._robot, goal, self._arms, bases)

@@ -303,7 +303,7 @@ def blocking(
     if grasp is not None:
         grasp_orientation(grasp, robot)  # raises an error for unknown grasps
     considered = considering()
-    plan = choice.best(object, robot, gripper_name, None if grasp is None else (grasp,), choice=considered)
+    plan = choice.best_grasp(object, robot, gripper_name, None if grasp is None else (grasp,), choice=considered)
     if plan.grasp is not None:
         considered.take(str(plan.grasp))
     return Found(plan.obstacles, plan.evidence(), considered=considered)

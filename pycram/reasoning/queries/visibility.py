@@ -261,7 +261,7 @@ def _eye(robot: Object, point: Sequence[float], base: PoseLike) -> Camera:
         raise MissingPart(robot.name, "camera")
     camera, now = description.camera, robot.get_joint_positions()
     joints = description.head.joints if description.head else ()
-    turned, _ = pan_tilt.look(robot.urdf, joints, camera, geometry.transform(geometry.invert(base), point), now)
+    turned, _ = pan_tilt.aim_camera(robot.urdf, joints, camera, geometry.transform(geometry.invert(base), point), now)
     link = robot.urdf.forward_kinematics({**now, **turned}, camera.frame)
     pose = camera.pose(geometry.multiply(base, link))
     return Camera(pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far)

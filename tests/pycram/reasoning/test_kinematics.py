@@ -10,7 +10,13 @@ from hypothesis import assume, given, settings, strategies as st
 
 from pycram.reasoning.kinematics import closed_form
 from pycram.reasoning.kinematics.forward import Chain
-from pycram.reasoning.kinematics.inverse import POSITION_TOLERANCE, TURN_TOLERANCE, ArmKinematics, Posture, descend
+from pycram.reasoning.kinematics.inverse import (
+    POSITION_TOLERANCE,
+    TURN_TOLERANCE,
+    ArmKinematics,
+    Posture,
+    search_postures,
+)
 from recorder import geometry
 from recorder.urdf import Urdf
 
@@ -188,9 +194,9 @@ def test_a_long_search_continues_from_the_results_of_a_quick_one(monkeypatch: py
 
     def counted(chain: Chain, start: np.ndarray, *rest: np.ndarray, stop_early: bool) -> tuple[np.ndarray, np.ndarray]:
         searched.append(len(start))
-        return descend(chain, start, *rest, stop_early=stop_early)
+        return search_postures(chain, start, *rest, stop_early=stop_early)
 
-    monkeypatch.setattr("pycram.reasoning.kinematics.inverse.descend", counted)
+    monkeypatch.setattr("pycram.reasoning.kinematics.inverse.search_postures", counted)
     alone = chain(*SIX).solve(out_of_reach)
     few, many = searched
     searched.clear()

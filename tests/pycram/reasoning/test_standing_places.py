@@ -18,7 +18,7 @@ from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import choice, fingers
-from pycram.reasoning.grasping.choice import ways_to_hold
+from pycram.reasoning.grasping.choice import holding_grasps
 from pycram.reasoning.places import Pull, free_places, goals, standing_places
 from pycram.world.transaction import take_snapshot
 from recorder import geometry
@@ -50,19 +50,19 @@ def test_an_arm_reaches_the_same_from_an_assumed_pose_as_from_the_real_pose(scen
     arm = robot.description.arm("left")
     reached = 0
     for base in random_bases(10, 1):
-        foreseen = choice.best(milk, robot, arm.tool_frame, base=base)
-        held = [str(grasp) for grasp, *_ in ways_to_hold(robot, arm, milk, None, [], UNRECORDED, base)]
+        foreseen = choice.best_grasp(milk, robot, arm.tool_frame, base=base)
+        held = [str(grasp) for grasp, *_ in holding_grasps(robot, arm, milk, None, [], UNRECORDED, base)]
         start = robot.get_position_and_orientation()
         robot.set_position_and_orientation(*base)
-        there = choice.best(milk, robot, arm.tool_frame)
+        there = choice.best_grasp(milk, robot, arm.tool_frame)
         assert foreseen.grasp == (there.grasp and pytest.approx(there.grasp)) or str(foreseen.grasp) == str(there.grasp)
         assert set(foreseen.obstacles) == set(there.obstacles)
-        assert held == [str(grasp) for grasp, *_ in ways_to_hold(robot, arm, milk, None, [], UNRECORDED)]
+        assert held == [str(grasp) for grasp, *_ in holding_grasps(robot, arm, milk, None, [], UNRECORDED)]
         if there.posture is not None and there.grasp is not None:
             reached += 1
-            closing = fingers.closed_around(robot, arm, there.posture.positions, milk)
+            closing = fingers.close_around(robot, arm, there.posture.positions, milk)
             robot.set_position_and_orientation(*start)
-            from_afar = fingers.closed_around(robot, arm, there.posture.positions, milk, base)
+            from_afar = fingers.close_around(robot, arm, there.posture.positions, milk, base)
             assert (closing is None) == (from_afar is None)
             assert closing is None or closing.sides == from_afar.sides
         robot.set_position_and_orientation(*start)
@@ -100,7 +100,7 @@ def test_an_object_is_taken_carried_and_put_down_from_offered_places(scene: Bull
     place = next(standing_places(robot, reach=[cereal], seed=5))
     perform(type="moving", target=place.position, orientation=place.orientation)
     for arm in place.arms:
-        assert choice.best(cereal, robot, robot.description.arm(arm).tool_frame, (place.grasps[arm],)).grasp
+        assert choice.best_grasp(cereal, robot, robot.description.arm(arm).tool_frame, (place.grasps[arm],)).grasp
     arm = place.arms[0]
     perform(type="pick-up", object=cereal, arm=arm, grasp=place.grasps[arm])
     perform(type="move-arm-joints", **{f"{arm}_arm": "park"})
@@ -136,7 +136,7 @@ def test_a_drawer_is_opened_from_an_offered_place(scene: BulletWorld) -> None:
 def test_no_arm_opens_a_drawer_or_door_from_a_place_where_it_would_hit_the_robot(scene: BulletWorld, name: str) -> None:
     robot, kitchen = scene.robot, scene.get_object("kitchen")
     opened = kitchen.container(name)
-    goal = goals.Pulling(robot, Pull(kitchen, opened.joint, opened.handle, opened.open))
+    goal = goals.PullGoal(robot, Pull(kitchen, opened.joint, opened.handle, opened.open))
     arms = list(robot.description.arms.values())
     x, y, _ = goal.position
     bases = [((x + dx - 1.2, y + dy - 1.0, 0.0), turn) for (dx, dy, _), turn in random_bases(25, 3)]
