@@ -26,9 +26,9 @@ from pycram.motions.slots import (
     ORIENTATION,
     POSITION,
     DesignatorError,
-    Kind,
     Slot,
     SlotTable,
+    ValueKind,
     given_slots,
     slot_name,
 )
@@ -109,14 +109,14 @@ def _flag(name: str, value: Any) -> Any:
     return value
 
 
-_ANYTHING: Final = Kind("Whatever the action takes", _anything)
-_LOCATION: Final = Kind("A LocationDesignator", _location)
-_FLAG: Final = Kind("True or False", _flag)
+_ANYTHING: Final = ValueKind("Whatever the action takes", _anything)
+_LOCATION: Final = ValueKind("A LocationDesignator", _location)
+_FLAG: Final = ValueKind("True or False", _flag)
 
 #: The checks of the slots of PyCRAM's own actions, by name.
 _BY_SLOT: Final[Mapping[str, Check]] = {
-    "object": Kind("An Object of a world, an ObjectDesignator, or a type of objects", thing),
-    "target": Kind("A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame", _place),
+    "object": ValueKind("An Object of a world, an ObjectDesignator, or a type of objects", thing),
+    "target": ValueKind("A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame", _place),
     "place": _LOCATION,
     "put": _LOCATION,
     "clear": _FLAG,

@@ -521,10 +521,16 @@ class ResolvedDesignator(Designator):
         found = False
         own = [resolver for cls in type(self).__mro__ for resolver in vars(cls).get("resolvers", ())]
         for resolver in (*own, self._own_resolver()):
+            name = qualified_name(resolver)
             try:
-                for solution in _solutions_of(resolver, self):
+                given = resolver(self)
+                if not isinstance(given, Iterable | None) or isinstance(given, str | Mapping):
+                    raise BadArgument(f"what {name} gave", given, "solutions, a list of dictionaries, or None")
+                for solution in given or ():
+                    if not isinstance(solution, Mapping):
+                        raise BadArgument(f"a solution of {name}", solution, "a dictionary")
                     found = True
-                    yield dict(solution), qualified_name(resolver)
+                    yield dict(solution), name
             except DesignatorError as error:
                 errors.append(error)
         if errors and not found:
@@ -546,19 +552,9 @@ class MotionDesignator(ResolvedDesignator):
 
         Other motions than PyCRAM's get the whole robot, unless their process module or a subclass says less.
         """
-        if self.effective and isinstance(solution := self._referenced(), Mapping):
+        if self._effective and isinstance(solution := self._referenced(), Mapping):
             return motion_types.resources_of(solution)
         return motion_types.resources_by_type(self)
-
-
-def _solutions_of(resolver: Resolver, designator: Designator) -> Iterator[Solution]:
-    given = resolver(designator)
-    if not isinstance(given, Iterable | None) or isinstance(given, str | Mapping):
-        raise BadArgument(f"what {qualified_name(resolver)} gave", given, "solutions, a list of dictionaries, or None")
-    for solution in given or ():
-        if not isinstance(solution, Mapping):
-            raise BadArgument(f"a solution of {qualified_name(resolver)}", solution, "a dictionary")
-        yield solution
 
 
 def unfinished(designator: Designator) -> list[str]:

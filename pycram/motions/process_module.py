@@ -11,7 +11,7 @@ import threading
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -427,13 +427,13 @@ class ProcessModule(ABC):
         # queued already here if it can wait only for earlier motions
         ordered = block.immediate and not unfinished(designator)
         leave = motion.ticket.leave
-        try:
+        with ExitStack() as after_failure:
+            after_failure.callback(leave)
             if ordered:
                 motion.ticket.enqueue()
-            return block.start(motion.name, motion.carry_out, ordered=ordered, dropped=leave, span=motion.span)
-        except BaseException:
-            leave()
-            raise
+            future = block.start(motion.name, motion.carry_out, ordered=ordered, dropped=leave, span=motion.span)
+            after_failure.pop_all()
+        return future
 
 
 class SimulatedModule(ProcessModule):
@@ -446,15 +446,6 @@ class SimulatedModule(ProcessModule):
     def __init__(self, execution: Execution = INSTANT) -> None:
         self.execution = execution
         self.one_at_a_time = not execution.takes_time
-
-    @staticmethod
-    def robot() -> Object:
-        """Return the robot.
-
-        Raises:
-            NoWorld: There is none.
-        """
-        return BulletWorld.current_robot()
 
     @staticmethod
     def held(robot: Object, arm: Arm) -> Object | None:

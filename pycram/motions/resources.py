@@ -138,8 +138,7 @@ class ResourceQueue:
             return self._outer
         if not isinstance(resources, Resources):
             raise BadArgument(f"resources of {motion}", resources, "Resources, or None for all that there is")
-        excess = resources.beyond(self._outer)
-        if excess:
+        if WHOLE_ROBOT not in self._outer.moves and (excess := resources.beyond(self._outer)):
             raise ResourceError(motion, excess, self._outer)
         return resources
 

@@ -112,7 +112,7 @@ Check: TypeAlias = Callable[[str, Value], Value]
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class ValueKind:
     """A kind of slot values, with its check."""
 
     text: str  # the possible values, with units and frames
@@ -138,7 +138,7 @@ class Slot:
     @property
     def values(self) -> str:
         """Its possible values, with units and frames."""
-        return self.text or (self.check.text if isinstance(self.check, Kind) else "")
+        return self.text or (self.check.text if isinstance(self.check, ValueKind) else "")
 
 
 @dataclass(frozen=True)
@@ -298,20 +298,20 @@ def _posture(name: str, value: Value) -> Value:
     return values
 
 
-POSITION: Final = Kind("[x, y, z] in m, world frame", lambda name, value: list(checks.vector(name, value)))
-ORIENTATION: Final = Kind(
+POSITION: Final = ValueKind("[x, y, z] in m, world frame", lambda name, value: list(checks.vector(name, value)))
+ORIENTATION: Final = ValueKind(
     "A quaternion [x, y, z, w], world frame", lambda name, value: list(checks.quaternion(name, value))
 )
-NAME: Final = Kind("A name", checks.text)
-BODY: Final = Kind("An Object of a world", _body)
-OBJECT_TYPE: Final = Kind(
+NAME: Final = ValueKind("A name", checks.text)
+BODY: Final = ValueKind("An Object of a world", _body)
+OBJECT_TYPE: Final = ValueKind(
     "A type of objects, or an object of that type",
     lambda name, value: checks.text(name, getattr(value, "type", value)),
 )
-ARM: Final = Kind('An arm\'s name: "left" or "right" on the PR2', _arm)
-GRASP: Final = Kind('The side from which the gripper comes: "front", "top", "left" or "right"', _grasp)
-DISTANCE: Final = Kind(
+ARM: Final = ValueKind('An arm\'s name: "left" or "right" on the PR2', _arm)
+GRASP: Final = ValueKind('The side from which the gripper comes: "front", "top", "left" or "right"', _grasp)
+DISTANCE: Final = ValueKind(
     "A distance in m, or an angle in rad for what turns, from 0 up",
     lambda name, value: checks.in_range(name, value, 0.0),
 )
-POSTURE: Final = Kind('A named posture such as "park", or a list of joint values in rad', _posture)
+POSTURE: Final = ValueKind('A named posture such as "park", or a list of joint values in rad', _posture)

@@ -447,6 +447,10 @@ class Engine:
         points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
         return _named(a, b, points)
 
+    def deepest(self, a: LoadedBody, b: LoadedBody) -> ClosestPoint | None:
+        """Return the closest points at which two bodies overlap most; None if they don't touch."""
+        return min(self.closest_points(a, b), key=lambda point: point.distance, default=None)
+
     def link_closest_points(
         self, a: LoadedBody, link: str, b: LoadedBody, distance: float = 0.0, *, link_b: str | None = None
     ) -> list[ClosestPoint]:

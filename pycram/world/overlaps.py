@@ -9,7 +9,6 @@ from recorder import records
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pycram.physics.body import ClosestPoint
     from pycram.world.object import Object
 
 DEEP: Final = 5e-3
@@ -20,28 +19,17 @@ class Overlapping(UserWarning):
     """An object was loaded inside of others; in simulation the engine throws them apart, or jams them."""
 
 
-def depth(body: Object, other: Object) -> float:
-    """Return how deep an object is in another, in m; 0 if they don't overlap."""
-    deepest = _deepest(body, other)
-    return -deepest.distance if deepest is not None else 0.0
-
-
 def overlaps(body: Object) -> list[records.Overlap]:
     """Return the deepest overlap of an object with each other one; two fixed objects may be built into each other."""
     found = []
     for other in body.world.objects:
         if other is body or (body.fixed and other.fixed):
             continue
-        deepest = _deepest(body, other)
+        deepest = body.world.engine.deepest(body.handle, other.handle)
         if deepest is not None and deepest.distance < -DEEP:
             links = {"link": deepest.link_a, "body": other.name, "body_link": deepest.link_b}
             found.append(records.Overlap(**links, depth=-deepest.distance))
     return found
-
-
-def _deepest(body: Object, other: Object) -> ClosestPoint | None:
-    points = body.world.engine.closest_points(body.handle, other.handle)
-    return min(points, key=lambda point: point.distance, default=None)
 
 
 def warning(body: str, found: Sequence[records.Overlap]) -> str:

@@ -17,7 +17,7 @@ from pycram.foundation.failures import ChangeRefused, WorldClosed
 from pycram.scheduling.cancellation import current_scope, join, raise_if_cancelled, uninterruptible
 from pycram.scheduling.schedule import Condition, Waiter, scheduler
 from pycram.world import attachment
-from pycram.world.overlaps import DEEP, depth
+from pycram.world.overlaps import DEEP
 from pycram.world.transaction import state_delta, take_snapshot, update
 from recorder import geometry, records
 from recorder.tracing import journal
@@ -279,8 +279,13 @@ def settle(world: BulletWorld, steps: int) -> tuple[list[Object], bool]:
 def separate(world: BulletWorld) -> None:
     """Lift free objects out of each other, the one that was loaded later: the engine would jam or throw them."""
     free = [body for body in world.objects if not body.fixed and not body.attachments]
+
+    def overlap(pair: tuple[Object, Object]) -> bool:
+        deepest = world.engine.deepest(pair[0].handle, pair[1].handle)
+        return deepest is not None and -deepest.distance > DEEP
+
     for _ in free:
-        pair = next((pair for pair in itertools.combinations(free, 2) if depth(*pair) > DEEP), None)
+        pair = next(filter(overlap, itertools.combinations(free, 2)), None)
         if pair is None:
             return
         earlier, later = pair

@@ -32,6 +32,7 @@ from pycram.reasoning.grasping.handles import (
 )
 from pycram.reasoning.rejections import Touching
 from pycram.world import attachment
+from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -57,7 +58,7 @@ class Accessing(SimulatedModule):
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         arm = self.description(robot).arm(solution["arm"])
         container, joint, link = solution["part-of"], solution["drawer-joint"], solution["drawer-handle"]
         with self.execution.whole(robot.world):

@@ -10,6 +10,7 @@ from pycram.motions.process_module import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.queries.visibility import visible
 from pycram.reasoning.rejections import Inferior, Unseen
+from pycram.world.world import BulletWorld
 from recorder.records.beliefs import sightings
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class Detecting(SimulatedModule):
 
     def _execute(self, designator: Designator) -> Object:
         kind = designator.reference()["object-type"]
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         camera = self.description(robot).camera
         if camera is None:
             raise MissingPart(robot.name, "camera")
@@ -74,7 +75,7 @@ class WorldStateDetecting(SimulatedModule):
 
     def _execute(self, designator: Designator) -> Object:
         kind = designator.reference()["object-type"]
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         with robot.world.lock:
             with choosing("nearest", robot.world, type=kind) as choice:
                 here = robot.get_position()

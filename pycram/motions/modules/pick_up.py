@@ -23,7 +23,8 @@ from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import fingers
 from pycram.reasoning.grasping.choice import holding_grasps
 from pycram.reasoning.rejections import Touching, Unreached, short
-from pycram.world import overlaps
+from pycram.world.overlaps import DEEP
+from pycram.world.world import BulletWorld
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class PickUp(SimulatedModule):
 
     def _execute(self, designator: Designator) -> Object:
         solution = designator.reference()
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         arm = self.description(robot).arm(solution["arm"])
         body: Object = solution["object"]
         giver = self.description(robot).arm(solution["from"]) if "from" in solution else None
@@ -116,9 +117,9 @@ class PickUp(SimulatedModule):
             raise GraspFailed(arm.name, body.name, f"{moves}; world.settle() waits until it is at rest")
         for other in robot.world.objects:
             if other is not body and not other.fixed:  # hulls of furniture may hold what lies in it
-                depth = overlaps.depth(body, other)
-                if depth > overlaps.DEEP:
-                    inside = f"it is {depth * 1e3:.0f} mm inside of {other.name}"
+                deepest = robot.world.engine.deepest(body.handle, other.handle)
+                if deepest is not None and -deepest.distance > DEEP:
+                    inside = f"it is {-deepest.distance * 1e3:.0f} mm inside of {other.name}"
                     raise GraspFailed(arm.name, body.name, inside)
 
     def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike, giver: Arm | None) -> None:

@@ -23,6 +23,7 @@ from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing
 from pycram.reasoning.grasping.placing import Refusals, placements
 from pycram.reasoning.rejections import Unreached, short
+from pycram.world.world import BulletWorld
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ class Place(SimulatedModule):
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         arm = self.description(robot).arm(solution["arm"])
         body: Object = solution["object"]
         target, orientation = solution["target"], solution.get("orientation")

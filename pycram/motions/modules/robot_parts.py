@@ -28,6 +28,7 @@ from pycram.reasoning.kinematics import inverse, pan_tilt
 from pycram.reasoning.places.search import check_drives, check_ground
 from pycram.reasoning.rejections import OutOfReach, Touching, Unfit, short
 from pycram.world import simulation
+from pycram.world.world import BulletWorld
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class Navigation(SimulatedModule):
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         target, orientation = solution["target"], solution["orientation"]
         check_drives(robot, target, orientation)
         with self.execution.whole(robot.world):
@@ -84,7 +85,7 @@ class MoveHead(SimulatedModule):
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         description = self.description(robot)
         camera = description.camera
         if camera is None:
@@ -134,7 +135,7 @@ class MoveJoints(SimulatedModule):
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         description = self.description(robot)
         positions: dict[str, float] = {}
         moved: dict[str, object] = {}
@@ -182,7 +183,7 @@ class MoveTCP(SimulatedModule):
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         arm = self.description(robot).arm(solution["arm"])
         target = solution["target"]
         turn = solution.get("orientation")
@@ -246,7 +247,7 @@ class MoveGripper(SimulatedModule):
 
     def _execute(self, designator: Designator) -> GripperMoved:
         solution = designator.reference()
-        robot = self.robot()
+        robot = BulletWorld.current_robot()
         arm = self.description(robot).arm(solution["gripper"])
         opening = solution["motion"] == "open"
         with self.execution.whole(robot.world):
