@@ -124,8 +124,8 @@ def test_a_path_that_can_t_be_written_is_an_error_before_the_block_runs(tmp_path
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"path": None}, "no path"),
-        ({"path": "a\0b"}, "no path"),
+        ({"path": None}, "isn't the path"),
+        ({"path": "a\0b"}, "isn't the path"),
         ({"name": 5}, "name is 5"),
         ({"live": 5}, "live is 5"),
         ({"source": "nowhere.py"}, "no source"),
