@@ -92,7 +92,12 @@ def holding(robot: Object, arm: str | None = None) -> Fluent:
         WorldClosed: The object or its world is gone.
     """
     carrier = _object(robot)
-    links = None if arm is None else _gripper(carrier, arm)
+    links: frozenset[str] | None = None
+    if arm is not None:
+        if carrier.description is None:
+            raise BadArgument("robot", carrier, "a robot with arms")
+        described = carrier.description.arm(arm)
+        links = frozenset(described.links()) - {described.base_link}
 
     def held() -> str | None:
         return next((each.body.name for each in carrier.carried if links is None or each.carrier_link in links), None)
@@ -206,10 +211,3 @@ def _link(body: Object, link: str | None) -> tuple[Object, str]:
 def _pose(body: Object, link: str | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
     position, orientation = body.get_link_position_and_orientation(body.check_link(link))
     return tuple(position), tuple(orientation)
-
-
-def _gripper(robot: Object, arm: str) -> frozenset[str]:
-    if robot.description is None:
-        raise BadArgument("robot", robot, "a robot with arms")
-    described = robot.description.arm(arm)
-    return frozenset(described.links()) - {described.base_link}

@@ -150,7 +150,7 @@ class _Branch:
             self._started = True
             enter_branch(new_branch(self.name))
             self.action()
-        except BaseException as error:
+        except BaseException as error:  # any error, also of a signal handler, ends the scheduler's loop
             self.failed(error)
             raise
         finally:
@@ -288,7 +288,7 @@ class Scheduler:
         try:
             self.branches[branch] = None
             self.add(branch)
-        except BaseException:
+        except BaseException:  # a signal handler may raise any error here
             self.branches.pop(branch, None)
             self._ready.pop(branch, None)
             raise
@@ -394,10 +394,8 @@ class Scheduler:
                     continue
                 self.running = chosen.branch
                 chosen.resume()
-        except BaseException:
-            self._resume_all()
-            raise
         finally:
+            self._resume_all()
             self._loop = None
             self.running = None
 
@@ -415,7 +413,7 @@ class Scheduler:
         return bool(self._ready) or (interrupts.is_pending() and self._is_outside() and not self.joining)
 
     def _resume_all(self) -> None:
-        """Schedule all branches: an error may have lost the one that was to run next, or that was being woken."""
+        """Schedule all branches that an error has interrupted: it may have lost the next one, or a wake-up."""
         for branch in list(self.branches):
             if branch.ended:
                 self.branches.pop(branch, None)

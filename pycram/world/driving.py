@@ -205,16 +205,15 @@ def follow(world: BulletWorld, motions: Sequence[tuple[Object, PlannedMotion]]) 
                 begun.append(begin(world, body, planned.trajectory, planned.search))
         simulation.wait(world, lambda: all(each.ended for each in begun) or any(each.lost for each in begun))
         _raise_lost(begun)
-    except BaseException:
+    finally:
         _stop_all(world, begun)
-        raise
     for each in begun:
         if each.time < each.trajectory.duration:
             raise TrajectoryEnded(each.body.name, each.number, each.time, each.trajectory.duration)
 
 
 def _stop_all(world: BulletWorld, begun: Sequence[Followed]) -> None:
-    """Stop trajectories together, and let time pass until they have stopped, even if the branch is cancelled."""
+    """Stop the trajectories that haven't ended, and let time pass until they have, even if the branch is cancelled."""
     with shielded(), uninterruptible():
         with world.lock:
             for each in begun:
