@@ -199,7 +199,7 @@ class Block:
             else:
                 branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
                 branch.context.run(self._run, branch)
-        except BaseException as error:
+        except BaseException as error:  # such as an error of a signal handler
             branch.abandon(error)
             raise
         ends_body = self.policy.propagates or not isinstance(branch.error, PlanFailure)

@@ -76,14 +76,14 @@ class Scope(ABC, Generic[Value]):
         """Return a new context manager that does the work."""
 
     def __enter__(self) -> Value:
-        defers = interrupts.enter(scheduler())
+        defers, entered = interrupts.enter(scheduler()), False
         try:
             body = self._opened()
             value = body.__enter__()
-        except BaseException:
-            if defers:
+            entered = True
+        finally:
+            if defers and not entered:
                 interrupts.leave()
-            raise
         _open.set((*_open.get(), _Open(self, _generator(), body, defers)))
         return value
 
@@ -214,7 +214,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
         try:
             with shielded(), span("cleanup", name_of(action)) as task:
                 task.result = run(action, *args, **kwargs)
-        except BaseException as second:
+        except BaseException as second:  # raised, or chained with the first
             if first is None:
                 raise
             bug = isinstance(first, PlanFailure) and not isinstance(second, PlanFailure)

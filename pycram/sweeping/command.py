@@ -109,13 +109,10 @@ def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
         causes.setdefault(_NUMBER.sub("#", each.failure), []).append(each)
     for alike in sorted(causes.values(), key=len, reverse=True)[:_SHOWN]:
         why = f"pycram-replay why {shlex.quote(f'{folder}/{alike[0].name}')}"
-        yield f"  {len(alike):4}  {_short(alike[0].failure)}  {why}"
+        printable = "".join(each if each.isprintable() else " " for each in alike[0].failure)  # no control characters
+        line = " ".join(printable.split())
+        yield f"  {len(alike):4}  {line if len(line) <= _WIDTH else f'{line[: _WIDTH - 3]}...'}  {why}"
     if len(causes) > _SHOWN:
         yield f"        and {len(causes) - _SHOWN} more"
     for remark in result.remarks[:_SHOWN]:
         yield f"note: {remark}"
-
-
-def _short(failure: str) -> str:
-    line = " ".join("".join(each if each.isprintable() else " " for each in failure).split())  # no control characters
-    return line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..."

@@ -69,18 +69,14 @@ def sweep_on_ray(
             models = models or next(filter(MODELS_NAME.fullmatch, sorted(store.names())), None)
             write(Path(here), {**facts, "models": None if models is None else store.described(models)})
             store.put(Path(here) / SWEEP)
-            for outcome in _made(spec, url, batches, models, cores or _cores()):
+            resources: Callable[[], dict[str, float]] = ray.cluster_resources
+            for outcome in _made(spec, url, batches, models, cores or int(resources().get("CPU", 1))):
                 if not result.take(outcome):
                     return result
                 progress(result, outcome)
         except KeyboardInterrupt:
             result.interrupted = True
     return result
-
-
-def _cores() -> int:
-    resources: Callable[[], dict[str, float]] = ray.cluster_resources
-    return int(resources().get("CPU", 1))
 
 
 def _batches(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
