@@ -255,7 +255,7 @@ class _Seen:
 
 
 class Pulses(NamedTuple):
-    """What a counter holds: pulses that were counted directly, less those that were handled, and states to read."""
+    """Value of a counter: the pulses counted directly minus the handled pulses, and states to read."""
 
     direct: int
     seen: _Seen | None

@@ -82,7 +82,7 @@ class UsageError(PycramError):
 
 
 def kept_as(convert: Callable[[Given], object], **default: Given | None) -> Given:
-    """Return a field of a dataclass error that keeps what ``convert`` returns (list, dict, ...); None stays None."""
+    """Return a field of a dataclass error that stores the result of ``convert`` (list, dict, ...); None stays None."""
     return cast("Given", field(**default, metadata={"convert": convert}))  # type: ignore[call-overload]  # at most default
 
 
@@ -174,7 +174,7 @@ class BadArgument(UsageError, ValueError):
 
     argument: str  # name of the parameter
     value: object
-    expected: str  # what the parameter accepts
+    expected: str  # description of accepted values
 
     _template = "{argument} = {value!r}: expected {expected}"
 

@@ -103,7 +103,7 @@ def _at_end(reference: weakref.ref[Engine], world: str, process: int) -> None:
     if engine is None or not engine.connected or os.getpid() != process:  # a fork has no window
         return
     if os.environ.get("CI") or sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
-        return  # nobody would close it
+        return  # nobody could close the window
     print(f"pycram: the window of {world} stays open until you close it or press Ctrl-C", file=sys.stderr)
     with suppress(KeyboardInterrupt):
         watch(engine)

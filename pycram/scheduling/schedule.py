@@ -1,4 +1,4 @@
-"""The scheduler of a thread: which of its branches runs next, and what wakes branches that wait.
+"""The scheduler of a thread: it chooses the branch that runs next, and wakes branches that wait.
 
 With a seed, the scheduler draws the next branch from all that are ready: the same seed gives the same order, in any
 process and under any load. Without a seed, the branch runs that has been ready longest. Orders that are requested by

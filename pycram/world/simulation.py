@@ -303,8 +303,8 @@ class RestDetector:
 
     An object is at rest if it moved by less than 2 mm/s and 0.02 rad/s in each of the last four intervals of 1/30 s,
     and didn't gain speed: a tall object that begins to tip is slow at first. Poses are compared, not velocities, as
-    solvers let some resting objects tremble. Robots don't count, nor what they hold, nor what is attached to a fixed
-    base; joints of furniture do.
+    solvers let some resting objects tremble. Robots, objects that they hold, and objects that are attached to a fixed
+    base are ignored; joints of furniture aren't.
     """
 
     def __init__(self, world: BulletWorld) -> None:
@@ -395,7 +395,7 @@ class RealtimeClock:
                 return
             except ChangeRefused:  # a query runs at the moment
                 continue
-            except Exception as error:  # noqa: BLE001  any error of a handler: it is reported, and time goes on
+            except Exception as error:  # noqa: BLE001  any error of a handler is reported, and the simulation continues
                 if self._error is None:
                     self._error = error
                     arguments = (type(error), error, error.__traceback__, self._thread)
