@@ -1,5 +1,5 @@
 """The verbs of ``pycram-replay``, in files by their idea.
 
-``add(parser)`` declares its arguments beside the recording and ``--json``; ``run(log, options)`` prints its results
-and returns the exit code: 0, or 1 if what it checks is not so. :mod:`replay.cli.main` finds the verb.
+``add(parser)`` declares the arguments of a verb, in addition to the recording and ``--json``. ``run(log, options)``
+prints the result and returns the exit code: 0, or 1 if a check failed. :mod:`replay.cli.main` finds the verb.
 """

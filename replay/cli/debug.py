@@ -109,13 +109,19 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     return FINE
 
 
-class LinePrompt(cmd.Cmd):
-    """Takes commands from a terminal, or from lines on stdin, which are echoed."""
+class Prompt(cmd.Cmd):
+    """A prompt in the plan's frames, for a terminal, or for lines on stdin, which are echoed."""
 
     prompt = "(debug) "
 
-    def __init__(self) -> None:
+    def __init__(self, session: Session) -> None:
         super().__init__()
+        self.session = session
+        self.log = session.log  # its recording
+        self.stack: list[dict[str, Any]] = []  # the plan's frames, innermost first
+        self.frame = 0  # index of the chosen frame; 0: the innermost
+        self._listed = 0  # the line after the last listed line; 0: no line was listed
+        self.follow: Callable[[int], None] | None = None  # moves the viewer to a step; None without a viewer
         self._asks = self.use_rawinput = sys.stdin.isatty()
         self._coloured = sys.stdout.isatty() and "NO_COLOR" not in os.environ
 
@@ -197,18 +203,7 @@ class LinePrompt(cmd.Cmd):
         shown = visible(text)
         return f"\x1b[{colour}m{shown}\x1b[0m" if self._coloured else shown
 
-
-class Prompt(LinePrompt):
-    """A prompt in the plan's frames."""
-
-    def __init__(self, session: Session) -> None:
-        super().__init__()
-        self.session = session
-        self.log = session.log  # its recording
-        self.stack: list[dict[str, Any]] = []  # the plan's frames, innermost first
-        self.frame = 0  # index of the chosen frame; 0: the innermost
-        self._listed = 0  # the line after the last listed line; 0: no line was listed
-        self.follow: Callable[[int], None] | None = None  # moves the viewer to a step; None without a viewer
+    # --- the current step ---------------------------------------------------------------------------------------------
 
     def begin(self, step: int) -> None:
         """Go to the first step; if Ctrl-C ends the plan before that step, go to the start."""
@@ -222,8 +217,6 @@ class Prompt(LinePrompt):
             self.print_error(str(interrupted))
             halt = self.session.go(interrupted.step)
         self.halted(halt, halt.arrival.step)
-
-    # --- the current step -------------------------------------------------------------------------------------------
 
     def halted(self, halt: Halt, before: int) -> None:
         """Print the current step, and the plan's output since the step ``before``."""

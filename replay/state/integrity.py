@@ -86,12 +86,7 @@ class Problem:
 
 
 class Integrity:
-    """Checks records in their order.
-
-    Args:
-        lost: missing steps; after them no world is known.
-        newer: whether a newer release made the recording, whose tasks may have unknown phases.
-    """
+    """Checks records in their order; ``lost`` are missing steps, after which no world is known."""
 
     def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
         self._lost = tuple(lost)
@@ -219,11 +214,7 @@ class TaskDepths:
 
 
 class TaskIntegrity:
-    """Checks records of tasks and the run in their order.
-
-    Args:
-        newer: whether a newer release made the recording, whose tasks may have unknown phases and statuses.
-    """
+    """Checks records of tasks and the run in their order; tasks of ``newer`` releases may have unknown phases."""
 
     def __init__(self, *, newer: bool = False) -> None:
         self._newer = newer
