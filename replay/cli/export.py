@@ -162,7 +162,7 @@ def motion_rows(log: RecordReader) -> Iterator[MotionRow]:
     """Yield all rows of a recording: for each trajectory first the planned rows, then the driven rows.
 
     Raises:
-        Damaged: a record makes no sense.
+        Damaged: a record is inconsistent.
     """
     worlds: dict[str, WorldBuilder] = {}
     for record in log.records((Mutation, Keyframe)):

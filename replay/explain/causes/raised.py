@@ -30,8 +30,8 @@ USAGE_ERRORS: Final = frozenset(
         "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock",
         "DeadlockedBranches", "DesignatorError", "DisplayError", "FollowsTrajectory", "JointLimitError", "LockHeld",
         "Misnested", "NoDescription", "NoProcessModule", "NoResult", "NoWorld", "NotExplorable", "NotProjectable",
-        "NotSettable", "NotTrueOrFalse", "ObjectsChanged", "OutlivesTimeout", "ReadOnly", "ResourceError", "RunsEarly",
-        "SweepRefused", "UnknownName", "UsageError", "WorldClosed",
+        "NotSettable", "NotTrueOrFalse", "ObjectsChanged", "OutlivesTimeout", "PluginFailed", "ReadOnly",
+        "ResourceError", "RunsEarly", "SweepRefused", "UnknownName", "UsageError", "WorldClosed",
     )
 )  # fmt: skip
 _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")

@@ -10,6 +10,7 @@ from pycram.designator import DesignatorError
 from pycram.exploration import NotExplorable
 from pycram.failures import UsageError
 from pycram.fluent import NotSettable
+from pycram.foundation.plugins import PluginFailed
 from pycram.language import timeout
 from pycram.motions.process_module import NoDescription
 from pycram.projection import NotProjectable
@@ -93,9 +94,15 @@ def test_all_of_pycram_s_usage_errors_are_known_as_mistakes() -> None:
                 yield each.__name__
                 yield from below(each)
 
-    assert {DesignatorError, NoDescription, NotExplorable, NotProjectable, NotSettable, SweepRefused} <= set(
-        UsageError.__subclasses__()
-    )
+    assert {
+        DesignatorError,
+        NoDescription,
+        NotExplorable,
+        NotProjectable,
+        NotSettable,
+        PluginFailed,
+        SweepRefused,
+    } <= set(UsageError.__subclasses__())
     assert timeout  # the words of the plan language are loaded, with what they refuse
     assert {*below(UsageError), "UsageError"} == USAGE_ERRORS
 
