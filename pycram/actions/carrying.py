@@ -179,9 +179,7 @@ def _clear_away(body: Object, arm: str | None) -> None:
     movable = [each for each in in_the_way if not each.fixed]
     if not movable:
         names = ", ".join(each.name for each in in_the_way)
-        raise ReasoningError(
-            f"what is in the way of {body.name} can't be cleared away: {names or 'nothing movable is'}"
-        )
+        raise ReasoningError(f"obstacles of {body.name} can't be cleared away: {names or 'there is none that moves'}")
     waiting = (*_waiting.get(), body)
     for other in movable:
         if other in waiting:

@@ -154,7 +154,7 @@ def _giver(robot: Object, body: Object) -> Arm:
     for arm in robot.description.arms.values() if robot.description else ():
         if any(held.body is body and held.carrier_link == arm.tool_frame for held in robot.carried):
             return arm
-    raise ReasoningError(f"{body.name} can't be handed over: none of the hands of {robot.name} holds it")
+    raise ReasoningError(f"{body.name} can't be handed over: no hand of {robot.name} holds it")
 
 
 def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:

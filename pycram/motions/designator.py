@@ -284,7 +284,7 @@ class Designator(ABC):
             BadArgument: The other isn't a designator.
         """
         if not isinstance(other, Designator):
-            raise BadArgument("other", other, "something to equate with, such as a designator")
+            raise BadArgument("other", other, "a designator to equate with")
         with _chains_lock:
             own, theirs = self._chain, other._chain
             if own is theirs:
@@ -525,7 +525,7 @@ class ResolvedDesignator(Designator):
             try:
                 given = resolver(self)
                 if not isinstance(given, Iterable | None) or isinstance(given, str | Mapping):
-                    raise BadArgument(f"what {name} gave", given, "solutions, a list of dictionaries, or None")
+                    raise BadArgument(f"result of {name}", given, "solutions, a list of dictionaries, or None")
                 for solution in given or ():
                     if not isinstance(solution, Mapping):
                         raise BadArgument(f"a solution of {name}", solution, "a dictionary")

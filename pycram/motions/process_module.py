@@ -121,7 +121,7 @@ class NoDescription(UsageError):
     """The robot has no description, so process modules don't know its arms."""
 
     def __init__(self, robot: str) -> None:
-        super().__init__(f"nothing is known of the robot {robot}; give Object(..., description=...) its TOML file")
+        super().__init__(f"the robot {robot} has no description; give Object(..., description=...) its TOML file")
         self.robot = robot
 
 
@@ -220,7 +220,7 @@ def choose(designator: Designator, solution: Solution) -> Chosen:
     for chooser in ProcessModule.resolvers:
         module = chooser(designator)
         if module is not None and not isinstance(module, ProcessModule):
-            raise BadArgument(f"what {qualified_name(chooser)} chose", module, "a process module, or None")
+            raise BadArgument(f"result of {qualified_name(chooser)}", module, "a process module, or None")
         if module is not None:
             return Chosen(module, environment, chooser=qualified_name(chooser))
     world, cmd = _current_world(), str(solution.get("cmd", ""))

@@ -47,8 +47,8 @@ class ResourceError(UsageError):
 
     def __init__(self, motion: str, excess: Resources, held: Resources) -> None:
         super().__init__(
-            f"{motion} {excess}, but the motion that it is part of {held}; "
-            "perform it before that one, or have resources() of that one's process module return those of both"
+            f"{motion} {excess}, but its outer motion {held}; perform it before the outer motion, "
+            "or let resources() of the outer motion's process module return the resources of both"
         )
         self.motion = motion  # name of the inner motion
         self.moves = sorted(excess.moves)  # resources that it moves and the outer motion doesn't hold
@@ -61,8 +61,8 @@ class Deadlock(UsageError):
 
     def __init__(self, motion: str, blocker: str) -> None:
         super().__init__(
-            f"{motion} can't wait for {blocker}, which waits for what {motion} is part of: each performs motions in "
-            "the other's world; perform them there before or after the motion, or in a world that none else uses"
+            f"{motion} can't wait for {blocker}, which waits for the outer motion of {motion}: each performs motions "
+            "in the other's world; perform them there before or after the motion, or in a world of their own"
         )
         self.motion = motion  # its name
         self.blocker = blocker  # name of the motion that it would wait for

@@ -63,8 +63,8 @@ def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
         slots = None
     if slots is None or not all(isinstance(name, str) for name, _ in slots):
         raise DesignatorError(
-            "a designator is described by a list of (name, value) pairs, such as "
-            f"[('type', 'looking'), ('target', [1, 0, 1])]; not by {description!r}",
+            "the description of a designator is a list of (name, value) pairs, such as "
+            f"[('type', 'looking'), ('target', [1, 0, 1])]; not {description!r}",
             value=description,
         )
     return slots
@@ -160,7 +160,7 @@ class SlotTable:
             lines.append(f"  {names} ({'required' if slot.required else 'optional'}): {slot.values}")
         if self.one_of:
             how = "exactly one" if self.only_one else "at least one"
-            lines.append(f"  {how} of {', '.join(self.one_of)} has to be there")
+            lines.append(f"  {how} of {', '.join(self.one_of)} is required")
         return "\n".join(lines)
 
     def error(self, problem: str, slot: str, value: Value = None) -> DesignatorError:

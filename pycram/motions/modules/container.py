@@ -95,7 +95,7 @@ class Accessing(SimulatedModule):
             with robot.world.lock:
                 now = container.get_joint_position(joint)
                 if abs(now - start) > _STILL:
-                    reason = f"it was moved from {start:.3f} to {now:.3f} while the hand came; try it again"
+                    reason = f"it was moved from {start:.3f} to {now:.3f} while the hand approached; try it again"
                     raise AccessFailed(joint, reason, handle=link, arm=arm.name, asked=end)
                 close = self.execution.close(robot, arm)
             close()
@@ -132,8 +132,8 @@ class Accessing(SimulatedModule):
             parking = arms_in_the_way(robot, arm, handle, values, found.pairs)
             hints = [remedy.phrase() for remedy in (*parking, *remedies(robot, arm, handle, values, other))]
         if found.reached is not None and found.reached != values[0]:
-            hints.insert(0, f"from here it would get to {found.reached:.3f}")
-        raise _failure(arm, handle, values[-1], found, hints or ["no arm or place nearby that was tried would do"])
+            hints.insert(0, f"from here it would reach {found.reached:.3f}")
+        raise _failure(arm, handle, values[-1], found, hints or ["no other arm or nearby place that was tried helps"])
 
 
 def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequence[str]) -> AccessFailed:
@@ -150,7 +150,7 @@ def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequen
     if end.pairs:
         return HandleBlocked(handle.joint, _in_the_way(end.pairs), pairs=end.pairs, **details)
     if end.distance is None:
-        reason = "the arm would have to change its posture while it holds on"
+        reason = "the arm would have to change its posture while it holds the handle"
     else:
         reason = f"the nearest posture stays {end.distance:.3f} m and {math.degrees(end.turn):.0f} degrees away"
     return HandleUnreachable(handle.joint, reason, target=end.position, distance=end.distance, turn=end.turn, **details)

@@ -125,20 +125,22 @@ class PickUp(SimulatedModule):
     def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike, giver: Arm | None) -> None:
         """Check that an object hasn't moved while the hand approached, and is free, or still in the other hand."""
         if giver is not None and self.held(robot, giver) is not body:
-            raise GraspFailed(arm.name, body.name, f"the {giver.name} one has let go of it while the hand came")
+            raise GraspFailed(
+                arm.name, body.name, f"the {giver.name} gripper has released it while the hand approached"
+            )
         if giver is None and body.carrier is not None:
             raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
         position, turn = body.get_position_and_orientation()
         moved, turned = math.dist(position, stood[0]), geometry.angle(turn, stood[1])
         if moved > _STILL[0] or turned > _STILL[1]:
             by = f"{moved:.3f} m and {math.degrees(turned):.0f} degrees"
-            raise GraspFailed(arm.name, body.name, f"it was moved by {by} while the hand came; pick it up again")
+            raise GraspFailed(arm.name, body.name, f"it was moved by {by} while the hand approached; pick it up again")
 
     def _holder(self, robot: Object, arm: Arm, body: Object) -> str:
         """Return the holder of an object, and the ways to hand it over, for messages."""
         holder = body.carrier
         assert holder is not None  # noqa: S101  checked by the callers
-        free = f"{holder.name}.detach({body.name}) lets go of it"
+        free = f"{holder.name}.detach({body.name}) releases it"
         for other in self.description(robot).arms.values():
             if self.held(robot, other) is body:
                 if other.name == arm.name:
@@ -147,8 +149,9 @@ class PickUp(SimulatedModule):
                     f"{free}, and {holder.name}.attach({body.name}, {arm.tool_frame!r}) gives it to the {arm.name} arm"
                 )
                 return (
-                    f"{holder.name} holds it already, with the {other.name} arm; to hand it over, place it with that "
-                    f"one and pick it up with the {arm.name} one, or pick it up from that one (slot from); "
+                    f"{holder.name} holds it already, with the {other.name} arm; to hand it over, place it with "
+                    f"the {other.name} arm and pick it up with the {arm.name} arm, or pick it up from the {other.name} "
+                    "arm (slot from); "
                     f"without moving, {over}"
                 )
         return f"{holder.name} holds it already; {free}"
@@ -198,7 +201,7 @@ def _check_sides(robot: Object, arm: Arm, body: Object) -> None:
     sides = fingers.sides_held(robot, arm, body)
     if sides < 2:
         where = "on one side only" if sides else "nowhere"
-        raise GraspFailed(arm.name, body.name, f"its fingers have closed, and touch it {where}")
+        raise GraspFailed(arm.name, body.name, f"its closed fingers touch it {where}")
 
 
 def _meeting(robot: Object, arm: Arm, giver: Arm, posture: Mapping[str, float]) -> list[CollisionPair]:

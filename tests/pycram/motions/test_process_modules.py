@@ -119,7 +119,7 @@ def test_pick_up_brings_the_tool_to_the_object_within_limits(scene: BulletWorld,
         lower, upper = robot.joint_limits(joint)
         assert lower - 1e-6 <= value <= upper + 1e-6, joint
     assert {j: robot.get_joint_position(j) for j in still} == still
-    with pytest.raises(GraspFailed, match=rf"with the {arm} arm; to hand it over, place it .* the {other} one") as held:
+    with pytest.raises(GraspFailed, match=rf"with the {arm} arm; to hand it over, place it .* the {other} arm") as held:
         perform(type="pick-up", object=body, arm=other)
     assert f"{robot.name}.attach({body.name}, '{robot.description.arm(other).tool_frame}')" in str(held.value)
     perform(type="move-arm-joints", **{f"{arm}-arm": "park"})

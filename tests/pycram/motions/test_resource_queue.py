@@ -212,9 +212,7 @@ def test_a_motion_may_consist_of_blocks_that_use_its_resources() -> None:
         do(lambda: done.append(5), "left-arm")
     assert sorted(done[:3]) == [1, 2, 3]
     assert done[3:] == [4, 5]
-    with pytest.raises(
-        ResourceError, match="do moves head, but the motion that it is part of moves left-arm;"
-    ) as raised:
+    with pytest.raises(ResourceError, match="do moves head, but its outer motion moves left-arm;") as raised:
         do(lambda: do(lambda: None, "head"), "left-arm")
     assert (raised.value.motion, raised.value.moves, raised.value.at_rest) == ("do", ["head"], [])
 
