@@ -19,25 +19,51 @@
 # the names of the thesis, from which plans import. knowledge: a robot's beliefs. plan_parameters: named values that
 # runs set. running, cli: the command "pycram".
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import recorder  # noqa: F401  before numpy: it limits threads
 
 if TYPE_CHECKING:
     from pycram.plan_parameters import UnknownParameter, parameters
+    from pycram.running import seed
     from pycram.sweeping import sweep
 
-__all__ = ["UnknownParameter", "parameters", "sweep"]
+#: Where the names are that plans use as ``pycram.NAME``; they are imported on demand, so that commands start fast.
+_SOURCES = {
+    "UnknownParameter": "pycram.plan_parameters",
+    "parameters": "pycram.plan_parameters",
+    "seed": "pycram.running",
+    "sweep": "pycram.sweeping",
+}
+#: Modules from which plans import.
+_MODULES = (
+    "actions",
+    "bullet_world",
+    "bullet_world_reasoning",
+    "designator",
+    "event",
+    "exploration",
+    "failures",
+    "fluent",
+    "fluents",
+    "knowledge",
+    "language",
+    "process_module",
+    "projection",
+    "tasks",
+)
+
+__all__ = ["UnknownParameter", "parameters", "seed", "sweep"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import the names that plans use as ``pycram.NAME`` on demand, so that commands start fast."""
-    if name == "sweep":
-        from pycram.sweeping import sweep  # noqa: PLC0415
-
-        return sweep
-    if name in __all__:
-        from pycram import plan_parameters  # noqa: PLC0415
-
-        return getattr(plan_parameters, name)
+    if name in _SOURCES:
+        return getattr(import_module(_SOURCES[name]), name)
+    if name in _MODULES:
+        return import_module(f"pycram.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, *_MODULES]

@@ -206,3 +206,20 @@ def seed_random_numbers(seed: int | None) -> None:
 
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002  plans may use the old interface
+
+
+def seed(number: int) -> None:
+    """Seed the random numbers of Python and NumPy, and the order in which branches take turns; as ``run --seed`` does.
+
+    The order of Python's sets of texts is drawn when Python starts: set ``PYTHONHASHSEED`` before.
+
+    Raises:
+        BadArgument: it isn't an integer from 0 to 2**32 - 1.
+    """
+    from pycram.foundation.failures import BadArgument  # noqa: PLC0415  the command needs no executor for --help
+    from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
+
+    if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= MAX_SEED:
+        raise BadArgument("number", number, f"an integer from 0 to {MAX_SEED}")
+    seed_random_numbers(number)
+    seed_order(number)

@@ -11,18 +11,22 @@ from typing import TYPE_CHECKING
 from recorder.errors import RecordingError
 
 if TYPE_CHECKING:
-    from recorder.recording import Recording, record
+    from recorder.recording import Recording, record, start, stop
 
 # Must be set before numpy is loaded. Our matrices are small: threads save no time on them, but spin for some 20 ms
 # after each shared product. That took a third of the processor time of a plan that reasons.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-__all__ = ["Recording", "RecordingError", "record"]
+__all__ = ["Recording", "RecordingError", "record", "start", "stop"]
 
 
 def __getattr__(name: str) -> object:
-    if name in ("record", "Recording"):
+    if name in __all__:
         from recorder import recording  # noqa: PLC0415  loads the file format and the viewer
 
         return getattr(recording, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

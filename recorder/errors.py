@@ -11,6 +11,8 @@ import sys
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final
 
+from recorder import notebook
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
@@ -26,6 +28,10 @@ class PortableError(Exception):
     def __reduce__(self) -> tuple[object, ...]:
         """Return the function that restores the error, for example in another process, and its arguments."""
         return _restored, (type(self), self.args, dict(vars(self)))
+
+    def _render_traceback_(self) -> list[str]:
+        """Return the lines that IPython prints."""
+        return notebook.traceback_lines(self)
 
 
 def _restored(kind: type[PortableError], args: tuple[object, ...], fields: Mapping[str, object]) -> PortableError:

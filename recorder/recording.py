@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 import threading
@@ -9,13 +10,13 @@ import time
 import weakref
 from collections import Counter
 from collections.abc import Iterable
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from recorder import provenance
+from recorder import notebook, provenance
 from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink, free_path
 from recorder.packages import hint
@@ -81,7 +82,7 @@ def record(
             "connect:rerun+http://HOST:PORT/proxy" use a viewer that is started separately, now or later. "serve"
             serves a page for browsers on this machine until this process ends, and prints its address. A viewer that
             is slow, stalls, dies or is missing doesn't delay the plan.
-        name: of the plan, by default that of the program.
+        name: of the plan, by default that of the program or notebook.
         arguments: of the plan, by default the program's; only recorded.
         source: the plan's file, which is attached; by default the program's file, if it has one.
         seed: of random numbers; only recorded.
@@ -98,10 +99,11 @@ def record(
             changed it. Also for a missing source or an invalid argument, but not for a missing viewer.
         Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does, and the program doesn't handle it.
     """
-    given = sys.argv[1:] if arguments is None else arguments
+    own = [] if notebook.is_running() else sys.argv[1:]  # a kernel's arguments are none of the plan
+    given = own if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
     program = provenance.main_program() if source is None else Path(source)
-    title = escaped(name or (program.stem if program else "plan"))
+    title = escaped(name or (program.stem if program else notebook.title() or "plan"))
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
     provenance.describe(began, given, program, seed, order, parameters or {})
     began.environment = environment
@@ -136,6 +138,37 @@ def record(
             if output:
                 ending.enter_context(recorded_output(log))
             yield recording
+
+
+_started: list[tuple[AbstractContextManager[Recording], Recording]] = []  # at most one
+
+
+def start(path: str | Path, live: str | None = None, **options: Any) -> Recording:
+    """Record until :func:`stop`; for notebooks, as a ``with`` block ends with its cell.
+
+    It takes the arguments of :func:`record` and raises its errors. An earlier started recording is stopped first. The
+    recording also stops when the process ends.
+    """
+    stop()
+    block = record(path, live, **options)
+    recording = block.__enter__()
+    _started.append((block, recording))
+    atexit.register(stop)
+    return recording
+
+
+def stop() -> Recording | None:
+    """Stop the recording that :func:`start` has started, and return it; None without one.
+
+    Raises:
+        RecordingError: as :func:`record`.
+    """
+    if not _started:
+        return None
+    block, recording = _started.pop()
+    atexit.unregister(stop)
+    block.__exit__(None, None, None)
+    return recording
 
 
 def _check(path: object, *, source: object, arguments: object, **texts: object) -> None:

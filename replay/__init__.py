@@ -48,3 +48,7 @@ __all__ = [
     "open",
     "open_runs",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -5,8 +5,11 @@ It turns names of steps into numbers: the functions in these packages take only 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import io
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
+from replay.errors import ReplayError
 from replay.file.record_reader import RecordReader
 from replay.history.steps import moment_of, step_of
 from replay.state.fold import last_open_step, state_at
@@ -23,6 +26,34 @@ if TYPE_CHECKING:
     from replay.report.question import QueryCall
     from replay.restore.ask import Move, QueryAnswer
     from replay.state.state import RecordedBelief, State
+
+
+_SMALL: Final = (320, 240)  # px of a picture in a notebook
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """A step of a recording, or a moment after it."""
+
+    log: Recording
+    step: int
+    moment: float | None
+
+    def last_open(self, world: str | None) -> State:
+        """Return the state after the last step at which a world was open."""
+        return state_at(self.log, last_open_step(self.log, self.step, world))
+
+    def png(self, world: str) -> bytes | None:
+        """Return a small picture of a world; None without the packages that draw, or if models are missing."""
+        try:
+            from replay.restore.render import DrawnWorld  # noqa: PLC0415  as in render()
+
+            picture = DrawnWorld(self.log, self.step, world, self.moment).picture(size=_SMALL)
+        except (ImportError, ReplayError):
+            return None
+        file = io.BytesIO()
+        picture.save(file, "PNG")
+        return file.getvalue()
 
 
 class Recording(RecordReader):
@@ -45,7 +76,8 @@ class Recording(RecordReader):
         is in ``state.sampled``. The same holds for pictures, questions and restored worlds; exactly restored worlds are
         simulated up to that time.
         """
-        return state_at(self, self.step(step), moment_of(step))
+        number, moment = self.step(step), moment_of(step)
+        return replace(state_at(self, number, moment), source=_Moment(self, number, moment))
 
     def believed(
         self, step: int | str, what: str, *, robot: str | None = None, world: str | None = None

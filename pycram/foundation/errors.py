@@ -31,6 +31,7 @@ from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NoReturn, TypeVar, cast, dataclass_transform
 from weakref import WeakSet
 
+from recorder import notebook
 from recorder.errors import nearest, suggestion
 from recorder.records import escaped
 
@@ -66,6 +67,10 @@ class PycramError(Exception):
 
     def _message(self) -> str:
         return self._template.format_map(vars(self))
+
+    def _render_traceback_(self) -> list[str]:
+        """Return the lines that IPython prints."""
+        return notebook.traceback_lines(self)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle and copy the error with its fields, as the class can't be called with the message alone."""

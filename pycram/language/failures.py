@@ -6,6 +6,7 @@ import functools
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.errors import PlanFailure, PycramError, UsageError, export, slots_of
+from recorder import notebook
 from recorder.records import format_error
 from recorder.records.tracebacks import format_traceback
 from recorder.tracing.call_stack import call_site
@@ -40,7 +41,7 @@ class RunsEarly(UsageError):
         self.file, self.line = call_site()  # the plan's file and its line, from 1
         have = "have" if len(self.pending) > 1 else "has"
         super().__init__(
-            f"{self.file}:{self.line} would {what} before earlier actions of this {block} block: "
+            f"{notebook.place(self.file, self.line)} would {what} before earlier actions of this {block} block: "
             f"{', '.join(self.pending)} {have} not ended. In the body of a concurrent block a {block} is only read, so "
             "plain Python between its actions runs immediately; make it an action: "
             f"`with {block} as s: ...; s(function)`"
@@ -55,7 +56,8 @@ class OutlivesTimeout(UsageError):
         self.branch = branch  # name of the branch
         self.file, self.line = call_site()  # the plan's file and its line, from 1
         super().__init__(
-            f"{self.file}:{self.line} adds {branch}, in a timeout, to the {block} block around it, which ends later: "
+            f"{notebook.place(self.file, self.line)} adds {branch}, in a timeout, to the {block} block around it, "
+            "which ends later: "
             f"the deadline wouldn't apply to {branch}; open the block within the timeout, as in "
             f"`with timeout(...), {block} as s:`, or open the timeout in {branch}"
         )

@@ -40,8 +40,9 @@ from greenlet import getcurrent, greenlet
 from pycram.foundation.errors import UsageError
 from pycram.foundation.refusals import refused
 from pycram.scheduling.order import BranchLine, DeadlockedBranches, order_of
+from recorder import notebook
 from recorder.tracing import context, forking, interrupts, journal
-from recorder.tracing.call_stack import call_site, plan_frame
+from recorder.tracing.call_stack import call_site, plan_frame, recorded_file
 from recorder.tracing.context import enter_branch, new_branch
 
 if TYPE_CHECKING:
@@ -162,7 +163,9 @@ Ready: TypeAlias = "Waiter | _Branch"
 
 def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine:
     frame = plan_frame(suspended.gr_frame)[0] if suspended is not None else None
-    site = (frame.f_code.co_filename, frame.f_lineno) if frame is not None else branch.site if branch else ("", 0)
+    site = branch.site if branch else ("", 0)
+    if frame is not None:
+        site = (recorded_file(frame.f_code.co_filename), frame.f_lineno)
     return BranchLine(threading.current_thread().name if branch is None else branch.name, *site)
 
 
@@ -445,7 +448,7 @@ class Scheduler:
             self._deadlocked = True
             lines = [branch.plan_line() for branch in list(self.branches)]
             lines = lines or [BranchLine(threading.current_thread().name, *call_site())]
-            raise DeadlockedBranches({each.branch: f"{Path(each.file).name}:{each.line}" for each in lines})
+            raise DeadlockedBranches({each.branch: notebook.place(Path(each.file).name, each.line) for each in lines})
 
     def poll(self, *, again: bool = False) -> None:
         """Poll the sources of strikes, and notify the waits of each source that strikes.

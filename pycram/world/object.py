@@ -278,7 +278,10 @@ class Object(ReadOnlyAttributes):
         return self.get_position_and_orientation()[0]
 
     def get_pose(self) -> list[float]:
-        """Return the same as :meth:`get_position` (thesis, table 4.2)."""
+        """Return the position [x, y, z] in m alone, as :meth:`get_position` does (thesis, table 4.2).
+
+        :meth:`get_position_and_orientation` returns both.
+        """
         return self.get_position()
 
     def get_orientation(self) -> list[float]:

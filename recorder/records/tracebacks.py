@@ -13,6 +13,8 @@ from operator import attrgetter
 from traceback import TracebackException
 from typing import TYPE_CHECKING, Final
 
+from recorder import notebook
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import CodeType, TracebackType
@@ -47,7 +49,7 @@ def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: 
         count = f"  [{left_out} errors between these: the tasks that they ended have them]\n\n" if left_out > 0 else ""
         parts.append(f"{link}{count}{_part(each, frames)}")
         left_out = 0
-    return "".join(parts)
+    return notebook.with_cells("".join(parts))
 
 
 def _chain(error: BaseException) -> list[tuple[str, BaseException]]:

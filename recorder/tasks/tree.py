@@ -16,6 +16,7 @@ from functools import lru_cache
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, cast
 
+from recorder import notebook
 from recorder.records import STEPS_PER_SECOND, Task, argument_values
 from recorder.tasks import rendering
 
@@ -205,9 +206,9 @@ class Node:
 
     @property
     def source(self) -> str:
-        """The plan's line that requested it, "file:line"; "" if unknown."""
+        """The plan's line that requested it, "file:line" or "In [3], line 1"; "" if unknown."""
         record = self.asked or self.started
-        return f"{record.source_file}:{record.source_line}" if record.source_file else ""
+        return notebook.place(record.source_file, record.source_line) if record.source_file else ""
 
     @property
     def children(self) -> list[Node]:

@@ -21,6 +21,7 @@ from pathlib import Path, PurePosixPath
 from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
+from recorder import notebook
 from recorder.records import SourceLine, StackFrame, Variable, escaped, failure
 from recorder.records.tracebacks import MAX_ERRORS
 from recorder.records.values import LEFT_OUT, AssetFile, is_secret
@@ -154,11 +155,16 @@ def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
         origin = _origins.get(file) or _origin(file, str(frame.f_globals.get("__name__", "")))
         if len(_sites) >= _MAX_CACHED:
             _sites.clear()
-        named = escaped(file)
-        if named != file:
-            _unescaped[named] = file
-        site = _sites[key] = origin, (named, frame.f_lineno), code
+        site = _sites[key] = origin, (recorded_file(file), frame.f_lineno), code
     return site
+
+
+def recorded_file(file: str) -> str:
+    """Return the name of compiled code's file in records; of a notebook's cell, the cell's."""
+    named = notebook.cell_of(file) or escaped(file)
+    if named != file:
+        _unescaped[named] = file
+    return named
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
@@ -199,7 +205,7 @@ class _Origin(Enum):
 
 
 _origins: Final[dict[str, _Origin]] = {}  # by file
-_unescaped: Final[dict[str, str]] = {}  # files whose names aren't UTF-8, by their recorded names
+_unescaped: Final[dict[str, str]] = {}  # by recorded names: files whose names aren't UTF-8, and cells of notebooks
 _sites: Final[dict[tuple[int, int], tuple[_Origin, CallSite, CodeType]]] = {}  # by a code's id and its instruction
 
 
@@ -235,8 +241,10 @@ class _Callers:
             for file in sorted({file for file, _ in lines} - self._attached):
                 self._attached.add(file)
                 source = Path(_unescaped.get(file, file))
+                is_cell = notebook.is_cell(file)
                 with suppress(OSError):  # typed at a prompt, or deleted
-                    journal.attach([AssetFile(source.name, source.read_bytes(), "text/x-python")])
+                    text = notebook.source_of(str(source)) if is_cell else source.read_bytes()
+                    journal.attach([AssetFile(file if is_cell else source.name, text, "text/x-python")])
             innermost = lines[-1][0] if lines else ""
             callers = tuple([SourceLine(file=file if file != innermost else "", line=at) for file, at in lines[:-1]])
             if len(self._cache) >= _MAX_CACHED:
@@ -287,7 +295,7 @@ def _new_frames(error: BaseException) -> list[StackFrame]:
     vars(error)[_MARK] = journal.recording_number(), known.union(id(frame) for frame, _ in frames)
     return [
         StackFrame(
-            file=escaped(frame.f_code.co_filename),
+            file=recorded_file(frame.f_code.co_filename),
             line=line,
             function=escaped(frame.f_code.co_name),
             variables=[Variable(name=name, value=value) for name, value in _variables(frame)],
@@ -316,12 +324,15 @@ def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
     """Yield names and values, in the order of their first assignment.
 
     A module has many variables, some of them imported: only its last ones with more than a type to show are kept.
+    IPython's own are left out.
     """
+    hidden = notebook.own_variables() if frame.f_locals is frame.f_globals else {}
     try:
         values = {
             name: value
             for name, value in list(frame.f_locals.items())
             if type(name) is str and name.isidentifier() and name[:2] != "__" and not issubclass(type(value), _IGNORED)
+            if name not in hidden or hidden[name] is not value
         }
     except RuntimeError:  # another thread is changing them
         return

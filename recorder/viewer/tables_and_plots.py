@@ -17,6 +17,7 @@ import pyarrow as pa
 import rerun as rr
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
+from recorder import notebook
 from recorder.records import (
     TOPICS,
     Event,
@@ -82,7 +83,7 @@ def _word(enum: EnumTypeWrapper, number: int) -> str:
 
 def _line(file: str, line: int) -> str:
     """Return a line with the file's name only, as columns are narrow."""
-    return f"{file.rpartition('/')[2]}:{line}"
+    return notebook.place(file.rpartition("/")[2], line)
 
 
 _COLUMNS: Final[Mapping[type[Record], tuple[str, ...]]] = {

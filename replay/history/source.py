@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Final
 
+from recorder import notebook
 from recorder.records import Envelope, Keyframe, Output, Run
 from replay.errors import Damaged
 
@@ -27,7 +28,7 @@ class Line:
     text: str = ""  # "" if its source isn't attached
 
     def __str__(self) -> str:
-        return f"{name_of(self.file)}:{self.number}"
+        return notebook.place(name_of(self.file), self.number)
 
 
 class PlanSource:
@@ -35,7 +36,7 @@ class PlanSource:
 
     def __init__(self, log: RecordReader) -> None:
         self._assets = log.assets
-        keys = [key for key in log.assets if key.endswith(".py")]
+        keys = [key for key in log.assets if key.endswith(".py") or notebook.is_cell(name_of(key))]
         names = [name_of(key) for key in keys]
         self._keys = {name: key for name, key in zip(names, keys, strict=True) if names.count(name) == 1}
         self._texts: dict[str, str] = {}

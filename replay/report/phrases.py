@@ -10,6 +10,7 @@ from itertools import takewhile
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final, TypeAlias
 
+from recorder import notebook
 from recorder.records import STEPS_PER_SECOND, Event, Query, Refusal, Task, argument_values, format_failure, from_json
 from recorder.records.text import is_choice, pair_text, rejection_lines, rejections, text_of
 
@@ -135,8 +136,8 @@ def path(file: str) -> str:
 
 
 def place(line: Line) -> str:
-    """Return the place of a line of the plan as file:line."""
-    return f"{path(line.file)}:{line.number}"
+    """Return the place of a line of the plan as file:line; of a notebook as "In [3], line 1"."""
+    return notebook.place(path(line.file), line.number)
 
 
 def at(line: Line | None) -> str:

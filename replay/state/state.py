@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol
 
 from recorder.records import STEPS_PER_SECOND
 from replay.errors import NoSuchName
@@ -162,6 +162,16 @@ class Sampled:
     at: float
 
 
+class MomentSource(Protocol):
+    """The recording that a state was read from."""
+
+    def last_open(self, world: str | None) -> State:
+        """Return the state after the last step, up to the state's own, at which a world was open."""
+
+    def png(self, world: str) -> bytes | None:
+        """Return a small picture of a world; None if none can be drawn."""
+
+
 @dataclass(frozen=True, slots=True)
 class State:
     """All worlds after a step, or at a moment within the stretch of simulation that follows it."""
@@ -171,9 +181,12 @@ class State:
     uncertainty: str = ""  # lost records that may have changed the state, in words
     assets: Assets | None = field(default=None, repr=False, compare=False)  # the recording's attached files
     sampled: Sampled | None = None  # the moment within a stretch of simulation; None after a step
+    source: MomentSource | None = field(default=None, repr=False, compare=False)  # of states of an open recording
 
     def world(self, name: str | None = None) -> World:
         """Return a world by name; by default the last opened world that is still open.
+
+        If all worlds have ended, the default is the last one, as it was after the last step at which it was open.
 
         Raises:
             NoSuchName: there is no such world.
@@ -181,6 +194,8 @@ class State:
         opened = [world for world in self.worlds.values() if world.open]
         if name is None and opened:
             return opened[-1]
+        if name is None and self.worlds and self.source is not None:
+            return self.source.last_open(None).world()
         if name is None:
             raise NoSuchName("open world", "", self.worlds, self._none_open())
         if name not in self.worlds:
@@ -190,6 +205,8 @@ class State:
     def body(self, name: str, world: str | None = None) -> Body:
         """Return a body by name, of a world; by default of the last opened world with such a body.
 
+        If all worlds have ended, it is the body after the last step at which a world was open.
+
         Raises:
             NoSuchName: there is no such body.
         """
@@ -197,6 +214,8 @@ class State:
         for candidate in reversed(worlds):
             if name in candidate.bodies:
                 return candidate.bodies[name]
+        if self.source is not None and not any(each.open for each in self.worlds.values()):
+            return replace(self.source.last_open(world), source=None).body(name, world)
         raise self.no_body(name, worlds)
 
     def no_body(self, name: str, worlds: Iterable[World]) -> NoSuchName:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from typing import TYPE_CHECKING
 
@@ -136,3 +138,32 @@ def test_invalid_arguments_are_refused(tmp_path: Path, arguments: dict[str, obje
     with pytest.raises(RecordingError, match=message), recorder.record(**{"path": file, **arguments}):
         pass
     assert not file.exists()
+
+
+def test_start_and_stop_record_what_happens_between_them(tmp_path: Path) -> None:
+    """Cells of a notebook: a second start stops the first recording, a second stop finds none."""
+    first = recorder.start(tmp_path / "x.mcap", name="cells")
+    with BulletWorld():
+        second = recorder.start(tmp_path / "y.mcap", seed=5)
+        Object("cup", "cup", "cup.stl").set_position([1, 2, 3])
+        assert recorder.stop() is second
+        Object("bowl", "bowl", "bowl.stl")
+    assert recorder.stop() is None
+    with replay.open(first.path) as log:
+        assert log.complete
+        assert log[-1].succeeded
+        assert log[0].name == "cells"
+        assert "cup" not in log.state_at("last").world().bodies
+    with replay.open(second.path) as log:
+        assert log.complete
+        assert log[0].seed == "5"
+        assert list(log.state_at("last").world().bodies) == ["cup"]
+
+
+def test_what_was_started_is_complete_at_the_end_of_the_process(tmp_path: Path) -> None:
+    program = (
+        "import recorder; from pycram.bullet_world import BulletWorld; recorder.start('x.mcap'); w = BulletWorld()"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
+    with replay.open(tmp_path / "x.mcap") as log:
+        assert log.complete

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Final
 
+from recorder import notebook
 from recorder.records import Fluent, Query, Refusal, Task, from_json
 from recorder.records.text import is_choice
 from replay.explain.causes.case import Cause
@@ -82,7 +83,9 @@ def _answer(record: Query | Task | Fluent) -> str:
         reasons = phrases.reasons(record) if record.candidates else ""
         return f"{phrases.question(record)}: {phrases.answer(record)}" + (f"; {reasons}" if reasons else "")
     if isinstance(record, Fluent):
-        at = f", at {phrases.path(record.source_file)}:{record.source_line}" if record.source_line else ""
+        at = (
+            f", at {notebook.place(phrases.path(record.source_file), record.source_line)}" if record.source_line else ""
+        )
         return f"{record.name} became {phrases.value(from_json(record.after_json))}{at}"
     if record.kind != "wait":
         return f"{record.name} failed: {phrases.short(phrases.one_line(record.failure.message))}"

@@ -15,6 +15,7 @@ from recorder.mcap_sink import McapSink
 from recorder.records import Mutation
 from replay.cli.main import main
 from replay.compare import difference
+from replay.errors import NoSuchName
 from replay.file.lifetimes import title
 from replay.history.summary import summary
 
@@ -157,3 +158,22 @@ def test_ordinals() -> None:
     titles = [title("lab", number) for number in (1, 2, 3, 4, 11, 21, 112)]
     assert titles[0] == "lab"
     assert [text.split("(")[1].split()[0] for text in titles[1:]] == ["2nd", "3rd", "4th", "11th", "21st", "112th"]
+
+
+def test_after_the_last_world_has_ended_it_is_as_it_was_before(tmp_path: Path) -> None:
+    with recorder.record(tmp_path / "x.mcap"):
+        with BulletWorld(name="hall"), BulletWorld(name="lab"):
+            Object("ball", "ball", "apple.stl", [1, 2, 3])
+        with BulletWorld(name="kitchen"):
+            cup = Object("cup", "cup", "cup.stl")
+            cup.set_position([4, 5, 6])
+    with replay.open(tmp_path / "x.mcap") as log:
+        end = log.state_at("last")
+        assert not any(world.open for world in end.worlds.values())
+        assert (end.world().name, end.world().open, list(end.world().bodies)) == ("kitchen", True, ["cup"])
+        assert end.body("cup").position == end.world().body("cup").position == (4, 5, 6)
+        assert end.body("ball", "lab").position == (1, 2, 3)
+        with pytest.raises(NoSuchName, match="no object 'cub'; did you mean cup"):
+            end.body("cub")
+        with pytest.raises(NoSuchName, match="no open world"):
+            log.state_at(0).world()

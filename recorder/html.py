@@ -1,0 +1,72 @@
+"""Short HTML for notebooks: titles, tables, sections and pictures. All text is escaped here."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from html import escape
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+MAX_ROWS: Final = 20  # of a table
+_MAX_CELL: Final = 80  # characters
+_MAX_LINES: Final = 40  # of a section
+_PRE: Final = '<pre style="margin:0 0 0.3em 1em;white-space:pre-wrap;line-height:1.3">'
+_CELL: Final = '<td style="text-align:left">'
+_HEAD: Final = '<th style="text-align:left">'
+
+
+def page(title: str, *parts: str) -> str:
+    """Return a title and parts, which are HTML."""
+    return f'<div style="overflow-x:auto"><b>{escape(title)}</b>{"".join(parts)}</div>'
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[object]], limit: int = MAX_ROWS) -> str:
+    """Return rows as a table; of many rows the first."""
+    head = "".join(f"{_HEAD}{escape(column)}</th>" for column in columns)
+    body = "".join(f"<tr>{''.join(f'{_CELL}{_cell(value)}</td>' for value in row)}</tr>" for row in rows[:limit])
+    more = f"<div>... {len(rows) - limit} more rows</div>" if len(rows) > limit else ""
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+
+
+def _cell(value: object) -> str:
+    text = "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+    return escape(text if len(text) <= _MAX_CELL else text[: _MAX_CELL - 3] + "...")
+
+
+def text(lines: Iterable[str]) -> str:
+    """Return lines as they are; of many lines the first."""
+    shown = list(lines)
+    if len(shown) > _MAX_LINES:
+        shown[_MAX_LINES:] = [f"... {len(shown) - _MAX_LINES} more lines"]
+    return f"{_PRE}{escape(chr(10).join(shown))}</pre>" if shown else ""
+
+
+def report(lines: Iterable[str], unfolded: int = 2) -> str:
+    """Return a report: its first lines, then its sections, of which the first ones are unfolded.
+
+    A section is an empty line, a title and indented lines.
+    """
+    headlines: list[str] = []
+    sections: list[tuple[str, list[str]]] = []
+    begins = False
+    for line in lines:
+        if not line:
+            begins = True
+        elif begins:
+            sections.append((line, []))
+            begins = False
+        else:
+            (sections[-1][1] if sections else headlines).append(line.removeprefix("  ") if sections else line)
+    folds = (
+        f"<details{' open' if number < unfolded else ''}><summary>{escape(title)}</summary>{text(body)}</details>"
+        for number, (title, body) in enumerate(sections)
+    )
+    first, *more = headlines or [""]
+    return page(first, text(more), *folds)
+
+
+def picture(png: bytes, what: str) -> str:
+    """Return a PNG as a picture."""
+    return f'<div><img src="data:image/png;base64,{b64encode(png).decode()}" alt="{escape(what)}"></div>'

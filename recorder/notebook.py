@@ -1,0 +1,108 @@
+"""What notebooks need: names of cells, IPython's own variables, and tracebacks of the plan's lines alone.
+
+IPython is never imported here: where it runs, it is loaded already.
+"""
+
+from __future__ import annotations
+
+import linecache
+import os
+import re
+import sys
+from contextlib import ExitStack
+from pathlib import PurePath
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_CELL: Final = re.compile(r"In \[\d+\]")
+_FILE: Final = re.compile(r'(?<=File ")[^"\n]+(?=", line )')
+#: Packages whose frames are left out of tracebacks.
+_MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "IPython", "ipykernel", "contextlib", "threading"})
+
+
+def _shell() -> Any:
+    """Return IPython's shell; None outside of IPython."""
+    ipython = sys.modules.get("IPython")
+    return ipython.get_ipython() if ipython is not None and hasattr(ipython, "get_ipython") else None
+
+
+def is_running() -> bool:
+    """Return whether this process runs cells of IPython."""
+    return _shell() is not None
+
+
+def title() -> str:
+    """Return the name of the running notebook, as Jupyter tells it; "" if it is unknown."""
+    return PurePath(os.environ.get("JPY_SESSION_NAME", "")).stem if is_running() else ""
+
+
+def cell_of(file: str) -> str:
+    """Return the cell of a file's name in compiled code, as "In [3]"; "" if it isn't a cell."""
+    shell = _shell()
+    number = getattr(getattr(shell, "compile", None), "_filename_map", {}).get(file)
+    return f"In [{number}]" if number is not None else ""
+
+
+def source_of(file: str) -> bytes:
+    """Return the source of a cell, by its file's name in compiled code."""
+    return "".join(linecache.getlines(file)).encode("utf-8", "replace")
+
+
+def with_cells(traceback: str) -> str:
+    """Return a traceback with the names of cells in place of their files."""
+    return _FILE.sub(lambda found: cell_of(found[0]) or found[0], traceback) if is_running() else traceback
+
+
+def is_cell(file: str) -> bool:
+    """Return whether a recorded file is a cell."""
+    return _CELL.fullmatch(file) is not None
+
+
+def place(file: str, line: int) -> str:
+    """Return a line of a file as "file:line", or of a cell as "In [3], line 1"."""
+    return f"{file}, line {line}" if is_cell(file) else f"{file}:{line}"
+
+
+def own_variables() -> Mapping[str, object]:
+    """Return the variables that IPython keeps among the user's: In, Out, _i3, ..."""
+    hidden: Mapping[str, object] = getattr(_shell(), "user_ns_hidden", {})
+    return hidden
+
+
+def traceback_lines(error: BaseException) -> list[str]:
+    """Return an error as IPython prints it, without the frames of packages that run the plan.
+
+    Its causes, and the failures of a block's branches, lose these frames, too. An error without other frames keeps all.
+    """
+    formatter = _shell().InteractiveTB
+    with ExitStack() as undoing:
+        for each in _related(error):
+            undoing.callback(setattr, each, "__traceback__", each.__traceback__)
+            each.__traceback__ = _shortened(each.__traceback__)
+        lines: list[str] = formatter.structured_traceback(type(error), error, error.__traceback__, tb_offset=0)
+    return lines
+
+
+def _related(error: BaseException) -> list[BaseException]:
+    """Return an error, its causes, and the failures that they carry."""
+    related = [error]
+    for each in related:
+        others = (each.__cause__, each.__context__, *vars(each).get("failures", ()))
+        related += [other for other in others if isinstance(other, BaseException) and other not in related]
+    return related
+
+
+def _shortened(trace: TracebackType | None) -> TracebackType | None:
+    entries = []
+    entry = trace
+    while entry is not None:
+        if str(entry.tb_frame.f_globals.get("__name__", "")).partition(".")[0] not in _MACHINERY:
+            entries.append(entry)
+        entry = entry.tb_next
+    shown = None
+    for each in reversed(entries):
+        shown = TracebackType(shown, each.tb_frame, each.tb_lasti, each.tb_lineno)
+    return shown or trace
