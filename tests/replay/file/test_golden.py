@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 GOLDEN = sorted((Path(__file__).parents[1] / "golden").glob("*.mcap"))
-README = Path(__file__).parents[3] / "README.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "command_line.md"
 REASONS = sorted((Path(__file__).parents[1] / "golden" / "reasons").glob("*.mcap"))
 FORKS = sorted((Path(__file__).parents[1] / "golden" / "forks").glob("*[0-9].[0-9].mcap"))
 MOTIONS = sorted((Path(__file__).parents[1] / "golden" / "motions").glob("*[0-9].[0-9].mcap"))
@@ -254,7 +254,7 @@ def test_recordings_that_programs_began_stay_readable(file: Path) -> None:
 
 
 def test_the_readme_shows_what_is_recorded_of_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:
-    shown = README.read_text().partition("$ pycram-replay log shop.mcap")[2].partition("```")[0].splitlines()[1:]
+    shown = GUIDE.read_text().partition("$ pycram-replay log shop.mcap")[2].partition("```")[0].splitlines()[1:]
     main(["log", str(REASONS[0]), "--kind", "refusal"])
     main(["why", str(REASONS[0])])
     output = {re.sub(r"/\S*/plan.py", "plan.py", line) for line in capsys.readouterr().out.splitlines()}
