@@ -20,13 +20,13 @@ FILM = Path(__file__).with_name("set_the_table.gif")
 SIZE = (560, 350)
 FRAMES = 60
 PLAYED = 14.0  # s
-EYE, TARGET = (3.4, 4.6, 3.0), (0.1, 1.0, 0.7)  # m, over the island towards the counter
+EYE, TARGET = (-0.2, -1.6, 3.0), (0.2, 1.0, 0.6)  # m, from above the island's end
 
 
 def moments(log: Recording) -> list[float]:
     """Return times of simulation in s, from the first motion to the last one, equally far apart."""
     steps = [change.sim_step for change in log.records(Mutation) if change.HasField("simulate")]
-    first, last = steps[0] / STEPS_PER_SECOND, steps[-1] / STEPS_PER_SECOND
+    first, last = steps[0] / STEPS_PER_SECOND, (steps[-1] - 1) / STEPS_PER_SECOND
     return [first + (last - first) * number / (FRAMES - 1) for number in range(FRAMES)]
 
 
