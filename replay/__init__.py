@@ -5,19 +5,35 @@ every world after a step. It needs neither the plan nor the physics engine. ``re
 of recordings as tables.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING
-
-from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
-from replay.recording import Recording
-from replay.state.fold import fold
-from replay.state.state import Attachment, Body, State, World
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
+    from replay.recording import Recording
     from replay.runs.folder import Runs
+    from replay.state.fold import fold
+    from replay.state.state import Attachment, Body, State, World
 
-open = Recording  # noqa: A001  replay.open reads well
+    open = Recording  # noqa: A001  replay.open reads well
+
+#: Modules of public names; all others are errors.
+_MODULES = dict.fromkeys(("Attachment", "Body", "State", "World"), "state.state") | {
+    "Recording": "recording",
+    "open": "recording",
+    "fold": "state.fold",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import public names on demand: commands that open no recording start fast."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = import_module(f"replay.{_MODULES.get(name, 'errors')}")
+    value: object = getattr(module, "Recording" if name == "open" else name)
+    return globals().setdefault(name, value)
 
 
 def open_runs(path: "str | Path") -> "Runs":
