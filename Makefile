@@ -57,8 +57,9 @@ PROTO_OUT := .
 proto: .venv/ready-dev  ## compiles recorder/records/log.proto; its path is part of the descriptor's name, hence from here
 	$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=$(PROTO_OUT) --pyi_out=$(PROTO_OUT) recorder/records/log.proto
 
-reference: .venv/ready-dev  ## writes docs/reference.md, as the code of motions and actions tells it
+reference: .venv/ready-dev  ## writes docs/reference.md and the typed constructors, from the code of motions and actions
 	$(BIN)/python -m pycram.reference docs/reference.md
+	$(BIN)/python -m pycram.constructors pycram
 
 system-packages:  ## what tests of windows, viewers and the browser need (Debian, Ubuntu)
 	.ci/system-packages

@@ -9,15 +9,12 @@ table, from its right side to its left. What a robot can't do, as with an arm to
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-from pycram.actions import perform
+from pycram import perform
+from pycram.action_designators import closing, delivering, fetching, handing_over, opening, parking_arms, transporting
 from pycram.bullet_world import BulletWorld, Object
-from pycram.designator import ActionDesignator, LocationDesignator
+from pycram.designator import LocationDesignator
 from pycram.failures import MissingPart
-
-if TYPE_CHECKING:
-    from pycram.designator import Designator
 
 ROBOTS = ("pr2", "tiago_pro", "panda", "ur5")
 BOLTED_DOWN = ("panda", "ur5")
@@ -58,22 +55,17 @@ def missing() -> list[MissingPart]:
     return lacks
 
 
-def do(type: str, **slots: object) -> object:  # noqa: A002  the slot's name
-    """Performs an action."""
-    return perform(ActionDesignator(type=type, **slots))
-
-
-def bring(kind: str, target: Designator) -> None:
+def bring(kind: str, target: LocationDesignator) -> None:
     """Carries something, which says what it is and where it goes."""
-    body = do("transporting", object=kind, target=target)
+    body = perform(transporting(object=kind, target=target))
     print(f"{kind}: at", [round(x, 2) for x in body.get_position()])
 
 
 def breakfast() -> None:
     """Sets everything, and clears bowl and milk away."""
     lacks = {failure.part for failure in missing()}
-    there: Designator = LocationDesignator(on="island")
-    away: Designator = LocationDesignator(on="counter")
+    there = LocationDesignator(on="island")
+    away = LocationDesignator(on="counter")
     if BASE in lacks:
         there, away = LocationDesignator(on="table", side="left"), LocationDesignator(on="table", side="right")
 
@@ -82,20 +74,20 @@ def breakfast() -> None:
     if ARM in lacks:
         bring("cereal", there)
     else:
-        do("fetching", object="cereal")
-        do("handing-over", object="cereal")
+        perform(fetching(object="cereal"))
+        perform(handing_over(object="cereal"))
         print("cereal: in the other hand")
-        do("parking-arms")
-        do("delivering", object="cereal", target=there)
+        perform(parking_arms())
+        perform(delivering(object="cereal", target=there))
     print("breakfast is ready")
 
     bring("bowl", away)
     if BASE in lacks:
         bring("milk", away)
     else:
-        do("opening", container="fridge")
+        perform(opening(container="fridge"))
         bring("milk", LocationDesignator(in_="fridge"))
-        do("closing", container="fridge")
+        perform(closing(container="fridge"))
     print("and cleared away")
 
 

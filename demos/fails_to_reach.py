@@ -1,18 +1,18 @@
 """Fails on purpose: the milk stands at the back of the counter, out of reach and behind other things.
 
-The plan tries each arm from two positions and gives up. Its recording is an example for debugging:
-``pycram run demos/fails_to_reach.py --log fails.mcap`` and then
+The plan tries each arm from two positions and gives up. Its recording is an example for debugging.
+These two commands make it, and say why the plan failed:
+``pycram run demos/fails_to_reach.py --log fails.mcap`` and
 ``pycram-replay why fails.mcap``.
 """
 
 from __future__ import annotations
 
-from pycram import bullet_world_reasoning as btr
+from pycram import bullet_world_reasoning as btr, perform
 from pycram.bullet_world import BulletWorld, Object
-from pycram.designator import MotionDesignator
 from pycram.failures import PlanFailure
 from pycram.language import failure_handling, par
-from pycram.process_module import ProcessModule
+from pycram.motion_designators import detecting, looking, move_arm_joints, moving, pick_up
 
 PLACES = ([0.65, 0.9, 0], [0.65, 0.6, 0])
 
@@ -33,25 +33,25 @@ def build_scene() -> Object:
 
 
 def try_to_take(milk: Object, arm: str, place: list[float]) -> None:
+    """Drive to a place, find the milk, and grasp it with an arm."""
     print(f"trying the {arm} arm from", place[:2])
     with par:
-        ProcessModule.perform(
-            MotionDesignator([("type", "move-arm-joints"), ("left-arm", "park"), ("right-arm", "park")])
-        )
-        ProcessModule.perform(MotionDesignator([("type", "moving"), ("target", place), ("orientation", [0, 0, 0, 1])]))
-    ProcessModule.perform(MotionDesignator([("type", "looking"), ("object", milk)]))
-    found = ProcessModule.perform(MotionDesignator([("type", "detecting"), ("object-type", "milk")]))
+        # Folded arms reach over nothing on the way.
+        perform(move_arm_joints(arms={"left": "park", "right": "park"}))
+        perform(moving(target=place, orientation=[0, 0, 0, 1]))
+    perform(looking(object=milk))
+    found = perform(detecting(object_type="milk"))
     gripper = BulletWorld.robot.description.arm(arm).tool_frame
     if not btr.reachable(found, BulletWorld.robot, gripper):
         print("  reachable() says no; blocking() says", btr.blocking(found, BulletWorld.robot, gripper))
-    ProcessModule.perform(MotionDesignator([("type", "pick-up"), ("object", found), ("arm", arm)]))
+    perform(pick_up(object=found, arm=arm))
 
 
 def main() -> None:
     milk = build_scene()
     first, *others = [{"arm": arm, "place": place} for place in PLACES for arm in ("left", "right")]
 
-    def another_way(failure: PlanFailure) -> dict[str, object]:
+    def another_way(failure: PlanFailure) -> dict[str, list[float] | str]:
         print(" ", failure)
         return others.pop(0)
 

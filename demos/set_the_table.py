@@ -9,19 +9,30 @@ robot with ``pycram demo --robot panda``, or record any variation of it with ``p
 from __future__ import annotations
 
 import argparse
+from typing import TypeAlias
 
-from pycram import bullet_world_reasoning as btr
+from pycram import bullet_world_reasoning as btr, perform
 from pycram.bullet_world import BulletWorld, Object
-from pycram.designator import MotionDesignator
 from pycram.language import par
-from pycram.process_module import ProcessModule
+from pycram.motion_designators import (
+    accessing,
+    detecting,
+    looking,
+    move_arm_joints,
+    moving,
+    pick_up,
+    place,
+    world_state_detecting,
+)
 
 ROBOTS = ("pr2", "tiago_pro", "panda", "ur5")
 BOLTED_DOWN = ("panda", "ur5")
 
-COUNTER = ([0.65, 0.7, 0], [0, 0, 0, 1])
-COUNTERS = {"tiago_pro": ([0.5, 0.9, 0], [0, 0, 0, 1])}  # where else a robot stands there
-ISLAND = ([-0.3, 1, 0], [0, 0, 1, 0])
+Pose: TypeAlias = tuple[list[float], list[float]]  # position in m, and orientation as a quaternion
+
+COUNTER: Pose = ([0.65, 0.7, 0], [0, 0, 0, 1])
+COUNTERS: dict[str, Pose] = {"tiago_pro": ([0.5, 0.9, 0], [0, 0, 0, 1])}  # where else a robot stands there
+ISLAND: Pose = ([-0.3, 1, 0], [0, 0, 1, 0])
 
 # goal and arm for each type of object: in the kitchen, and on a table, where a robot has one arm
 TARGETS = {
@@ -70,44 +81,40 @@ def build_table(world: BulletWorld, robot: str) -> Object:
     return table
 
 
-def perform(**slots: object) -> object:
-    """Performs a motion; hyphens in names of slots are written as underscores."""
-    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
-
-
 def park() -> None:
     """Folds the arms, however many there are."""
-    perform(type="move-arm-joints", **{f"{arm}_arm": "park" for arm in BulletWorld.robot.description.arms})
+    perform(move_arm_joints(arms=dict.fromkeys(BulletWorld.robot.description.arms, "park")))
 
 
-def go(place: tuple[list[float], list[float]]) -> None:
+def go(pose: Pose) -> None:
     """Drives somewhere with parked arms, if the robot drives."""
-    position, orientation = place
+    position, orientation = pose
     with par:
         park()
         if BulletWorld.robot.description.drives:
-            perform(type="moving", target=position, orientation=orientation)
+            perform(moving(target=position, orientation=orientation))
 
 
 def find(known: Object) -> Object:
     """Looks at an object and detects it, if the robot has a camera."""
     if BulletWorld.robot.description.camera is None:
-        return perform(type="world-state-detecting", object=known.type)
-    perform(type="looking", object=known)
-    return perform(type="detecting", object=known.type)
+        return perform(world_state_detecting(object_type=known.type))
+    perform(looking(object=known))
+    return perform(detecting(object_type=known.type))
 
 
 def open_drawer(kitchen: Object) -> None:
     """Opens the drawer in which the spoon lies (Listing 5.2)."""
     perform(
-        type="accessing",
-        drawer_joint="sink_area_left_upper_drawer_main_joint",
-        drawer_handle="sink_area_left_upper_drawer_handle",
-        part_of=kitchen,
-        arm="left",
-        distance=0.3,
+        accessing(
+            drawer_joint="sink_area_left_upper_drawer_main_joint",
+            drawer_handle="sink_area_left_upper_drawer_handle",
+            part_of=kitchen,
+            arm="left",
+            distance=0.3,
+        )
     )
-    perform(type="move-arm-joints", left_arm="park")
+    perform(move_arm_joints(arms={"left": "park"}))
 
 
 def targets() -> dict[str, tuple[list[float], str]]:
@@ -142,12 +149,12 @@ def move_object(object_type: str, furniture: Object, waiting: tuple[str, ...] = 
         print(f"{object_type}: {blocking[0].type} is in the way and goes first")
         move_object(blocking[0].type, furniture, waiting)
         go(counter)
-    perform(type="pick-up", object=found, arm=arm)
+    perform(pick_up(object=found, arm=arm))
     go(ISLAND)
 
     if not btr.reachable_pose(target, robot, gripper):
         raise btr.ReasoningError(f"the place for {object_type} is out of reach")
-    perform(type="place", object=found, target=target, arm=arm)
+    perform(place(object=found, target=target, arm=arm))
     park()
     if not btr.stable(found):
         raise btr.ReasoningError(f"{object_type} doesn't stand safely")

@@ -15,9 +15,9 @@
 # projection/  plans tried in a copy of the process.     actions/  goals of a robot; choices of how to reach them.
 # exploration/ plans run in many orders of their branches.     sweeping/  with many seeds and parameters.
 #
-# bullet_world, bullet_world_reasoning, designator, motion_designators, process_module, fluent, event, failures, tasks:
-# the names of the thesis, from which plans import. knowledge: a robot's beliefs. plan_parameters: named values that
-# runs set. running, cli: the command "pycram".
+# bullet_world, bullet_world_reasoning, designator, process_module, fluent, event, failures, tasks: the names of the
+# thesis, from which plans import. motion_designators, action_designators: typed constructors, written by constructors.
+# knowledge: a robot's beliefs. plan_parameters: named values that runs set. running, cli: the command "pycram".
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import recorder  # noqa: F401  before numpy: it limits threads
 
 if TYPE_CHECKING:
+    from pycram.actions import perform
     from pycram.plan_parameters import UnknownParameter, parameters
     from pycram.running import seed
     from pycram.sweeping import sweep
@@ -33,11 +34,13 @@ if TYPE_CHECKING:
 _SOURCES = {
     "UnknownParameter": "pycram.plan_parameters",
     "parameters": "pycram.plan_parameters",
+    "perform": "pycram.actions",
     "seed": "pycram.running",
     "sweep": "pycram.sweeping",
 }
 #: Modules from which plans import.
 _MODULES = (
+    "action_designators",
     "actions",
     "bullet_world",
     "bullet_world_reasoning",
@@ -49,12 +52,13 @@ _MODULES = (
     "fluents",
     "knowledge",
     "language",
+    "motion_designators",
     "process_module",
     "projection",
     "tasks",
 )
 
-__all__ = ["UnknownParameter", "parameters", "seed", "sweep"]
+__all__ = ["UnknownParameter", "parameters", "perform", "seed", "sweep"]
 
 
 def __getattr__(name: str) -> Any:

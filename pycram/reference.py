@@ -76,11 +76,11 @@ def _action(kind: ActionType, slots: Sequence[Slot]) -> str:
 
 def _designator(kind: type[LocationDesignator | ObjectDesignator]) -> str:
     text = (inspect.getdoc(kind) or "").replace("``", "`")
-    return "\n".join([f"### {kind.__name__}\n", f"{text}\n", _table(kind.takes.slots), *_demands(kind.takes)])
+    return "\n".join([f"### {kind.__name__}\n", f"{text}\n", _table(kind.takes.slots), *demands(kind.takes)])
 
 
 def _motion(motion: MotionType, module: ProcessModule) -> str:
-    parts = [f"### {motion.type}\n", f"{inspect.getdoc(module) or ''}\n", _table(motion.slots), *_demands(motion)]
+    parts = [f"### {motion.type}\n", f"{inspect.getdoc(module) or ''}\n", _table(motion.slots), *demands(motion)]
     if any("NAME" in slot.name for slot in motion.slots):
         parts.append(f"{_ARMS}\n")
     parts.append(f"Fails with {_names(module.failures)}.")
@@ -89,7 +89,7 @@ def _motion(motion: MotionType, module: ProcessModule) -> str:
     return "\n".join([*parts, ""])
 
 
-def _demands(kind: SlotTable) -> Iterator[str]:
+def demands(kind: SlotTable) -> Iterator[str]:
     """Yield the slots that a designator requires together."""
     if len(kind.one_of) > 1:
         names = " or ".join(f"`{name}`" for name in kind.one_of)

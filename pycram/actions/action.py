@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import inspect
 import re
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, Protocol, TypeAlias, TypeVar, cast
 
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import candidates_of, thing
@@ -29,6 +30,7 @@ from pycram.motions.slots import (
     Slot,
     SlotTable,
     ValueKind,
+    filled,
     given_slots,
     slot_name,
 )
@@ -42,7 +44,8 @@ if TYPE_CHECKING:
     from pycram.motions.slots import Check
 
 
-Function = TypeVar("Function", bound="Callable[..., Any]")
+P = ParamSpec("P")
+Result_co = TypeVar("Result_co", covariant=True)
 #: Called with an action's slots; yields values for the open slots, or other values.
 Choices: TypeAlias = "Callable[..., Iterable[Mapping[str, Any]]]"
 
@@ -65,16 +68,14 @@ def _place(name: str, value: Any) -> Any:
     return value
 
 
-def place_for_an_object(name: str, value: Any) -> Any:
-    """Check a place where an object can be put down."""
+def _place_for_an_object(name: str, value: Any) -> Any:
     wanted = _place(name, value)
     if isinstance(wanted, LocationDesignator) and not (wanted.for_objects or wanted.prop_value("position")):
         raise BadArgument(name, value, "a place where an object can be put: with on or in, or a position")
     return wanted
 
 
-def place_for_the_robot(name: str, value: Any) -> Any:
-    """Check a place where the robot can stand."""
+def _place_for_the_robot(name: str, value: Any) -> Any:
     wanted = _place(name, value)
     if isinstance(wanted, LocationDesignator) and wanted.for_objects:
         known = "a place where the robot can stand, as LocationDesignator(near=...) or (reachable_for=...)"
@@ -82,8 +83,7 @@ def place_for_the_robot(name: str, value: Any) -> Any:
     return wanted
 
 
-def portable(name: str, value: Any) -> Any:
-    """Check an object that a gripper can take: neither a robot nor furniture."""
+def _portable(name: str, value: Any) -> Any:
     wanted = thing(name, value)
     if all(body.fixed for body in candidates_of(wanted)):
         raise BadArgument(name, value, "an object that can be taken; robots and the environment can't")
@@ -110,13 +110,25 @@ def _flag(name: str, value: Any) -> Any:
 
 
 _ANYTHING: Final = ValueKind("Whatever the action takes", _anything)
-_LOCATION: Final = ValueKind("A LocationDesignator", _location)
-_FLAG: Final = ValueKind("True or False", _flag)
+_LOCATION: Final = ValueKind("A LocationDesignator", _location, "LocationDesignator")
+_FLAG: Final = ValueKind("True or False", _flag, "bool")
+_BUDGET: Final = ValueKind("A whole number from 0 up", _budget, "int")
+_THING: Final = "Object | ObjectDesignator | str"
+_PLACE: Final = "LocationDesignator | Surface | str | Sequence[float]"
+
+#: An object that a gripper can take: neither a robot nor furniture.
+portable: Final = ValueKind("An object that can be taken", _portable, _THING)
+#: A place where an object can be put down.
+place_for_an_object: Final = ValueKind("A place where an object can be put", _place_for_an_object, _PLACE)
+#: A place where the robot can stand.
+place_for_the_robot: Final = ValueKind(
+    "A place where the robot can stand", _place_for_the_robot, "LocationDesignator | Sequence[float]"
+)
 
 #: The checks of the slots of PyCRAM's own actions, by name.
 _BY_SLOT: Final[Mapping[str, Check]] = {
-    "object": ValueKind("An Object of a world, an ObjectDesignator, or a type of objects", thing),
-    "target": ValueKind("A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame", _place),
+    "object": ValueKind("An Object of a world, an ObjectDesignator, or a type of objects", thing, _THING),
+    "target": ValueKind("A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame", _place, _PLACE),
     "place": _LOCATION,
     "put": _LOCATION,
     "clear": _FLAG,
@@ -128,11 +140,11 @@ _BY_SLOT: Final[Mapping[str, Check]] = {
 _COMMON: Final = (
     Slot(
         "budget",
-        _budget,
+        _BUDGET,
         text="how many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of "
         "the budget around it",
     ),
-    Slot("projected", _flag, text="whether the best choices are imagined first; False by default"),
+    Slot("projected", _FLAG, text="whether the best choices are imagined first; False by default"),
 )
 
 
@@ -166,6 +178,17 @@ def arguments(function: Callable[..., Any], slots: Mapping[str, Any]) -> dict[st
     return {names[slot]: value for slot, value in slots.items() if slot in names}
 
 
+class Action(Protocol[P, Result_co]):
+    """A function that performs the actions of a type."""
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> Result_co:
+        """Perform it with all slots chosen."""
+
+    @staticmethod
+    def designator(*args: P.args, **kwargs: P.kwargs) -> ActionDesignator:
+        """Return a designator of the action, with the function's arguments as slots; None leaves a slot open."""
+
+
 TYPES: Final[dict[str, ActionType]] = {}
 
 
@@ -175,8 +198,11 @@ def action(
     choices: Choices | None = None,
     prepare: Callable[..., Any] | None = None,
     checked: Mapping[str, Check] | None = None,
-) -> Callable[[Function], Function]:
+) -> Callable[[Callable[P, Result_co]], Action[P, Result_co]]:
     """Decorate a function that performs the actions of a type, in place of an earlier function.
+
+    The function gets an attribute ``designator``: a function with the same parameters, which returns a designator of
+    the action, as ``perform(tidying_up.designator(object=milk))``.
 
     Args:
         name: The type, as "fetching".
@@ -191,9 +217,16 @@ def action(
     """
     text("name", name)
 
-    def register(function: Function) -> Function:
+    def register(function: Callable[P, Result_co]) -> Action[P, Result_co]:
         TYPES[name] = _type(name, function, choices, prepare, checked or {})
-        return function
+
+        def designator(*args: P.args, **kwargs: P.kwargs) -> ActionDesignator:
+            given = inspect.signature(function).bind(*args, **kwargs)
+            return ActionDesignator(filled(name, **given.arguments))
+
+        with suppress(AttributeError):  # bound methods have no attributes of their own
+            cast("Any", function).designator = wraps(function)(designator)
+        return cast("Action[P, Result_co]", function)
 
     return register
 

@@ -14,7 +14,7 @@ from pycram.actions.action import action
 from pycram.actions.performing import perform
 from pycram.foundation.failures import AccessFailed, BadArgument, NoPlace, PlanFailure, UnknownName
 from pycram.motions.designator import MotionDesignator
-from pycram.motions.slots import BODY, DISTANCE, NAME, POSITION
+from pycram.motions.slots import BODY, DISTANCE, NAME, POSITION, ValueKind
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.places import Pull, standing_places
@@ -61,7 +61,7 @@ class Access:
         return abs(self.position - self.closed) < _CLOSED
 
 
-def known_container(name: str, value: Any) -> Any:
+def _known_container(name: str, value: Any) -> Any:
     """Check a container: of furniture, its name, or an Object, whose joint or handle selects the container."""
     if isinstance(value, Object):
         return BODY(name, value)
@@ -75,7 +75,7 @@ def known_container(name: str, value: Any) -> Any:
 
 
 _CHECKS: Final[Mapping[str, Check]] = {
-    "container": known_container,
+    "container": ValueKind("A container of furniture", _known_container, "Container | Object | str"),
     "joint": NAME,
     "handle": NAME,
     "distance": DISTANCE,

@@ -195,7 +195,7 @@ class _Budget:
 _budget: ContextVar[_Budget | None] = ContextVar("pycram_budget", default=None)
 
 
-def perform(designator: Designator) -> Any:
+def perform(designator: ActionDesignator | MotionDesignator) -> Any:
     """Perform an action or a motion, and return its result, or a future in the body of a block with branches.
 
     An action's choices are tried in order, until one succeeds.

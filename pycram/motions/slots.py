@@ -5,6 +5,7 @@ The slots of a designator never change: lists and other containers are copied on
 
 from __future__ import annotations
 
+import keyword
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
@@ -75,6 +76,17 @@ def slot_name(argument: str) -> str:
     return argument.rstrip("_").replace("_", "-")
 
 
+def slot_argument(name: str) -> str:
+    """Return a slot's name as a keyword argument: the inverse of :func:`slot_name`."""
+    argument = name.replace("-", "_")
+    return f"{argument}_" if keyword.iskeyword(argument) else argument
+
+
+def filled(type: str, **slots: object) -> list[tuple[str, object]]:  # noqa: A002  the slot's name
+    """Return the description of a designator; slots that are None are left out."""
+    return [("type", type), *((slot_name(key), value) for key, value in slots.items() if value is not None)]
+
+
 def own(value: T) -> T:
     """Return a value with copies of its lists, dictionaries, sets and arrays; other objects in it stay the same."""
     copied: T = _own(value, {})
@@ -117,6 +129,8 @@ class ValueKind:
 
     text: str  # the possible values, with units and frames
     check: Check
+    python: str = "Any"  # the values' Python type, as an annotation
+    designator: str = ""  # class of designators that stand for such a value in a motion
 
     def __call__(self, name: str, value: Value) -> Value:
         """Return the value of a slot, checked."""
@@ -139,6 +153,11 @@ class Slot:
     def values(self) -> str:
         """Its possible values, with units and frames."""
         return self.text or (self.check.text if isinstance(self.check, ValueKind) else "")
+
+    @property
+    def python(self) -> str:
+        """The Python type of its values, as an annotation."""
+        return self.check.python if isinstance(self.check, ValueKind) else "Any"
 
 
 @dataclass(frozen=True)
@@ -298,20 +317,32 @@ def _posture(name: str, value: Value) -> Value:
     return values
 
 
-POSITION: Final = ValueKind("[x, y, z] in m, world frame", lambda name, value: list(checks.vector(name, value)))
-ORIENTATION: Final = ValueKind(
-    "A quaternion [x, y, z, w], world frame", lambda name, value: list(checks.quaternion(name, value))
+POSITION: Final = ValueKind(
+    "[x, y, z] in m, world frame",
+    lambda name, value: list(checks.vector(name, value)),
+    "Sequence[float]",
+    "LocationDesignator",
 )
-NAME: Final = ValueKind("A name", checks.text)
-BODY: Final = ValueKind("An Object of a world", _body)
+ORIENTATION: Final = ValueKind(
+    "A quaternion [x, y, z, w], world frame",
+    lambda name, value: list(checks.quaternion(name, value)),
+    "Sequence[float]",
+)
+NAME: Final = ValueKind("A name", checks.text, "str")
+BODY: Final = ValueKind("An Object of a world", _body, "Object", "ObjectDesignator")
 OBJECT_TYPE: Final = ValueKind(
     "A type of objects, or an object of that type",
     lambda name, value: checks.text(name, getattr(value, "type", value)),
+    "str | Object",
+    "ObjectDesignator",
 )
-ARM: Final = ValueKind('An arm\'s name: "left" or "right" on the PR2', _arm)
-GRASP: Final = ValueKind('The side from which the gripper comes: "front", "top", "left" or "right"', _grasp)
+ARM: Final = ValueKind('An arm\'s name: "left" or "right" on the PR2', _arm, "str")
+GRASP: Final = ValueKind('The side from which the gripper comes: "front", "top", "left" or "right"', _grasp, "str")
 DISTANCE: Final = ValueKind(
     "A distance in m, or an angle in rad for what turns, from 0 up",
     lambda name, value: checks.in_range(name, value, 0.0),
+    "float",
 )
-POSTURE: Final = ValueKind('A named posture such as "park", or a list of joint values in rad', _posture)
+POSTURE: Final = ValueKind(
+    'A named posture such as "park", or a list of joint values in rad', _posture, "str | Sequence[float]"
+)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.geometry import Pose, Quaternion, Vector
     from recorder.urdf import Urdf
+
+#: None where a world, robot or description may be missing; type checkers accept any use, so plans need no assertions.
+MaybeNone: TypeAlias = Any
 
 ENVIRONMENT = "environment"
 ROBOT = "robot"
@@ -111,7 +114,7 @@ class Object(ReadOnlyAttributes):
         self.color = None if color is None else checks.color("color", color)
         self.model = model or load.load(path, self.color, packages)
         self.urdf: Urdf = self.model.urdf
-        self.description: RobotDescription | None = None
+        self.description: RobotDescription | MaybeNone = None
         if self.is_robot:
             if description is not None:
                 description.check(self.urdf)

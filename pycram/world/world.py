@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
+    from pycram.world.object import MaybeNone
     from pycram.world.saved_state import SavedState
     from pycram.world.trajectory import Trajectory
     from pycram.world.transaction import WorldLock
@@ -98,7 +99,7 @@ class CurrentWorld(type):
     """Metaclass with the current world and its robot as attributes of the class, as in the listings of the thesis."""
 
     @property
-    def current_bullet_world(cls) -> BulletWorld | None:
+    def current_bullet_world(cls) -> BulletWorld | MaybeNone:
         """The current world, which is the default wherever a world is needed; None if no world is open."""
         return current_world()
 
@@ -110,7 +111,7 @@ class CurrentWorld(type):
         make_current(world)
 
     @property
-    def robot(cls) -> Object | None:
+    def robot(cls) -> Object | MaybeNone:
         """The robot of the current world."""
         world = current_world()
         return world.robot if world is not None else None
@@ -234,15 +235,19 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             raise NoWorld("robot")
         return world.robot
 
-    @property
-    def robot(self) -> Object | None:
-        """The robot that plans control in this world."""
-        return self._robot
+    if TYPE_CHECKING:  # one declaration for the class and its worlds: a property would hide that of the metaclass
+        robot: Object | MaybeNone
+    else:
 
-    @robot.setter
-    @refusing("world", name="robot = ...")
-    def robot(self, robot: Object | None) -> None:
-        self.set_robot(robot)
+        @property
+        def robot(self) -> Object | None:
+            """The robot that plans control in this world."""
+            return self._robot
+
+        @robot.setter
+        @refusing("world", name="robot = ...")
+        def robot(self, robot: Object | None) -> None:
+            self.set_robot(robot)
 
     def set_robot(self, robot: Object | None) -> None:
         """Set the robot that plans control in this world; None for none."""

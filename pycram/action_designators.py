@@ -1,0 +1,415 @@
+"""Typed constructors of action designators: ``perform(transporting(object=milk, target="island"))``.
+
+Written by ``make reference`` from the slots of the actions; don't edit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pycram.actions.action import ActionDesignator
+from pycram.motions.slots import filled
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.actions import LocationDesignator, ObjectDesignator
+    from pycram.models.surfaces import Container, Surface
+    from pycram.world.object import Object
+
+
+def closing(
+    *,
+    container: Container | Object | str,
+    joint: str | None = None,
+    handle: str | None = None,
+    arm: str | None = None,
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Closes a drawer or door by its handle, from a place where an arm can hold it all the way.
+
+    Args:
+        container: A container of furniture, its name, or the furniture itself with joint and handle.
+        joint: Name of its joint, if the furniture itself is given.
+        handle: Link of its handle, if the furniture itself is given.
+        arm: Name of the arm; by default any arm that reaches.
+        place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
+        orientation: A quaternion [x, y, z, w] of the robot's base there.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(
+        filled(
+            "closing",
+            container=container,
+            joint=joint,
+            handle=handle,
+            arm=arm,
+            place=place,
+            orientation=orientation,
+            budget=budget,
+            projected=projected,
+        )
+    )
+
+
+def delivering(
+    *,
+    object: Object | ObjectDesignator | str,
+    target: LocationDesignator | Surface | str | Sequence[float],
+    put: LocationDesignator | None = None,
+    place: LocationDesignator | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Drives to a place where it reaches a target, puts down an object that a hand holds, and folds the arms.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects; in a hand.
+        target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        put: The exact place, a LocationDesignator with a position; by default the places of the target.
+        place: Place of the robot, a LocationDesignator; by default places from which it reaches the target.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(
+        filled(
+            "delivering",
+            object=object,
+            target=target,
+            put=put,
+            place=place,
+            budget=budget,
+            projected=projected,
+        )
+    )
+
+
+def fetching(
+    *,
+    object: Object | ObjectDesignator | str,
+    arm: str | None = None,
+    grasp: str | None = None,
+    place: LocationDesignator | None = None,
+    clear: bool | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Drives to a place where it reaches an object, and takes it; clears obstacles away.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        arm: Name of the arm; by default all free arms are tried.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
+        place: Place of the robot, a LocationDesignator; by default places from which it reaches the object.
+        clear: Whether to clear obstacles away first; by default only after they caused a failure.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(
+        filled(
+            "fetching",
+            object=object,
+            arm=arm,
+            grasp=grasp,
+            place=place,
+            clear=clear,
+            budget=budget,
+            projected=projected,
+        )
+    )
+
+
+def handing_over(
+    *,
+    object: Object | ObjectDesignator | str,
+    arm: str | None = None,
+    target: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+    place: LocationDesignator | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Passes an object from one hand to another hand, in front of the robot, and returns it.
+
+    The other hand grasps it next to the first hand, which then releases it. If the robot doesn't hold the object, or
+    has no other gripper, the action fails before anything moves.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects; in a hand.
+        arm: Name of the arm that takes it; by default any other arm.
+        target: Place of the giving hand's tool, [x, y, z] in m; by default a place that both arms reach.
+        orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
+        place: Place of the robot, a LocationDesignator; by default its present place, turned away from obstacles if
+            need be.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(
+        filled(
+            "handing-over",
+            object=object,
+            arm=arm,
+            target=target,
+            orientation=orientation,
+            place=place,
+            budget=budget,
+            projected=projected,
+        )
+    )
+
+
+def looking(
+    *,
+    object: Object | ObjectDesignator | str | None = None,
+    target: LocationDesignator | Surface | str | Sequence[float] | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Turns the camera to an object, or to a place; one of both is required.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        target: A LocationDesignator, the name of a surface (to its middle), or [x, y, z] in m, world frame.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(filled("looking", object=object, target=target, budget=budget, projected=projected))
+
+
+def navigating(
+    *,
+    target: LocationDesignator | Sequence[float],
+    orientation: Sequence[float] | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Drives to a place, unless the robot is there.
+
+    Args:
+        target: A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame.
+        orientation: A quaternion [x, y, z, w] of its base, world frame; that of the place, else the present one.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(
+        filled(
+            "navigating",
+            target=target,
+            orientation=orientation,
+            budget=budget,
+            projected=projected,
+        )
+    )
+
+
+def opening(
+    *,
+    container: Container | Object | str,
+    joint: str | None = None,
+    handle: str | None = None,
+    arm: str | None = None,
+    distance: float | None = None,
+    place: Sequence[float] | None = None,
+    orientation: Sequence[float] | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Opens a drawer or door by its handle, from a place where an arm can hold it all the way; returns the arm.
+
+    Args:
+        container: A container of furniture, its name, or the furniture itself with joint and handle.
+        joint: Name of its joint, if the furniture itself is given.
+        handle: Link of its handle, if the furniture itself is given.
+        arm: Name of the arm; by default any arm that reaches.
+        distance: Width in m, or angle in rad of a door; by default up to 0.4 m or 1.2 rad, or down to half of this.
+        place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
+        orientation: A quaternion [x, y, z, w] of the robot's base there.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(
+        filled(
+            "opening",
+            container=container,
+            joint=joint,
+            handle=handle,
+            arm=arm,
+            distance=distance,
+            place=place,
+            orientation=orientation,
+            budget=budget,
+            projected=projected,
+        )
+    )
+
+
+def parking_arms(
+    *,
+    arm: str | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Folds the arms that aren't folded, together if possible, with the objects that they hold.
+
+    Args:
+        arm: Name of the arm; all by default.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(filled("parking-arms", arm=arm, budget=budget, projected=projected))
+
+
+def perceiving(
+    *,
+    object: Object | ObjectDesignator | str,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Turns the camera to the believed place of an object, and detects it there; returns the object.
+
+    Without a belief, the object is detected in the present view. A robot without a camera gets its place from the state
+    of the world. The action fails with PerceptionError if the object isn't seen.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(filled("perceiving", object=object, budget=budget, projected=projected))
+
+
+def picking_up(
+    *,
+    object: Object | ObjectDesignator | str,
+    arm: str | None = None,
+    grasp: str | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Takes an object with a gripper, without driving.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        arm: Name of the arm; by default all free arms are tried.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(
+        filled(
+            "picking-up",
+            object=object,
+            arm=arm,
+            grasp=grasp,
+            budget=budget,
+            projected=projected,
+        )
+    )
+
+
+def placing(
+    *,
+    object: Object | ObjectDesignator | str,
+    target: LocationDesignator | Surface | str | Sequence[float],
+    orientation: Sequence[float] | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Puts down an object that a hand holds, without driving.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects; in a hand.
+        target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        orientation: A quaternion [x, y, z, w] of the object there, world frame; upright by default.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(
+        filled(
+            "placing",
+            object=object,
+            target=target,
+            orientation=orientation,
+            budget=budget,
+            projected=projected,
+        )
+    )
+
+
+def searching(
+    *,
+    object: Object | ObjectDesignator | str,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Searches an object until the camera sees it, and returns it.
+
+    The search begins at the object's believed place. Then it covers all surfaces, the nearest first: from the robot's
+    present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside, if need be
+    from the front, and closes them again. The action fails with ObjectNotFound, which names the searched places. A
+    robot without a camera asks the state of the world.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(filled("searching", object=object, budget=budget, projected=projected))
+
+
+def transporting(
+    *,
+    object: Object | ObjectDesignator | str,
+    target: LocationDesignator | Surface | str | Sequence[float],
+    arm: str | None = None,
+    grasp: str | None = None,
+    place: LocationDesignator | None = None,
+    clear: bool | None = None,
+    close: bool | None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator:
+    """Fetches an object and delivers it; opens its drawer or door, and closes it finally.
+
+    Args:
+        object: An Object, an ObjectDesignator, or a type of objects.
+        target: Its new place: a LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        arm: Name of the arm; by default all free arms are tried.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
+        place: Place of the robot when it takes the object, a LocationDesignator; by default places within reach.
+        clear: Whether to clear obstacles away first.
+        close: Whether to close opened drawers and doors finally, if possible.
+        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
+            the budget around it.
+        projected: Whether the best choices are imagined first; False by default.
+    """
+    return ActionDesignator(
+        filled(
+            "transporting",
+            object=object,
+            target=target,
+            arm=arm,
+            grasp=grasp,
+            place=place,
+            clear=clear,
+            close=close,
+            budget=budget,
+            projected=projected,
+        )
+    )

@@ -1,0 +1,152 @@
+"""Writes the typed constructors of motion and action designators: ``python -m pycram.constructors pycram``.
+
+Their parameters, types and texts are those of the slots that check designators, so a call that a type checker accepts
+names only slots that exist.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pycram.actions.action import TYPES as ACTIONS
+from pycram.motions.modules import default_modules
+from pycram.motions.motion_types import TYPES as MOTIONS
+from pycram.motions.slots import ValueKind, slot_argument
+from pycram.reference import demands
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from pycram.motions.motion_types import MotionType
+    from pycram.motions.slots import Slot
+
+_WIDTH: Final = 120
+
+_MOTIONS: Final = '''\
+"""Typed constructors of motion designators: ``perform(pick_up(object=milk, arm="left"))``.
+
+Written by ``make reference`` from the slots of the motions; don't edit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pycram.motions.designator import MotionDesignator
+from pycram.motions.slots import filled
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pycram.actions import LocationDesignator, ObjectDesignator
+    from pycram.world.object import Object
+'''
+_ACTIONS: Final = '''\
+"""Typed constructors of action designators: ``perform(transporting(object=milk, target="island"))``.
+
+Written by ``make reference`` from the slots of the actions; don't edit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pycram.actions.action import ActionDesignator
+from pycram.motions.slots import filled
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.actions import LocationDesignator, ObjectDesignator
+    from pycram.models.surfaces import Container, Surface
+    from pycram.world.object import Object
+'''
+
+
+def motion_designators() -> str:
+    """Return the source of ``pycram.motion_designators``."""
+    modules = default_modules()
+    parts = [_MOTIONS]
+    for motion in MOTIONS.values():
+        text = (inspect.getdoc(modules[motion.cmd]) or "").partition("\n")[0]
+        parts.append(_arms(motion, text) if motion.per_arm else _motion(motion, text))
+    return "\n\n".join(parts)
+
+
+def action_designators() -> str:
+    """Return the source of ``pycram.action_designators``."""
+    parts = [_ACTIONS]
+    for _, action in sorted(ACTIONS.items()):
+        if action.function.__module__.startswith("pycram.actions."):
+            parts.append(_function("ActionDesignator", action.type, action.text, _parameters(action.slots)))
+    return "\n\n".join(parts)
+
+
+def _motion(motion: MotionType, text: str) -> str:
+    text = "\n\n".join([text, *(each.strip().replace("`", "``") for each in demands(motion))])
+    return _function("MotionDesignator", motion.type, text, _parameters(motion.slots, motion=True))
+
+
+def _arms(motion: MotionType, text: str) -> str:
+    """Return the constructor of a motion with a slot for each arm of the robot."""
+    (slot,) = motion.slots
+    each = f"Mapping[str, {slot.python}]"
+    parameters = [("arms", each, f"By the names of arms. {slot.values}; other arms stay as they are", True)]
+    given = f'**{{f"{slot.name.replace("NAME", "{arm}")}": value for arm, value in arms.items()}}'
+    return _function("MotionDesignator", motion.type, text, parameters, given)
+
+
+def _parameters(slots: Iterable[Slot], *, motion: bool = False) -> list[tuple[str, str, str, bool]]:
+    """Return name, type, text and whether it is required of each slot, the required slots first."""
+    found = []
+    for slot in slots:
+        python = slot.python
+        if motion and isinstance(slot.check, ValueKind) and slot.check.designator:
+            python += f" | {slot.check.designator}"
+        otherwise = f"; by default {slot.otherwise[0].lower()}{slot.otherwise[1:]}" if slot.otherwise else ""
+        text = f"{slot.values[0].upper()}{slot.values[1:]}{otherwise}"
+        found.append((slot_argument(slot.name), python, text, slot.required))
+    return sorted(found, key=lambda each: not each[3])
+
+
+def _function(
+    kind: str, name: str, text: str, parameters: Sequence[tuple[str, str, str, bool]], given: str = ""
+) -> str:
+    lines = [f"def {slot_argument(name)}(", "    *,"]
+    for argument, python, _, required in parameters:
+        lines.append(f"    {argument}: {python}," if required else f"    {argument}: {python} | None = None,")
+    first, _, more = text.partition("\n")
+    lines += [f") -> {kind}:", f'    """{first}']
+    lines += [f"    {line}".rstrip() for line in more.splitlines()]
+    lines += ["", "    Args:"]
+    for argument, _, described, _ in parameters:
+        line = f"{argument}: {' '.join(described.split())}."
+        lines += textwrap.wrap(line, _WIDTH, initial_indent=" " * 8, subsequent_indent=" " * 12)
+    arguments = [given] if given else [f"{argument}={argument}" for argument, *_ in parameters]
+    call = f'    return {kind}(filled("{name}", {", ".join(arguments)}))'
+    if len(call) > _WIDTH:
+        call = "\n".join(
+            [
+                f"    return {kind}(",
+                "        filled(",
+                f'            "{name}",',
+                *(f"            {argument}," for argument in arguments),
+                "        )",
+                "    )",
+            ]
+        )
+    return "\n".join([*lines, '    """', call, ""])
+
+
+def main(folder: str) -> None:
+    """Write both modules into a folder."""
+    for name, source in (("motion", motion_designators()), ("action", action_designators())):
+        Path(folder, f"{name}_designators.py").write_text(source, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,193 @@
+"""Typed constructors of motion designators: ``perform(pick_up(object=milk, arm="left"))``.
+
+Written by ``make reference`` from the slots of the motions; don't edit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pycram.motions.designator import MotionDesignator
+from pycram.motions.slots import filled
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pycram.actions import LocationDesignator, ObjectDesignator
+    from pycram.world.object import Object
+
+
+def moving(
+    *,
+    target: Sequence[float] | LocationDesignator,
+    orientation: Sequence[float] | None = None,
+) -> MotionDesignator:
+    """Moves the robot to a pose, with the objects that it holds. It rejects a pose in collision.
+
+    Args:
+        target: [x, y, z] in m, world frame.
+        orientation: A quaternion [x, y, z, w], world frame; by default the robot's orientation now.
+    """
+    return MotionDesignator(filled("moving", target=target, orientation=orientation))
+
+
+def pick_up(
+    *,
+    object: Object | ObjectDesignator,
+    arm: str | None = None,
+    grasp: str | None = None,
+    from_: str | None = None,
+) -> MotionDesignator:
+    """Moves the gripper to an object, closes it and takes the object, with a finger on each side and no other contact.
+
+    Args:
+        object: An Object of a world.
+        arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the side that is
+            freest.
+        from_: Name of the arm that holds it, and lets go of it then.
+    """
+    return MotionDesignator(filled("pick-up", object=object, arm=arm, grasp=grasp, from_=from_))
+
+
+def place(
+    *,
+    object: Object | ObjectDesignator,
+    target: Sequence[float] | LocationDesignator,
+    orientation: Sequence[float] | None = None,
+    arm: str | None = None,
+) -> MotionDesignator:
+    """Puts a held object down on its support; upright if no orientation is given.
+
+    Args:
+        object: An Object of a world.
+        target: [x, y, z] in m, world frame.
+        orientation: A quaternion [x, y, z, w], world frame; by default upright, turned as the arm does it best.
+        arm: An arm's name: "left" or "right" on the PR2; by default the arm that holds the object; the only one, or
+            "left", if none does.
+    """
+    return MotionDesignator(filled("place", object=object, target=target, orientation=orientation, arm=arm))
+
+
+def accessing(
+    *,
+    drawer_joint: str,
+    drawer_handle: str,
+    part_of: Object | ObjectDesignator,
+    arm: str | None = None,
+    distance: float | None = None,
+) -> MotionDesignator:
+    """Grips a handle and moves it along its joint's path to the given distance, together with the contents.
+
+    Args:
+        drawer_joint: A name.
+        drawer_handle: A name.
+        part_of: An Object of a world.
+        arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
+        distance: A distance in m, or an angle in rad for what turns, from 0 up; by default 0.3.
+    """
+    return MotionDesignator(
+        filled(
+            "accessing",
+            drawer_joint=drawer_joint,
+            drawer_handle=drawer_handle,
+            part_of=part_of,
+            arm=arm,
+            distance=distance,
+        )
+    )
+
+
+def looking(
+    *,
+    target: Sequence[float] | LocationDesignator | None = None,
+    object: Object | ObjectDesignator | None = None,
+) -> MotionDesignator:
+    """Points the camera's axis at a point or at the center of an object.
+
+    Exactly one of ``target`` or ``object`` is required.
+
+    Args:
+        target: [x, y, z] in m, world frame.
+        object: An Object of a world.
+    """
+    return MotionDesignator(filled("looking", target=target, object=object))
+
+
+def opening_gripper(
+    *,
+    gripper: str | None = None,
+) -> MotionDesignator:
+    """Opens or closes the gripper of an arm until something stops the fingers; opening releases a held object.
+
+    Args:
+        gripper: An arm's name: "left" or "right" on the PR2; by default the only arm; required of a robot that has
+            several.
+    """
+    return MotionDesignator(filled("opening-gripper", gripper=gripper))
+
+
+def closing_gripper(
+    *,
+    gripper: str | None = None,
+) -> MotionDesignator:
+    """Opens or closes the gripper of an arm until something stops the fingers; opening releases a held object.
+
+    Args:
+        gripper: An arm's name: "left" or "right" on the PR2; by default the only arm; required of a robot that has
+            several.
+    """
+    return MotionDesignator(filled("closing-gripper", gripper=gripper))
+
+
+def detecting(
+    *,
+    object_type: str | Object | ObjectDesignator,
+) -> MotionDesignator:
+    """Finds the object of a type that the robot's camera sees best in its present direction.
+
+    Args:
+        object_type: A type of objects, or an object of that type.
+    """
+    return MotionDesignator(filled("detecting", object_type=object_type))
+
+
+def move_tcp(
+    *,
+    target: Sequence[float] | LocationDesignator,
+    orientation: Sequence[float] | None = None,
+    arm: str | None = None,
+) -> MotionDesignator:
+    """Moves the tool frame of an arm to a position, and to an orientation if one is given.
+
+    Args:
+        target: [x, y, z] in m, world frame.
+        orientation: A quaternion [x, y, z, w], world frame; by default any.
+        arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
+    """
+    return MotionDesignator(filled("move-tcp", target=target, orientation=orientation, arm=arm))
+
+
+def move_arm_joints(
+    *,
+    arms: Mapping[str, str | Sequence[float]],
+) -> MotionDesignator:
+    """Moves one or more arms to postures: names such as "park", or joint values.
+
+    Args:
+        arms: By the names of arms. A named posture such as "park", or a list of joint values in rad; other arms stay as
+            they are.
+    """
+    return MotionDesignator(filled("move-arm-joints", **{f"{arm}-arm": value for arm, value in arms.items()}))
+
+
+def world_state_detecting(
+    *,
+    object_type: str | Object | ObjectDesignator,
+) -> MotionDesignator:
+    """Finds the nearest object of a type in the state of the world, even a hidden one.
+
+    Args:
+        object_type: A type of objects, or an object of that type.
+    """
+    return MotionDesignator(filled("world-state-detecting", object_type=object_type))

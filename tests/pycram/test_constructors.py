@@ -1,0 +1,158 @@
+"""Typed constructors: those of PyCRAM are written from the slots; a user's action gets one from its function."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import pycram
+from pycram import action_designators, motion_designators
+from pycram.actions import action
+from pycram.actions.action import TYPES as ACTIONS
+from pycram.bullet_world import BulletWorld, Object
+from pycram.constructors import action_designators as written_actions, motion_designators as written_motions
+from pycram.designator import ActionDesignator, MotionDesignator
+from pycram.motions.motion_types import TYPES as MOTIONS
+from pycram.motions.slots import slot_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import ModuleType
+
+REPO = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize(
+    ("module", "written"), [(motion_designators, written_motions), (action_designators, written_actions)]
+)
+def test_make_reference_writes_the_constructors(module: ModuleType, written: object) -> None:
+    assert inspect.getsource(module) == written()
+
+
+def test_every_motion_and_action_has_a_constructor_with_its_slots() -> None:
+    for module, types in ((motion_designators, MOTIONS), (action_designators, ACTIONS)):
+        for kind in types.values():
+            parameters = inspect.signature(getattr(module, kind.type.replace("-", "_"))).parameters
+            if kind.type == "move-arm-joints":
+                assert list(parameters) == ["arms"]
+                continue
+            assert {slot_name(name) for name in parameters} == {slot.name for slot in kind.slots}
+            for slot in kind.slots:
+                assert (
+                    parameters[slot.name.replace("-", "_").replace("from", "from_")].default is None
+                ) != slot.required
+
+
+def test_slots_that_are_left_out_stay_open() -> None:
+    pick_up = motion_designators.pick_up(object="a cup", from_="right")
+    assert isinstance(pick_up, MotionDesignator)
+    assert pick_up.description == [("type", "pick-up"), ("object", "a cup"), ("from", "right")]
+    carry = action_designators.transporting(object="milk", target="island", close=False)
+    assert isinstance(carry, ActionDesignator)
+    assert carry.description == [("type", "transporting"), ("object", "milk"), ("target", "island"), ("close", False)]
+    both = motion_designators.move_arm_joints(arms={"left": "park", "right": [0.0] * 7})
+    assert both.description == [("type", "move-arm-joints"), ("left-arm", "park"), ("right-arm", [0.0] * 7)]
+
+
+@pytest.fixture
+def milk() -> Iterator[Object]:
+    with BulletWorld() as world:
+        Object("kitchen", "environment", "kitchen.urdf")
+        body = Object("milk", "milk", "milk.stl", [1.3, 1, 0.95])
+        world.robot = Object("pr2", "robot", "pr2.urdf", [0.65, 0.7, 0])
+        yield body
+
+
+def test_one_perform_takes_motions_and_actions(milk: Object) -> None:
+    pycram.perform(motion_designators.move_arm_joints(arms={"left": "park", "right": "park"}))
+    pycram.perform(motion_designators.pick_up(object=milk, arm="left"))
+    assert [each.body for each in BulletWorld.robot.carried] == [milk]
+    assert pycram.perform(action_designators.transporting(object=milk, target="island")) is milk
+    assert milk.get_position()[0] < -0.6
+
+
+def test_an_action_of_ones_own_has_its_constructor(milk: Object) -> None:
+    @action("looking-twice")
+    def look_twice(object: Object, times: int = 2, aside: str | None = None) -> list[object]:  # noqa: A002
+        """Look at an object."""
+        return [object.name, times, aside]
+
+    try:
+        assert inspect.signature(look_twice.designator).parameters.keys() == {"object", "times", "aside"}
+        designator = look_twice.designator(milk, times=3)
+        assert designator.description == [("type", "looking-twice"), ("object", milk), ("times", 3)]
+        assert pycram.perform(designator) == ["milk", 3, None]
+        with pytest.raises(TypeError, match="object"):
+            look_twice.designator(times=3)
+    finally:
+        del ACTIONS["looking-twice"]
+
+
+# --- what a type checker says ----------------------------------------------------------------------------------------
+
+WRONG = """\
+from pycram import perform
+from pycram.actions import action
+from pycram.action_designators import transprting
+from pycram.action_designators import transporting
+from pycram.bullet_world import BulletWorld, Object
+from pycram.motion_designators import move_arm_joints, pick_up
+
+milk = Object("milk", "milk", "milk.stl")
+BulletWorld.robot = "pr2"
+BulletWorld.robot.descripton
+perform(pick_up(objekt=milk))
+perform(pick_up(object="milk"))
+perform(pick_up(object=milk, arm=1))
+perform(pick_up(arm="left"))
+perform(move_arm_joints(arms={"left": 0.5}))
+perform(transporting(object=milk, target=3))
+perform(milk)
+
+
+@action("tidying-up")
+def tidy(object: Object, box: str = "box") -> Object:
+    return object
+
+
+tidy.designator(object=milk, box=3)
+tidy.designator()
+perform(tidy.designator(milk))
+perform(pick_up(object=milk, arm="left"))
+perform(transporting(object="milk", target=[-0.8, 1, 0.93]))
+BulletWorld.robot = milk
+BulletWorld.current_bullet_world.robot.description.arms
+"""
+
+
+def plans() -> Iterator[tuple[str, str]]:
+    """Yield name and source of the plans that readers start from."""
+    for page in (REPO / "README.md", *sorted((REPO / "docs").glob("*.md"))):
+        blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+        if "_designators import" in "".join(blocks):
+            yield f"page_{page.stem.lower()}.py", "\n".join(blocks)
+
+
+@pytest.mark.costly
+@pytest.mark.slow
+def test_mypy_accepts_the_demos_and_pages_and_finds_what_is_wrong(tmp_path: Path) -> None:
+    sources = {**dict(plans()), "wrong.py": WRONG}
+    for name, source in sources.items():
+        (tmp_path / name).write_text(source, encoding="utf-8")
+    (tmp_path / "mypy.ini").write_text("[mypy]\n", encoding="utf-8")
+    demos = [str(file) for file in sorted((REPO / "demos").glob("*.py"))]
+    command = [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "--cache-dir", "cache", *sources, *demos]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    errors = [line for line in ended.stdout.splitlines() if ": error: " in line]
+    assert [line for line in errors if not line.startswith("wrong.py:")] == []
+    found = {int(line.split(":")[1]): line for line in errors}
+    lines = WRONG.splitlines()
+    assert sorted(found) == [3, *range(9, 18), 25, 26], ended.stdout
+    assert 'maybe "transporting"' in found[3]
+    assert 'did you mean "object"?' in found[lines.index("perform(pick_up(objekt=milk))") + 1]
