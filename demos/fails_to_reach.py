@@ -33,10 +33,10 @@ def build_scene() -> Object:
 
 
 def try_to_take(milk: Object, arm: str, place: list[float]) -> None:
-    """Drive to a place, find the milk, and grasp it with an arm."""
     print(f"trying the {arm} arm from", place[:2])
     with par:
-        # Folded arms reach over nothing on the way.
+        # Both motions run at the same time.
+        # Folded arms touch nothing on the way.
         perform(move_arm_joints(arms={"left": "park", "right": "park"}))
         perform(moving(target=place, orientation=[0, 0, 0, 1]))
     perform(looking(object=milk))

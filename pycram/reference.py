@@ -34,15 +34,16 @@ the code that checks and executes designators. Lengths are in m, angles in rad, 
 are [x, y, z, w]. An optional slot may be left out, or be None.
 """
 _ACTIONS: Final = """\
-`pycram.actions.perform(ActionDesignator(type=..., ...))` executes an action: it chooses values for empty slots, and
-tries the next choice when one fails. As keyword arguments, names of slots have `_` for `-`, as `reachable_for=`; a name
+`perform(transporting(object=milk, target="island"))` executes an action: it chooses values for empty slots, and tries
+the next choice when one fails. `pycram.action_designators` has a typed constructor for each action; it returns
+`ActionDesignator(type=..., ...)`. As keyword arguments, names of slots have `_` for `-`, as `reachable_for=`; a name
 that is a Python keyword gets a `_` at its end, as `in_=`. Without any choice, because an object isn't found or no place
 is suitable (`NoPlace`), an action fails before anything moves. Every action also has these slots:
 """
 _MOTIONS: Final = """\
-`ProcessModule.perform(MotionDesignator(type=..., ...))`, or `perform`, executes a motion. A slot also accepts a
-designator of an object or a place as its value. In the `continuous` environment, where motions take simulated time,
-motions may have more failures.
+`perform(moving(target=[1, 0, 0]))` executes a motion. `pycram.motion_designators` has a typed constructor for each
+motion; it returns `MotionDesignator(type=..., ...)`. A slot also accepts a designator of an object or a place as its
+value. In the `continuous` environment, where motions take simulated time, motions may have more failures.
 """
 _ARMS: Final = "`NAME-arm` stands for a slot for each arm of the robot, as `left-arm`."
 

@@ -144,7 +144,7 @@ def test_every_robot_in_the_box_sets_a_breakfast_as_far_as_it_can(tmp_path: Path
 def test_the_plan_of_the_breakfast_has_no_pose() -> None:
     tree = ast.parse((REPO / "demos" / "breakfast.py").read_text())
     plan = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
-    for name in ("bring", "do", "breakfast"):
+    for name in ("bring", "breakfast"):
         numbers = [each.value for each in ast.walk(plan[name]) if isinstance(each, ast.Constant)]
         assert [value for value in numbers if isinstance(value, int | float)] in ([], [2]), "2 digits are printed"
 

@@ -133,10 +133,17 @@ BulletWorld.current_bullet_world.robot.description.arms
 
 def plans() -> Iterator[tuple[str, str]]:
     """Yield name and source of the plans that readers start from."""
-    for page in (REPO / "README.md", *sorted((REPO / "docs").glob("*.md"))):
-        blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-        if "_designators import" in "".join(blocks):
-            yield f"page_{page.stem.lower()}.py", "\n".join(blocks)
+    for page, count in (
+        ("README", 1),
+        ("docs/actions", 2),
+        ("docs/knowledge", 1),
+        ("docs/motion", 1),
+        ("docs/places", 1),
+    ):
+        text = (REPO / f"{page}.md").read_text(encoding="utf-8")
+        blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[:count]
+        assert "_designators import" in blocks[0]
+        yield f"{Path(page).stem.lower()}_page.py", "\n".join(blocks)
 
 
 @pytest.mark.costly
@@ -150,7 +157,7 @@ def test_mypy_accepts_the_demos_and_pages_and_finds_what_is_wrong(tmp_path: Path
     command = [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "--cache-dir", "cache", *sources, *demos]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     errors = [line for line in ended.stdout.splitlines() if ": error: " in line]
-    assert [line for line in errors if not line.startswith("wrong.py:")] == []
+    assert not [line for line in errors if not line.startswith("wrong.py:")], ended.stdout
     found = {int(line.split(":")[1]): line for line in errors}
     lines = WRONG.splitlines()
     assert sorted(found) == [3, *range(9, 18), 25, 26], ended.stdout

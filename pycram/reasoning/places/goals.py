@@ -65,8 +65,9 @@ class Pull:
     to: float  # the joint's value afterwards, rad or m
 
 
-#: An object to take; a position xyz for the tool; or one of the goals above.
-Target: TypeAlias = Object | PutDown | Pull | Sequence[float]
+#: An object to take; a position xyz for the tool; a position and orientation to put down what is held; or one of the
+#: goals above.
+Target: TypeAlias = Object | PutDown | Pull | Sequence[float] | tuple[Sequence[float], Sequence[float] | None]
 
 
 class Goal(Protocol):

@@ -17,7 +17,7 @@ BLOCK = re.compile(r"```(python|text)\n(.*?)```", re.DOTALL)
 @pytest.mark.slow
 def test_the_guide_s_programs_print_what_the_guide_says() -> None:
     plan, printed, own = (text for _, text in BLOCK.findall(GUIDE.read_text(encoding="utf-8")))
-    program = f"{plan}\n{own}\nprint(perform(ActionDesignator(type='tidying-up', object=milk)).name)\n"
+    program = f"{plan}\n{own}\nprint(perform(tidying_up.designator(object=milk)).name)\n"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout == printed + "milk\n"

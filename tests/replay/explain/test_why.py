@@ -223,7 +223,7 @@ def test_the_explanation_of_the_demo_has_every_section(failed_log: Path, capsys:
     assert "reachable_object(milk, pr2, r_gripper_tool_frame) was answered no" in fourth
     for section in (
         " in try_to_take",
-        'ProcessModule.perform(MotionDesignator([("type", "pick-up")',
+        "perform(pick_up(object=found, arm=arm))",
         "failure-handling(retries=3)",
         "milk at [1.72, 0.85,",
         "arm=left, pr2 at [0.65, 0.9]",
