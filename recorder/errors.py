@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from typing import TextIO
 
 _MAX_SUGGESTED: Final = 3
-_MAX_LISTED: Final = 25  # the joints of a kitchen
+_MAX_LISTED: Final = 25  # up to this number, a hint lists all known names, such as the joints of a kitchen
 
 
 class PortableError(Exception):
@@ -77,7 +77,7 @@ def suggestion(name: object, known: Iterable[str]) -> str:
 
 @contextmanager
 def until_closed() -> Iterator[None]:
-    """Pass on what the block prints; if its reader has gone, end the block there, without an error."""
+    """Run a block that prints. If the reader of its output has gone, end the block at that point, without an error."""
     try:
         yield
     except BrokenPipeError:
@@ -93,6 +93,6 @@ def until_closed() -> Iterator[None]:
 def discard(stream: TextIO) -> None:
     """Discard what a stream still buffers and gets from now on; otherwise Python reports an error when it exits."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    with suppress(AttributeError, io.UnsupportedOperation):  # a stream that a plan has put there
+    with suppress(AttributeError, io.UnsupportedOperation):  # a plan may have replaced the standard stream
         os.dup2(nowhere, stream.fileno())
     os.close(nowhere)

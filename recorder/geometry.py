@@ -45,9 +45,9 @@ Polygon: TypeAlias = "Sequence[Point]"
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """The pose of a frame in itself."""
 
-_DECIMALS: Final = 6  # to which points of the plane are the same
+_DECIMALS: Final = 6  # decimals to which two equal points of the plane agree
 _TINY = 1e-12
-_VERTICAL = 1e-9  # level part of a unit axis, below which roll and yaw turn about the same axis
+_VERTICAL = 1e-9  # if the horizontal part of a unit axis is smaller, roll and yaw turn about the same axis
 
 # The matrix of a rotation minus identity, row by row, is linear in the products of the quaternion's components.
 _FIRST, _SECOND = np.array([[0, 0, 0, 0, 1, 1, 1, 2, 2], [0, 1, 2, 3, 1, 2, 3, 2, 3]])
@@ -115,7 +115,7 @@ def invert(a_T_b: PoseLike) -> Pose:
 
 
 def transform(a_T_b: PoseLike, point: Numbers) -> Vector:
-    """Return in frame a a point that is given in frame b (xyz in m)."""
+    """Convert a point (xyz in m) from frame b to frame a."""
     (x, y, z), orientation = a_T_b
     dx, dy, dz = rotate(orientation, point)
     return x + dx, y + dy, z + dz

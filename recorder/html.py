@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-MAX_ROWS: Final = 20  # of a table
-_MAX_CELL: Final = 80  # characters
-_MAX_LINES: Final = 40  # of a section
+MAX_ROWS: Final = 20  # largest number of shown rows of a table
+_MAX_CELL: Final = 80  # largest number of characters in a cell
+_MAX_LINES: Final = 40  # largest number of shown lines of a section
 _PRE: Final = '<pre style="margin:0 0 0.3em 1em;white-space:pre-wrap;line-height:1.3">'
 _CELL: Final = '<td style="text-align:left">'
 _HEAD: Final = '<th style="text-align:left">'
@@ -23,7 +23,7 @@ def page(title: str, *parts: str) -> str:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[object]], limit: int = MAX_ROWS) -> str:
-    """Return rows as a table; of many rows the first."""
+    """Return rows as a table; a long table is cut after its first rows."""
     head = "".join(f"{_HEAD}{escape(column)}</th>" for column in columns)
     body = "".join(f"<tr>{''.join(f'{_CELL}{_cell(value)}</td>' for value in row)}</tr>" for row in rows[:limit])
     more = f"<div>... {len(rows) - limit} more rows</div>" if len(rows) > limit else ""
@@ -36,7 +36,7 @@ def _cell(value: object) -> str:
 
 
 def text(lines: Iterable[str]) -> str:
-    """Return lines as they are; of many lines the first."""
+    """Return lines unchanged; a long text is cut after its first lines."""
     shown = list(lines)
     if len(shown) > _MAX_LINES:
         shown[_MAX_LINES:] = [f"... {len(shown) - _MAX_LINES} more lines"]
@@ -44,7 +44,7 @@ def text(lines: Iterable[str]) -> str:
 
 
 def report(lines: Iterable[str], unfolded: int = 2) -> str:
-    """Return a report: its first lines, then its sections, of which the first ones are unfolded.
+    """Return a report: its first lines, then its sections. The first sections are unfolded.
 
     A section is an empty line, a title and indented lines.
     """

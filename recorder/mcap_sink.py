@@ -212,7 +212,7 @@ class McapSink:
     def _channel(self, key: _Key) -> int:
         channel = self._channels.get(key)
         if channel is None and len(self._channels) >= _MAX_CHANNELS:
-            key = (key[0], "", 0)  # all further worlds share one
+            key = (key[0], "", 0)  # all further worlds share a channel
             channel = self._channels.get(key)
         return self._register(*key) if channel is None else channel
 

@@ -1,8 +1,8 @@
 """Write the MCAP container: chunks of messages with their indexes, attachments, metadata, and the summary at the end.
 
 The ``mcap`` package serializes the container's records, except messages, which are packed here in one step. The
-package's own writer needs an object and a dozen calls for each message, and three times as long. Each of our records
-makes two or three messages.
+package's own writer needs an object and a dozen calls for each message, and takes three times as long. Each of our
+records makes two or three messages.
 
 Every message is in a chunk. Every chunk is compressed with Zstandard and has a CRC and message indexes. The summary
 indexes everything, and all bytes before it have a CRC, too. Readers reject files that inflate too much, as these could
@@ -51,19 +51,20 @@ if TYPE_CHECKING:
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: Largest ratio of the inflated chunks to the file, for writers and readers. Usually it is 3 to 13.
 MAX_RATIO: Final = 32
-FREE: Final = 4 << 20  # bytes of inflated chunks that are allowed for any file
-_MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length of the rest, channel, sequence, log and publish time
+FREE: Final = 4 << 20  # number of inflated bytes that are allowed for any file
+#: The fields: opcode, length of the rest, channel, sequence, log time, publish time.
+_MESSAGE: Final = struct.Struct("<BQHIQQ")
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
-_MESSAGE_HEAD: Final = 9  # opcode and length
+_MESSAGE_HEAD: Final = 9  # bytes of the fields opcode and length
 _MESSAGE_FIELDS: Final = _MESSAGE.size - _MESSAGE_HEAD
-_INDEX: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
-_FOOTER_START: Final = struct.Struct("<BQQQ")  # the part that the summary's CRC covers
+_INDEX: Final = struct.Struct("<BQHI")  # the fields: opcode, length, channel, bytes of entries
+_FOOTER_START: Final = struct.Struct("<BQQQ")  # the first part of the footer, which the summary's CRC covers
 
 #: Name of the metadata in which a recording has the ``file`` of its shared models and the ``sha256`` of its content.
 MODELS_METADATA: Final = "pycram.models"
 MODELS_NAME: Final = re.compile(r"models-[0-9a-f]{12}\.mcap")
-MODELS_LIBRARY: Final = "pycram models"  # without a release: the same models make the same file
-_SOURCE: Final = ".py"  # of the plan: each recording keeps that
+MODELS_LIBRARY: Final = "pycram models"  # has no release number, so that the same models make the same file
+_SOURCE: Final = ".py"  # suffix of the plan's source, which each recording keeps
 
 
 class McapWriter:
@@ -72,12 +73,14 @@ class McapWriter:
     def __init__(self, file: BinaryIO, library: str) -> None:
         self._file = file
         self._at = 0
-        self._crc = 0  # of all written bytes
-        self._compressor = zstandard.ZstdCompressor(level=1)  # chunks are small: higher levels only take longer
+        self._crc = 0  # CRC of all written bytes
+        # chunks are small: higher levels take longer and save nothing
+        self._compressor = zstandard.ZstdCompressor(level=1)
         self._chunk: list[bytes] = []
         self._chunk_size = 0
-        self._inflated = 0  # bytes of the chunks
-        self._entries: defaultdict[int, list[int]] = defaultdict(list)  # log time and offset of a channel's messages
+        self._inflated = 0  # number of inflated bytes in all chunks
+        # log time and offset of each message, by channel
+        self._entries: defaultdict[int, list[int]] = defaultdict(list)
         self._first_ns = self._last_ns = 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
@@ -89,14 +92,14 @@ class McapWriter:
         self._write(_packed(Header(profile="", library=library)))
 
     def move(self, file: BinaryIO, start: bytes) -> None:
-        """Continue in another file, into which ``start``, the content so far, is copied."""
+        """Continue in another file; ``start`` is the present content, which is copied there."""
         file.write(start)
         file.flush()
         self._file = file
 
     @property
     def size(self) -> int:
-        """Bytes of the file so far, without the chunk that isn't closed."""
+        """Number of bytes that were written, without the open chunk."""
         return self._at
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
@@ -123,7 +126,7 @@ class McapWriter:
         """Add messages to the chunk.
 
         Args:
-            messages: a tuple each: channel id, number, time in ns since the Unix epoch, bytes. The lowest 32 bits of
+            messages: tuples of channel id, number, time in ns since the Unix epoch, and bytes. The lowest 32 bits of
                 the number are kept. Times must not decrease within a chunk.
         """
         pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size
@@ -271,15 +274,15 @@ def _packed(record: McapRecord) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class SharedModels:
-    """A file of models that several recordings share: it is in their folder, and has attachments only.
+    """A file of models that several recordings share: it is in the folder of the recordings, and has only attachments.
 
     Models that aren't in it are attached to the run's own recording. The same models make the same file. Its name has
     the hash of its content, so it never changes, and a folder may have several.
     """
 
     file: str
-    sha256: str  # of its content, in hex
-    keys: frozenset[str]  # names of its attachments, ``<sha256>/<name>``
+    sha256: str  # hash of the file's content, in hex
+    keys: frozenset[str]  # names of the attachments, ``<sha256>/<name>``
 
     @classmethod
     def of(cls, path: Path) -> SharedModels:

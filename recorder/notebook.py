@@ -1,6 +1,6 @@
-"""What notebooks need: names of cells, IPython's own variables, and tracebacks of the plan's lines alone.
+"""Support for notebooks: names of cells, IPython's own variables, and tracebacks with only the plan's lines.
 
-IPython is never imported here: where it runs, it is loaded already.
+IPython is never imported here: a running IPython is already loaded.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ def is_running() -> bool:
 
 
 def title() -> str:
-    """Return the name of the running notebook, as Jupyter tells it; "" if it is unknown."""
+    """Return the name of the running notebook, as given by Jupyter; "" if the name is unknown."""
     return PurePath(os.environ.get("JPY_SESSION_NAME", "")).stem if is_running() else ""
 
 
 def cell_of(file: str) -> str:
-    """Return the cell of a file's name in compiled code, as "In [3]"; "" if it isn't a cell."""
+    """Return the cell, as "In [3]", for a file name in compiled code; "" if the file isn't a cell."""
     shell = _shell()
     number = getattr(getattr(shell, "compile", None), "_filename_map", {}).get(file)
     return f"In [{number}]" if number is not None else ""
 
 
 def source_of(file: str) -> bytes:
-    """Return the source of a cell, by its file's name in compiled code."""
+    """Return the source of a cell, for its file name in compiled code."""
     return "".join(linecache.getlines(file)).encode("utf-8", "replace")
 
 
 def with_cells(traceback: str) -> str:
-    """Return a traceback with the names of cells in place of their files."""
+    """Return a traceback with the names of cells instead of their files."""
     return _FILE.sub(lambda found: cell_of(found[0]) or found[0], traceback) if is_running() else traceback
 
 
@@ -67,7 +67,7 @@ def place(file: str, line: int) -> str:
 
 
 def own_variables() -> Mapping[str, object]:
-    """Return the variables that IPython keeps among the user's: In, Out, _i3, ..."""
+    """Return IPython's own variables among the user's variables: In, Out, _i3, ..."""
     hidden: Mapping[str, object] = getattr(_shell(), "user_ns_hidden", {})
     return hidden
 
@@ -75,7 +75,8 @@ def own_variables() -> Mapping[str, object]:
 def traceback_lines(error: BaseException) -> list[str]:
     """Return an error as IPython prints it, without the frames of packages that run the plan.
 
-    Its causes, and the failures of a block's branches, lose these frames, too. An error without other frames keeps all.
+    Its causes, and the failures of a block's branches, lose these frames, too. If an error has only such frames, it
+    keeps them.
     """
     formatter = _shell().InteractiveTB
     with ExitStack() as undoing:
@@ -87,7 +88,7 @@ def traceback_lines(error: BaseException) -> list[str]:
 
 
 def _related(error: BaseException) -> list[BaseException]:
-    """Return an error, its causes, and the failures that they carry."""
+    """Return an error, its causes, and the failures that these errors contain."""
     related = [error]
     for each in related:
         others = (each.__cause__, each.__context__, *vars(each).get("failures", ()))

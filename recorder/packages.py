@@ -1,4 +1,4 @@
-"""Required packages: their versions, the extra of pyproject.toml that installs each, and how to install it.
+"""Required packages: their versions, the extra of pyproject.toml that installs each, and how to install the extra.
 
 Reading recordings needs the base dependencies only. The engine, the viewer and pictures are extras. Without a needed
 extra, commands print one line and exit. The line mentions a checkout, as the PyPI project of this name isn't ours.
@@ -38,7 +38,7 @@ _EXTRAS: Final = {
 _RECORDED: Final = (
     "pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "ompl", "toppra", "rerun-sdk",
 )  # fmt: skip
-#: Releases with the same effects, bit for bit, by the recordings of either that the others verified.
+#: Releases with the same effects, bit for bit: each release verified recordings of the others.
 _SAME_ENGINE: Final = {"3.2.7", "3.2.7 (pybullet-arm64)", "3.2.8 (pybullet-arm64)"}
 
 
@@ -51,7 +51,7 @@ class NotInstalled(ModuleNotFoundError):
 
 
 def hint(extra: str) -> str:
-    """Return the command that installs an extra of pyproject.toml, if the system has wheels for it."""
+    """Return the command that installs an extra of pyproject.toml, or a note that it has no wheels for this system."""
     if extra == "motion" and (sys.platform, platform.machine()) != ("linux", "x86_64"):
         return "it has no wheels for this system; instant motions don't need it"
     return f"in a checkout of PyCRAM: pip install '.[{extra}]'"
@@ -59,7 +59,7 @@ def hint(extra: str) -> str:
 
 @contextlib.contextmanager
 def needed(extra: str | None = None) -> Iterator[None]:
-    """In the block, import a module that may not be installed; the default extra is the first that installs it.
+    """Run a block that imports a module that may not be installed. By default, its first extra is named.
 
     Raises:
         NotInstalled: an extra installs the missing module.
@@ -79,14 +79,14 @@ def needed(extra: str | None = None) -> Iterator[None]:
 
 
 def require(*modules: str) -> None:
-    """Raise :class:`NotInstalled` if one of the modules isn't installed; none is imported."""
+    """Raise :class:`NotInstalled` if one of the modules isn't installed; no module is imported."""
     for name in modules:
         if importlib.util.find_spec(name) is None:
             raise NotInstalled(name, _EXTRAS[name])
 
 
 class LazyModule:
-    """A module that is imported when one of its attributes is first read: some take longer to load than plans run.
+    """A module that is imported when an attribute is first read; some modules load longer than a plan runs.
 
     Raises:
         ModuleNotFoundError: The module isn't installed, which is checked without importing it.
@@ -135,7 +135,7 @@ def versions() -> dict[str, str]:
 
 
 def other_versions(then: Mapping[str, str], *names: str) -> tuple[str, ...]:
-    """Return, for each name with another version now than in a recording's metadata, a phrase that has both."""
+    """Return a phrase with both versions for each name whose version differs from a recording's metadata."""
     now = versions()
     return tuple(
         f"{name} {now[name]} instead of {then[name]}"

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from recorder.records import Run
 
 
-_TIMEOUT: Final = 2.0  # s for git
-_PACKAGES: Final = ("pycram", "recorder")  # the packages that run plans; replay only reads
+_TIMEOUT: Final = 2.0  # seconds for git to answer
+_PACKAGES: Final = ("pycram", "recorder")  # the packages that run plans; the package replay only reads recordings
 
 
 def describe(
@@ -63,7 +63,7 @@ def main_program() -> Path | None:
 
 
 def look_up_revisions(plan: Path | None = None) -> None:
-    """Look up the revisions for recordings of this process's forks: git takes as long as a small plan.
+    """Look up the revisions before forks of this process record runs: git takes as long as a small plan.
 
     ``plan`` is the plan's file, by default the program's.
     """
@@ -98,7 +98,7 @@ def _cpu() -> str:
 
 @functools.lru_cache(maxsize=64)
 def _plan_revision(program: Path) -> Revision:
-    """Return the revision of a plan and its repository when this process first looked."""
+    """Return the revision of a plan and its repository as they were when this process first looked them up."""
     return _revision(program, sha256(program.read_bytes()).hexdigest())
 
 
@@ -118,7 +118,7 @@ def _revision(file: Path, digest: str) -> Revision:
     status = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
     tracked = _git(file, "ls-files", "--error-unmatch", "--", file.name)
     states, names = (_answer(process) for process in (status, tracked))
-    if not names:  # an installed package may be in a folder of an unrelated repository
+    if not names:  # git doesn't track the file; an installed package may be in a folder of an unrelated repository
         return Revision(sha256=digest)
     head = [line.removeprefix("# branch.oid ") for line in states if line.startswith("# branch.oid ")]
     commit = head[0] if head and head[0] != "(initial)" else ""
@@ -142,7 +142,7 @@ def _git(file: Path, *words: str) -> subprocess.Popen[str] | None:
 
 
 def _answer(process: subprocess.Popen[str] | None) -> list[str]:
-    """Return the lines of git's output; none if git failed or took too long."""
+    """Return the lines of git's output; an empty list if git failed or took too long."""
     if process is None:
         return []
     with process:

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
     from recorder.tracing.journal import Sink
 
-_MAX_ERRORS: Final = 1000  # in the traceback of the error that ends a plan or thread; tasks record fewer of its causes
+#: Largest number of errors in the traceback of the error that ends a plan or thread; tasks record fewer causes.
+_MAX_ERRORS: Final = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ class Recording:
 
     path: Path
     journal: Journal  # numbers its records
-    viewer: RerunSink | None = None  # the viewer that shows it live
+    viewer: RerunSink | None = None  # the viewer that shows the recording live
 
     @property
     def length(self) -> int:
@@ -82,24 +83,24 @@ def record(
             "connect:rerun+http://HOST:PORT/proxy" use a viewer that is started separately, now or later. "serve"
             serves a page for browsers on this machine until this process ends, and prints its address. A viewer that
             is slow, stalls, dies or is missing doesn't delay the plan.
-        name: of the plan, by default that of the program or notebook.
-        arguments: of the plan, by default the program's; only recorded.
+        name: name of the plan; by default the name of the program or notebook.
+        arguments: arguments of the plan, by default the program's; only recorded.
         source: the plan's file, which is attached; by default the program's file, if it has one.
-        seed: of random numbers; only recorded.
-        order: of branches, if it isn't drawn from the seed; only recorded.
+        seed: seed of random numbers; only recorded.
+        order: order of branches, if the seed doesn't determine the order; only recorded.
         environment: execution environment of the plan, if one was requested; only recorded.
         output: record printed and logged lines, too.
         locals: record the local variables of the plan's functions with failures.
         overwrite: replace an existing recording.
         durable: write each chunk of the file to the disk, so that records survive a power loss, too.
-        parameters: of the plan by name; only recorded.
+        parameters: parameters of the plan, by name; only recorded.
 
     Raises:
         RecordingError: the file can't be written, at the start or later, or another program has deleted, replaced or
             changed it. Also for a missing source or an invalid argument, but not for a missing viewer.
         Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does, and the program doesn't handle it.
     """
-    own = [] if notebook.is_running() else sys.argv[1:]  # a kernel's arguments are none of the plan
+    own = [] if notebook.is_running() else sys.argv[1:]  # the kernel's arguments aren't arguments of the plan
     given = own if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
     program = provenance.main_program() if source is None else Path(source)
@@ -121,7 +122,7 @@ def record(
         log, owner = recording.journal, process()
 
         def end(_: object, error: BaseException | None, __: object) -> None:
-            if process() != owner:  # a forked child: the file belongs to its parent
+            if process() != owner:  # this is a forked child: the file belongs to its parent
                 return
             try:
                 _finish(log, title, start, error)
@@ -129,7 +130,8 @@ def record(
                 if error is None:
                     raise
                 failed.__context__, error.__context__ = error.__context__, failed
-                if not isinstance(error, RecordingError):  # the plan's own error is raised, so this one is printed
+                # the plan's own error is raised; so the error of the recording is printed
+                if not isinstance(error, RecordingError):
                     print(f"recorder: {failed}", file=sys.stderr)
 
         with ExitStack() as ending:
@@ -140,11 +142,11 @@ def record(
             yield recording
 
 
-_started: list[tuple[AbstractContextManager[Recording], Recording]] = []  # at most one
+_started: list[tuple[AbstractContextManager[Recording], Recording]] = []  # holds at most one recording
 
 
 def start(path: str | Path, live: str | None = None, **options: Any) -> Recording:
-    """Record until :func:`stop`; for notebooks, as a ``with`` block ends with its cell.
+    """Record until :func:`stop`. This is for notebooks, where a ``with`` block can't be longer than a cell.
 
     It takes the arguments of :func:`record` and raises its errors. An earlier started recording is stopped first. The
     recording also stops when the process ends.
@@ -158,7 +160,7 @@ def start(path: str | Path, live: str | None = None, **options: Any) -> Recordin
 
 
 def stop() -> Recording | None:
-    """Stop the recording that :func:`start` has started, and return it; None without one.
+    """Stop and return the recording that :func:`start` has started; return None if there is no such recording.
 
     Raises:
         RecordingError: as :func:`record`.
@@ -183,7 +185,7 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
         raise RecordingError(path, f"there is no source {source!r} to attach")
 
 
-#: Number of recordings of each name that this process has begun.
+#: Number of recordings that this process has begun, by name.
 _numbers: Final[Counter[str]] = Counter()
 #: Returns the sink of a recording in place of a file; see :func:`redirected`.
 _redirect: Callable[[Run], Sink | None] | None = None
@@ -256,7 +258,7 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
             if not ended and args.exc_value is not None and not isinstance(args.exc_value, SystemExit):
                 name = escaped((args.thread or threading.current_thread()).name)
                 failed = failure_with_frames(args.exc_value, errors=_MAX_ERRORS)
-                with suppress(OSError):  # the next record raises it
+                with suppress(OSError):  # the next record raises this error
                     log.append(Run(phase=Run.THREAD_FAILED, name=title, thread=name, failure=failed))
         finally:
             before(args)
@@ -266,7 +268,7 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
         yield
     finally:
         ended = True
-        if threading.excepthook is hook:  # otherwise a later hook calls it
+        if threading.excepthook is hook:  # otherwise a later hook still calls this hook
             threading.excepthook = before
 
 

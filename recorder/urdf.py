@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 
-_CACHED: Final = 32  # documents: each model is parsed when it is loaded, and again when it is recorded
+#: Largest number of cached documents: each model is parsed when it is loaded, and again when it is recorded.
+_CACHED: Final = 32
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Urdf:
 
     name: str
     root: str
-    links: tuple[str, ...]  # names of the links: the root, then depth first in the document's order
+    links: tuple[str, ...]  # names of the links: the root first, then depth-first in the document's order
     joints: Mapping[str, UrdfJoint] = field(repr=False)  # the joints by name, in the document's order
     movable: tuple[str, ...] = field(repr=False)  # names of the joints with a value, in the document's order
 
@@ -45,10 +46,10 @@ class Urdf:
 
         Args:
             text: the document.
-            chains: accept planar and floating joints. They have no kinematics: loading replaces them.
+            chains: accept planar and floating joints, which have no kinematics; loading replaces them by chains.
 
         Raises:
-            UrdfError: the document isn't XML, or not one tree of named links with joints of known types.
+            UrdfError: the document isn't XML, or isn't a single tree of named links with joints of known types.
         """
         return _parse(text, chains)
 
@@ -60,14 +61,14 @@ class Urdf:
             raise UrdfError(self.name, f"it has no joint {name!r}; {suggestion(name, self.joints)}") from None
 
     def parent_joint(self, link: str) -> UrdfJoint | None:
-        """Return the joint whose child is a link, None for the root; raise :class:`UrdfError` if there is no link."""
+        """Return the joint whose child is the link, or None for the root; raise :class:`UrdfError` if it is unknown."""
         joint = self._parents.get(link)
         if joint is None and link != self.root:
             raise UrdfError(self.name, f"it has no link {link!r}; {suggestion(link, self.links)}")
         return joint
 
     def chain(self, base_link: str, tip_link: str) -> tuple[UrdfJoint, ...]:
-        """Return all joints from a link to a descendant; raise :class:`UrdfError` if it isn't one."""
+        """Return all joints from a link to another link below it; raise :class:`UrdfError` if it isn't below."""
         self.parent_joint(base_link)
         self.parent_joint(tip_link)
         above, below = self._above[base_link], self._above[tip_link]
@@ -85,7 +86,7 @@ class Urdf:
         return pose
 
     def link_poses(self, positions: Mapping[str, float]) -> dict[str, Pose]:
-        """Return the poses of all links in the root link, by the links' names, as for :meth:`forward_kinematics`."""
+        """Return the poses of all links in the root link, by link name; see :meth:`forward_kinematics`."""
         poses = {self.root: IDENTITY}
         for link in self.links[1:]:  # parents come before their children
             joint = self._parents[link]
@@ -93,7 +94,7 @@ class Urdf:
         return poses
 
     def followers(self, positions: Mapping[str, float]) -> dict[str, float]:
-        """Return the positions, within limits, of joints that mimic one of the given joints, by name, in rad or m."""
+        """Return the positions (rad or m) by name, within limits, of the joints that mimic any of the given joints."""
         return {
             name: self._following(name, mimic, positions[mimic.leader])
             for name, mimic in self.mimics.items()
@@ -106,7 +107,7 @@ class Urdf:
         return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
 
     def value(self, joint: str, positions: Mapping[str, float]) -> float:
-        """Return a joint's position, rad or m, from positions by name: its own, derived from its leader's, or 0."""
+        """Return a joint's position (rad or m): the given position, else one that follows from its leader, else 0."""
         value = positions.get(joint)
         if value is not None:
             return value
@@ -213,11 +214,11 @@ def _ends(robot: str, links: list[str], joints: list[UrdfJoint]) -> tuple[dict[s
 
 
 _KINDS: Final = ("fixed", "revolute", "continuous", "prismatic")
-_CHAINS: Final = ("planar", "floating")  # loading replaces them by chains of the other types
+_CHAINS: Final = ("planar", "floating")  # types of joints that loading replaces by chains of other joints
 
 
 class UrdfError(ValueError):
-    """A URDF isn't a tree of links, or has no element of a name."""
+    """A URDF isn't a tree of links, or lacks an element of a given name."""
 
     def __init__(self, robot: str, reason: str) -> None:
         super().__init__(f"URDF {robot!r}: {reason}" if robot else f"URDF: {reason}")
@@ -229,7 +230,7 @@ class Mimic(NamedTuple):
     """The rule of a mimicking joint: its value is ``multiplier * value of the leader + offset``."""
 
     leader: str  # name of the joint that is mimicked
-    multiplier: float = 1.0  # without a unit, or m/rad or rad/m
+    multiplier: float = 1.0  # unitless, or in m/rad or rad/m
     offset: float = 0.0  # in rad or m
 
 
@@ -245,8 +246,8 @@ class UrdfJoint:
     axis: Vector = (1.0, 0.0, 0.0)  # unit vector in the joint's frame
     lower: float = 0.0  # lower limit in rad or m; -inf if continuous, 0 if fixed
     upper: float = 0.0  # upper limit in rad or m; inf if continuous, 0 if fixed
-    effort: float = math.inf  # largest force or torque in N or Nm, inf if not given
-    velocity: float = math.inf  # largest velocity in rad/s or m/s, inf if not given
+    effort: float = math.inf  # largest force or torque in N or Nm, inf if it isn't given
+    velocity: float = math.inf  # largest velocity in rad/s or m/s, inf if it isn't given
     mimic: Mimic | None = None  # None for an independent joint
 
     @property
@@ -369,7 +370,8 @@ Color: TypeAlias = "tuple[float, float, float, float]"
 """RGBA 0..1."""
 
 GREY: Final[Color] = (0.8, 0.8, 0.8, 1.0)
-_SIZES: Final = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}  # of others: radius and length
+#: Attributes by kind; other kinds have radius and length.
+_SIZES: Final = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,19 +379,19 @@ class Shape:
     """One shape of a link."""
 
     kind: str  # "box", "cylinder", "sphere", "capsule" or "mesh"
-    size: tuple[float, ...]  # in m: edges of a box, or radius and length; scale of a mesh
-    mesh: str  # path of the mesh, as in the model; "" of other shapes
-    pose: Pose  # in the link's frame
-    color: Color  # grey if the model has none
+    size: tuple[float, ...]  # size in m: edges of a box, or radius and length; for a mesh its scale
+    mesh: str  # path of the mesh, as in the model; "" for other shapes
+    pose: Pose  # pose in the link's frame
+    color: Color  # the model's colour, or grey
 
 
 def read_shapes(model: str | bytes, role: str) -> dict[str, list[Shape]]:
-    """Return the "visual" or "collision" shapes of a URDF by link; links without shapes are left out."""
+    """Return the "visual" or "collision" shapes of a URDF by link name; links without shapes are left out."""
     return shapes_in(ET.fromstring(model), role)  # noqa: S314  canonical: written by PyCRAM
 
 
 def shapes_in(root: ET.Element, role: str) -> dict[str, list[Shape]]:
-    """Return the shapes of a parsed URDF, as :func:`read_shapes`."""
+    """Return the shapes of a parsed URDF; see :func:`read_shapes`."""
     palette = {str(element.get("name")): color for element in root.findall("material") if (color := _rgba(element))}
     by_link = {}
     for link in root.findall("link"):

@@ -18,7 +18,7 @@ def cache_folder() -> Path | None:
     """
     named = os.environ.get("PYCRAM_CACHE")
     folder: Path | None = None
-    with suppress(RuntimeError):  # a user without a home
+    with suppress(RuntimeError):  # the user may have no home folder
         if named is not None:
             folder = Path(named).expanduser() if named else None
         else:

@@ -115,7 +115,7 @@ STEPS_PER_SECOND: Final = 240
 """Steps of simulated time, counted by a record's ``sim_step``; the same in every world."""
 
 PACKAGE: Final = log_pb2.DESCRIPTOR.package
-"""Of the definitions, in the schemas of recordings."""
+"""Name of the protobuf package of the definitions, in the schemas of recordings."""
 
 
 @cache

@@ -1,9 +1,9 @@
 """The beliefs of robots about objects: a fold of the records of their world.
 
-A robot believes that an object is where its latest look showed it. It believes that an object that it takes is in its
-hand, and that an object that it puts down is where it let go. It doesn't notice other movements until it looks again.
-It has no beliefs about objects that it has neither seen nor held. A reset clears its beliefs; restoring a saved state
-restores the beliefs of that time.
+A robot believes that an object is where its latest look showed it. After it takes an object, it believes that the
+object is in its hand; after it puts the object down, where it let go. It doesn't notice other movements until it looks
+again. It has no beliefs about objects that it has neither seen nor held. A reset clears its beliefs; restoring a saved
+state restores the beliefs of that time.
 
 The running plan and readers of recordings fold with the same functions.
 """
@@ -26,18 +26,18 @@ Key: TypeAlias = tuple[str, str]
 Beliefs: TypeAlias = dict[Key, Belief]
 
 ROBOT: Final = "robot"
-"""Name of the evidence of a look that names the robot."""
+"""Name of the part of a look's evidence that contains the robot's name."""
 SOURCES: Final[Mapping[str, Belief.Source]] = {"seen": Belief.SEEN, "told": Belief.TOLD}
-"""Sources of beliefs, by the name of a look's evidence; the evidence holds the poses of objects by name."""
+"""Sources of beliefs, by the name of the part of a look's evidence that contains the poses of objects."""
 _NAMES: Final = tuple(name.encode() for name in SOURCES)
 _WORDS: Final = {source: name.lower() for name, source in Belief.Source.items() if source}
 _FORGETTING: Final = frozenset({"reset", "close_world"})
-_FAR: Final = 1e9  # m, largest coordinate
-_MIN_SQUARE, _MAX_SQUARE = 0.99, 1.01  # squared lengths of a unit quaternion
+_FAR: Final = 1e9  # largest allowed coordinate in m
+_MIN_SQUARE, _MAX_SQUARE = 0.99, 1.01  # range of the squared length of a unit quaternion
 
 
 def is_look(query: Query) -> bool:
-    """Return whether a query told a robot where objects are."""
+    """Return whether a query is a look, in which a robot learned where objects are."""
     return any(fact.name in SOURCES for fact in query.evidence)
 
 
@@ -106,7 +106,7 @@ def follow(
     Args:
         beliefs: before the change.
         record: the change; only its command is needed.
-        sim_step: of the world after the change.
+        sim_step: steps of simulated time of the world after the change.
         step: number of the record.
         removed: names of removed bodies.
         carriers: the carrier of each carried body after the change, by names; None if no attachment changes.
@@ -163,7 +163,7 @@ def _holder(body: str, carriers: Mapping[str, str], robots: Collection[str]) -> 
         body = carriers[body]
         if body in robots:
             return body
-        if body in seen:  # a circle, in a malformed recording
+        if body in seen:  # the attachments of a malformed recording form a circle
             break
         seen.add(body)
     return ""

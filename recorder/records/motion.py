@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 
 ROOT: Final = "world"
 _FIRST_WORLD: Final = "world_1"
-_RERUN_PREFIX: Final = "tf#/"  # of Rerun's own frames
+_RERUN_PREFIX: Final = "tf#/"  # prefix of the viewer Rerun's own frames
 _NS: Final = 1_000_000_000
 
 
 class Frame(NamedTuple):
     """The frame of a body or link."""
 
-    parent: str  # name of the parent frame
+    parent: str  # name of the frame in which the pose is given
     child: str
     body: str
-    link: str  # "" for the base
+    link: str  # name of the link; "" for the base
 
 
 def frame_name(world: str, body: str, link: str = "") -> str:
@@ -59,7 +59,7 @@ class BodyMotion(NamedTuple):
     sim_step: int
     body: str
     frames: list[tuple[Frame, Pose]]  # the changed frames, with their poses in their parents
-    joints: dict[str, float]  # positions of the changed joints in rad or m, by name
+    joints: dict[str, float]  # positions of the changed joints in rad or m, by name of the joint
 
 
 class _Body:
@@ -69,7 +69,8 @@ class _Body:
         self.model = model
         self.frame = Frame(ROOT, frame_name(world, name), name, "")
         self._names = world, name
-        self._links: dict[str, tuple[UrdfJoint, Frame]] = {}  # by joint
+        # the frame of each joint's child link, by the joint's name
+        self._links: dict[str, tuple[UrdfJoint, Frame]] = {}
 
     def links(self, model: Urdf, joints: Iterable[str]) -> Iterator[tuple[UrdfJoint, Frame]]:
         """Yield the joints of these names, with the frames of their child links."""
@@ -128,7 +129,7 @@ class FrameTree:
             yield message
 
     def _states(self, record: Record) -> list[tuple[int, Sequence[BodyState], bool]]:
-        """Return the simulated steps of a record: number, states of bodies, and whether the states are complete."""
+        """Return each simulated step of a record: number, states of bodies, and whether these are complete."""
         if isinstance(record, Mutation):
             loading = record.HasField("load_body")
             if loading:

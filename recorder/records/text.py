@@ -39,26 +39,27 @@ if TYPE_CHECKING:
 
     from recorder.records import Argument, BeginTrajectory, Candidate, Decision, Record, Simulate
 
-    Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text with its level
+    Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text, and its level in the log
 
 _NS: Final = 1_000_000_000
-_ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT  # looked up once
+# module variables, because looking them up in the class is slow
+_ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT
 _SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
-_LEVELS: Final = {  # by the names of Python's levels
+_LEVELS: Final = {  # by the names of Python's logging levels
     "DEBUG": _DEBUG,
     "INFO": _INFO,
     "WARNING": _WARNING,
     "ERROR": _ERROR,
     "CRITICAL": _ERROR,
 }
-_NOTABLE_ERROR: Final = 0.01  # rad or m; smaller errors are the usual lag of motors
-_THREE: Final = "[%.3f, %.3f, %.3f]"  # fast path for three numbers
+_NOTABLE_ERROR: Final = 0.01  # rad or m; motors usually lag by smaller errors
+_THREE: Final = "[%.3f, %.3f, %.3f]"  # a fast path for three numbers
 
 
 class Lines:
-    """Makes the lines of a few records with one message object, which takes half as long as an object for each line.
+    """Makes the lines of a few records with a shared message object, which is twice as fast as an object for each line.
 
     The object keeps the memory of all its texts, so it must not be used for many records.
     """
@@ -248,7 +249,7 @@ _OWN_ENVIRONMENT: Final = "simulated"
 
 
 def decision_text(decision: Decision, *, full: bool = False) -> str:
-    """Return the decision of a motion in words; with ``full``, including defaults, which nobody chose."""
+    """Return the decision of a motion in words; ``full`` includes the defaults."""
     parts = []
     if full or decision.solution or decision.known > 1 or decision.resolver not in ("", _OWN_RESOLVER):
         which = f"solution {decision.solution + 1} of {decision.known}{'' if decision.complete else ' or more'}"
@@ -286,7 +287,7 @@ def rejections(query: Query) -> str:
 
 
 def rejection_lines(query: Query) -> Iterator[str]:
-    """Yield a line for each reason, with the candidates of a query that were rejected for it."""
+    """Yield a line for each reason, with the candidates of a query that were rejected for this reason."""
     if query.grid.spots:
         yield fates_text(query)
     chosen = query.chosen if query.HasField("chosen") else -1
@@ -309,7 +310,7 @@ def reason_text(candidate: Candidate) -> str:
     phrase = _REASONS.get(candidate.reason)
     try:
         text = phrase(data) if phrase is not None else ""
-    except (KeyError, TypeError, ValueError, AttributeError):  # data of another release, or damaged
+    except (KeyError, TypeError, ValueError, AttributeError):  # the data is damaged or comes from another release
         text = ""
     several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
     return text + several or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
@@ -395,13 +396,13 @@ _FATES: Final = {
     "Uneven": _NO_GRASP,
 }
 _MAX_LETTERS: Final = 80
-_MAX_FATES: Final = 4  # in a line
+_MAX_FATES: Final = 4  # largest number of different results in a line
 
 
 def fates(query: Query) -> Iterator[str]:
-    """Yield the result of each place that a query considered, in order: taken, or why not.
+    """Yield the result of each place that a query considered, in order: "taken", or the reason for its rejection.
 
-    If the words differ for one place and for several, both are given, separated by "|".
+    If the words for one place and for several places differ, the text contains both, separated by "|".
     """
     names = [_fate(candidate) for candidate in query.candidates]
     if query.HasField("chosen") and 0 <= query.chosen < len(names):
@@ -413,7 +414,7 @@ def fates(query: Query) -> Iterator[str]:
 def fates_text(query: Query) -> str:
     """Return the numbers of a query's places by result; empty if it considered no places.
 
-    As in "of 60 places 41 collide with the kitchen, 17 are out of reach, 1 was taken".
+    For example "of 60 places 41 collide with the kitchen, 17 are out of reach, 1 was taken".
     """
     counts = Counter(fates(query))
     if not counts:
@@ -436,7 +437,8 @@ def _fate(candidate: Candidate) -> str:
     data, reason = argument_values(candidate.data), candidate.reason
     if reason == "Touching":
         pairs = data.get("pairs")
-        first = pairs[0] if isinstance(pairs, list) and pairs and isinstance(pairs[0], dict) else {}  # the deepest
+        # the deepest contact
+        first = pairs[0] if isinstance(pairs, list) and pairs and isinstance(pairs[0], dict) else {}
         touched = first.get("body") or "something"
         return f"collides with {touched}|collide with {touched}"
     text = data.get("reason")
@@ -463,7 +465,7 @@ def foreseen(record: Task) -> str:
 def recording_name(record: Task) -> str:
     """Return the file name of a projection's recording, which is in the folder of the run's recording; "" without one.
 
-    Folders are ignored: recordings are moved together, and a stranger's recording must not name another folder.
+    Folders are ignored: users move recordings together, and an untrusted recording must not name another folder.
     """
     recording = _outcome(record).get("recording")
     return PurePath(recording).name if isinstance(recording, str) else ""
@@ -480,7 +482,7 @@ def _outcome(record: Task) -> dict[str, Any]:
 
 
 def timeout_text(name: str, clock: object) -> str:
-    """Return a timeout in words; ``name`` is the limit."""
+    """Return a timeout in words; ``name`` is the limit, as in the name of the task."""
     return f"timeout of {name}{' of simulated time' if clock == 'simulated' else ''}"
 
 
@@ -488,10 +490,10 @@ _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|
 
 
 def values(arguments: Sequence[Argument]) -> str:
-    """Return recorded values in a line, with objects by name."""
+    """Return recorded values in a line; objects are replaced by their names."""
     return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]]) if arguments else ""
 
 
 def by_name(text: str) -> str:
-    """Return a recorded value (JSON), with objects by name."""
+    """Return a recorded value (JSON) as text; objects are replaced by their names."""
     return _OBJECT.sub(r"\1", text) if '{"object":' in text else text

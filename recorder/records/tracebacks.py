@@ -20,40 +20,41 @@ if TYPE_CHECKING:
     from types import CodeType, TracebackType
 
 MAX_FRAMES: Final = 32
-"""Innermost frames of each error in a text; longer tracebacks come from errors that passed many blocks."""
+"""Largest number of frames of an error in a text, the innermost ones; an error that passes many blocks has more."""
 MAX_ERRORS: Final = 16
-"""First and last errors in a text; longer chains of causes come from nested tasks, whose records have the others."""
+"""Largest number of errors in a text, from both ends of the chain of causes; nested tasks record the others."""
 
-_FIRST: Final = 4  # errors at the beginning of a long chain: the root causes
-_MAX_EXPLORED: Final = 64  # related errors that Python would visit to print one error
-_REPEATED: Final = 3  # times that Python prints the same line before it counts
-_MAX_CACHED: Final = 4096  # texts of frames
+_FIRST: Final = 4  # number of errors from the beginning of a long chain, which has the root causes
+_MAX_EXPLORED: Final = 64  # largest number of related errors that Python may visit to print an error
+_REPEATED: Final = 3  # number of times that Python prints a repeated line; it only counts further repetitions
+_MAX_CACHED: Final = 4096  # number of cached texts of frames
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
 _CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
 _PLACE: Final = attrgetter("co_filename", "co_name")
-_SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)  # Python adds details to their messages
+#: Python adds details to the messages of these errors
+_SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)
 
 _texts: Final[
     dict[tuple[int, int, int], tuple[CodeType, str]]
-] = {}  # values keep the code alive, as its address is in the key
+] = {}  # cached values keep the code alive: the key contains the address of the code
 
 
 def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: int = MAX_ERRORS) -> str:
-    """Return an error with its causes as text: innermost frames of each error, first and last errors of the chain."""
+    """Return an error and its causes as text: innermost frames of each error, both ends of the chain."""
     chain = _chain(error)
     left_out = len(chain) - errors
     parts = [f"{link}{_part(each, frames)}" for link, each in chain[:_FIRST]]
     if left_out > 0:
         del chain[_FIRST : _FIRST + left_out]
     for link, each in chain[_FIRST:]:
-        count = f"  [{left_out} errors between these: the tasks that they ended have them]\n\n" if left_out > 0 else ""
+        count = f"  [{left_out} errors are left out; see the tasks that they ended]\n\n" if left_out > 0 else ""
         parts.append(f"{link}{count}{_part(each, frames)}")
         left_out = 0
     return notebook.with_cells("".join(parts))
 
 
 def _chain(error: BaseException) -> list[tuple[str, BaseException]]:
-    """Return the chain of causes and the error, each with the text that links it; a group prints its own causes."""
+    """Return the causes and the error, each with the text that links it to the next; a group prints its own causes."""
     chain: list[tuple[str, BaseException]] = []
     seen = {id(error)}
     while not _is_small_group(error):
@@ -80,12 +81,12 @@ def _part(error: BaseException, frames: int) -> str:
 
 
 def _is_small_group(error: BaseException) -> bool:
-    """Return whether Python prints the error with its members; a larger group is printed without any."""
+    """Return whether Python prints the error with its members; a larger group is printed without its members."""
     return isinstance(error, BaseExceptionGroup) and _is_quickly_printed(error)
 
 
 def _is_quickly_printed(error: BaseException) -> bool:
-    """Return whether Python would visit few errors to print one: with nested groups, it visits quadratically many."""
+    """Return whether Python visits few errors to print an error; nested groups have quadratically many visits."""
     errors = [error]
     for each in errors:
         members = each.exceptions if isinstance(each, BaseExceptionGroup) else ()
@@ -141,7 +142,7 @@ def _message(error: BaseException) -> Iterator[str]:
 
 
 def text_or(text: Callable[[], str], otherwise: Callable[[Exception], str]) -> str:
-    """Return the text that a user's own method gives; if the method raises an error, another text."""
+    """Return the text from a user's own method; if the method raises an error, return the given other text."""
     try:
         return text()
     except Exception as error:  # noqa: BLE001  a user's method may raise anything

@@ -26,12 +26,13 @@ if TYPE_CHECKING:
 
 
 MAX_NESTING: Final = 100
-"""Levels of nested lists and dictionaries; readers give a deeper value as text."""
+"""Largest depth of nested lists and dictionaries; readers return a deeper value as text."""
 MAX_CHARACTERS: Final = 8 << 20
-"""Length of a value as JSON; a longer value isn't recorded, as readers reject a record of many MiB as damaged."""
+"""Largest length of a value as JSON. A longer value isn't recorded: readers reject a record of many MiB as damaged."""
 MAX_DIGITS: Final = 300
-"""Of a whole number that still fits a float; readers give a value with longer numbers as text."""
-_BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')  # a string without end extends to the end
+"""Largest number of digits of an integer that still fits a float; readers return values with longer ones as text."""
+#: An unterminated string extends to the end of the text.
+_BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
@@ -42,13 +43,14 @@ def _plain(value: object) -> object:
     exact = _EXACT.get(type(value))
     if exact is not None:
         return exact(value)
-    record = getattr(type(value), "__record__", None)  # of the real type: a lazy result imitates its value's type
+    # ``type()`` returns the real type, although a lazy result imitates the type of its value
+    record = getattr(type(value), "__record__", None)
     if record is not None:
         return _plain(record(value))
     for kinds, plain in _PLAIN:
         if isinstance(value, kinds):
             return plain(value)
-    to_list = getattr(type(value), "tolist", None)  # an array of NumPy, which isn't imported here
+    to_list = getattr(type(value), "tolist", None)  # a NumPy array; NumPy isn't imported here
     if to_list is not None:
         return _plain(to_list(value))
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
@@ -67,7 +69,7 @@ def _sequence(value: Iterable[object]) -> object:
     return [_plain(item) for item in value]
 
 
-# fast path for Python's own types
+# a fast path for Python's own types
 _EXACT: Mapping[type, Callable[[Any], object]] = {
     type(None): lambda value: value,
     bool: bool,
@@ -92,8 +94,9 @@ _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
 def to_json(value: object) -> str:
     """Return any value as one line of JSON; floats keep all their bits.
 
-    Arrays become lists, objects with ``__record__`` its result, other objects ``{"repr": ...}``. A value that raises
-    errors or is too long becomes ``{"untold": type, "because": ...}``: recording never breaks a plan.
+    Arrays become lists. An object with ``__record__`` becomes the result of this method, any other object ``{"repr":
+    ...}``. A value that raises errors or is too long becomes ``{"untold": type, "because": ...}``: recording never
+    breaks a plan.
     """
     try:
         text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
@@ -115,7 +118,7 @@ def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> li
 
 
 def from_json(text: str) -> Plain:
-    """Return the value of recorded JSON; return other text, of another program or damaged, unchanged."""
+    """Return the value of recorded JSON; return text that isn't valid JSON unchanged."""
     try:
         return _loaded(text)
     except ValueError:
@@ -145,7 +148,8 @@ def _refuse(text: str) -> float:
 
 
 _DECODER: Final = json.JSONDecoder(parse_constant=_refuse)
-_WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)  # slow: calls Python code for each number
+#: Slow, because it calls Python code for each number.
+_WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)
 _LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
 
 
@@ -165,7 +169,7 @@ def format_error(error: BaseException) -> str:
 
 
 def failure(error: BaseException, *, trace: bool = True, errors: int = MAX_ERRORS) -> Failure:
-    """Return an exception for a record: type, message, ``data`` if any, and a traceback of that many errors."""
+    """Return an exception for a record: type, message, ``data`` if any, and a traceback of ``errors`` errors."""
     data = getattr(error, "data", None)
     text = ""
     if trace:
@@ -231,7 +235,7 @@ def without_secrets(arguments: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class AssetFile:
-    """A file, identified by its content; its name has no folders."""
+    """A file, identified by its content; its name doesn't contain folders."""
 
     name: str
     content: bytes

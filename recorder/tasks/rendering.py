@@ -1,8 +1,8 @@
 """The task tree as lines of text, as data for JSON, as a graph for Graphviz, and as an SVG with its times.
 
-In the text, ``+`` succeeded, ``X`` failed, ``-`` was cancelled, ``?`` hasn't ended, ``.`` hasn't begun; ``>`` marks the
-path to the failure. The SVG has the same lines without the plan's output, and bars of wall time on the right. Hovering
-over a task shows its details.
+In the text, the marks mean: ``+`` succeeded, ``X`` failed, ``-`` cancelled, ``?`` not ended, ``.`` not begun; ``>``
+marks the path to the failure. The SVG has the same lines without the plan's output, and bars of wall time on the right.
+Hovering over a task shows its details.
 """
 
 from __future__ import annotations
@@ -33,25 +33,26 @@ _MARKS: Final[Mapping[int, str]] = {
     Task.RUNNING: "?",
     Task.CREATED: ".",
 }
-_MAX_ALIKE: Final = 6  # similar siblings that aren't folded
-_MAX_WIDTH: Final = 100  # characters of parameters
+_MAX_ALIKE: Final = 6  # longer runs of similar siblings are folded
+_MAX_WIDTH: Final = 100  # largest number of characters of parameters in a line
 #: Kinds of tasks that are shown with their parameters.
 _WITH_PARAMETERS: Final = frozenset({"action", "projection", "motion", "attempt", "failure-handling", "handler"})
-_WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")  # whose names imply it
+#: Kinds that the names of these tasks imply.
+_WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")
 
 
 @dataclass(frozen=True, slots=True)
 class TreeRow:
     """A line of a tree."""
 
-    depth: int  # from 0
-    node: Node | None  # None for a line of details or output
-    text: str  # without indentation and marks
-    failing: bool = False  # whether it is on the path down to the failure
+    depth: int  # level of the task, from 0
+    node: Node | None  # the task; None for a line of details or output
+    text: str  # text of the line, without indentation and marks
+    failing: bool = False  # whether the task is on the path down to the failure
 
 
 def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: bool = True) -> Iterator[TreeRow]:
-    """Yield all tasks down to a depth, each before its children; similar siblings are folded unless ``whole``.
+    """Yield all tasks down to a depth, each before its children; similar siblings are folded, unless ``whole`` is set.
 
     With ``output``, lines that the plan printed or logged are among the children.
     """
@@ -100,7 +101,7 @@ def label(node: Node) -> str:
 
 
 def facts(tree: Tree, max_depth: int | None = None) -> Iterator[dict[str, object]]:
-    """Yield all tasks as data for JSON, each before its children; see :func:`rows`."""
+    """Yield each task as data for JSON, before its children; see :func:`rows`."""
     failing = {node.id for node in tree.failure_path()}
     return (
         {
@@ -132,7 +133,7 @@ def facts(tree: Tree, max_depth: int | None = None) -> Iterator[dict[str, object
 
 
 def _choice_lines(query: Query) -> Iterator[str]:
-    """Yield a choice: the query with the chosen candidate, then the rejected candidates with reasons, indented."""
+    """Yield lines of a choice: the query and the chosen candidate, then, indented, rejected candidates with reasons."""
     yield f"{query.name}({values(query.arguments)}): {chosen_name(query) or 'none'}"
     yield from (f"    {line}" for line in rejection_lines(query))
 
@@ -144,15 +145,15 @@ def _extent(node: Node) -> str:
         took = f"{(node.seconds or 0.0) * 1e3:.1f} ms" if node.start is not None else "never begun"
     if node.started.began_ns:
         took += ", began before the recording"
-    if not node.started.seq:  # no recording
+    if not node.started.seq:  # tasks without a recording have no step numbers
         return took
     return f"{node.started.seq}-{node.finished.seq if node.finished is not None else ''}, {took}"
 
 
 def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> list[Node | str]:
-    """Return siblings with the output lines of their parent between them, both folded."""
+    """Return siblings and, between them, the output lines of their parent; both are folded."""
     shown: list[Node | str] = []
-    printed = 0  # lines so far
+    printed = 0  # number of output lines so far
     for item in _folded(nodes if whole else _lifted(nodes), whole=whole):
         if not isinstance(item, str) and printed < len(output):
             before = bisect_left(output, (item.asked or item.started).seq, printed, key=attrgetter("seq"))
@@ -163,7 +164,7 @@ def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> l
 
 
 def _lifted(nodes: Sequence[Node]) -> list[Node]:
-    """Return siblings with attempts in place of an action's failure handling; a single attempt becomes its parts."""
+    """Return siblings. Attempts replace an action's failure handling; the parts of a single attempt replace it."""
     shown: list[Node] = []
     for node in nodes:
         tries = node.children if node.kind == "failure-handling" and "action" in node.parameters else []
@@ -184,7 +185,7 @@ def _said(output: Sequence[Output], *, whole: bool) -> list[Node | str]:
 
 
 def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
-    """Return siblings; in a long run of tasks that all succeeded with one name, a line replaces the middle."""
+    """Return siblings; in a long row of succeeded tasks with the same name, a line replaces the middle."""
     shown: list[Node | str] = []
     for (_, name, status), run in groupby(nodes, lambda node: (node.kind, node.name, node.status)):
         alike = list(run)
@@ -197,7 +198,7 @@ def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
 
 
 COLORS: Final[Mapping[int, str]] = defaultdict(
-    lambda: "#707070",  # of statuses of a newer release
+    lambda: "#707070",  # colour of statuses that only a newer release knows
     {
         Task.SUCCEEDED: "#2e9e5b",
         Task.FAILED: "#d0342c",
@@ -206,12 +207,12 @@ COLORS: Final[Mapping[int, str]] = defaultdict(
         Task.CREATED: "#d9a400",
     },
 )
-_ROW: Final = 20  # height of a line, px
+_ROW: Final = 20  # height of a line in pixels
 _INDENT: Final = 16
-_NAMES: Final = 520  # width of the names' column
-_BARS: Final = 560  # width of the times' column
+_NAMES: Final = 520  # width of the column of names in pixels
+_BARS: Final = 560  # width of the column of times in pixels
 _TOP: Final = 44
-_LETTER: Final = 6.6  # width of a letter at the names' size
+_LETTER: Final = 6.6  # width of a letter in pixels, at the size of the names
 _Clock: TypeAlias = "Callable[[Moment], int]"
 _escape = partial(escape_quotes, quote=False)
 
@@ -237,7 +238,7 @@ def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
     shown = list(rows(tree, depth, whole=whole, output=False))
     moments = [node.created for _, node in tree.walk()]
     moments += [node.end for _, node in tree.walk() if node.end is not None]
-    steady = all(moment.monotonic_ns for moment in moments)  # the wall clock may be set while a plan runs
+    steady = all(moment.monotonic_ns for moment in moments)  # the wall clock may be adjusted while a plan runs
     clock: _Clock = attrgetter("monotonic_ns" if steady else "wall_ns")
     times = [clock(moment) for moment in moments]
     begin, end = (min(times), max(times)) if times else (0, 1)
@@ -254,7 +255,8 @@ def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
 
 
 def _axis(seconds: float, height: int) -> Iterator[str]:
-    units = (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)  # times are nanoseconds in 64 bits, at most 9e9 s
+    # candidates for the scale in s; times are nanoseconds in 64 bits, so at most 9e9 s
+    units = (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)
     steps = (size * unit for unit in units for size in (1, 2, 5, 10, 20, 50, 100, 200, 500))
     step = next(length for length in steps if seconds / length <= 6)
     yield f'<text x="12" y="24" fill="#555">task</text><text x="{_NAMES}" y="16" fill="#555">time by the clock</text>'

@@ -1,7 +1,8 @@
-"""The tree of tasks: which task was part of which, how each ended, and the path down to the one that failed.
+"""The tree of tasks: the parts and the outcome of each task, and the path down to the task that failed.
 
 A tree is the fold of task records, and nothing else. A running plan and a reader of its recording fold the records with
-the same class, so their trees are equal. The children of a task are in the order of their requests, and of their ids.
+the same class, so their trees are equal. The children of a task are in the order of their requests, which is also the
+order of their ids.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
     from recorder.records import Decision, Failure, Output, Plain, Query
 
 
-_ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED  # looked up once
+# module variables, because looking them up in the class is slow
+_ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED
 
 
 class State(IntEnum):
@@ -40,7 +42,7 @@ class State(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> State | None:
-        """Return a status that only a newer release knows, with its number as its name."""
+        """Return a status, with its number as its name, that only a newer release knows."""
         if not isinstance(value, int):
             return None
         unknown = int.__new__(cls, value)
@@ -55,7 +57,7 @@ class State(IntEnum):
     def __str__(self) -> str:
         return f"State.{self.name}"
 
-    __format__ = Enum.__format__  # IntEnum formats as a number
+    __format__ = Enum.__format__  # IntEnum would format the status as a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +66,8 @@ class Moment:
 
     wall_ns: int  # nanoseconds since the Unix epoch
     sim_step: int = 0  # steps of 1/240 s that the world had simulated
-    world: str = ""  # the current world, "" for none
-    #: Nanoseconds since the recording began, by a steady clock; 0 if that isn't recorded.
+    world: str = ""  # the current world; "" if no world is open
+    #: Nanoseconds since the recording began, by a steady clock; 0 if this time isn't recorded.
     monotonic_ns: int = 0
 
     @property
@@ -84,15 +86,15 @@ def _moment(record: Task) -> Moment:
 class Node:
     """A task."""
 
-    #: The record of its start; without one, of its request; if both are lost, of its end.
+    #: The record of its start; without a start, the record of its request; if both are lost, the record of its end.
     started: Task
-    parent: Node | None = None  # None for an outermost task
+    parent: Node | None = None  # the task around it; None for an outermost task
     asked: Task | None = None  # the record of its request; None if it started immediately
     finished: Task | None = None  # the record of its end; None if it has not ended
     forgotten: int = 0  # number of children that the tree of a long-running plan has dropped
-    #: Queries with which the task chose its actions; only for recorded tasks on the path to the failure.
+    #: Queries with which the task chose its actions; filled only for recorded tasks on the path to the failure.
     choices: list[Query] = field(default_factory=list)
-    size: int = 0  # bytes of its own records, if the tree limits bytes
+    size: int = 0  # number of bytes of its own records, if the tree limits the bytes
     parts: dict[int, Node] = field(default_factory=dict)  # its children, by their ids
 
     @property
@@ -122,7 +124,7 @@ class Node:
 
     @property
     def solution(self) -> dict[str, Plain]:
-        """The recorded solution of its designator, by name; empty without one."""
+        """The recorded solution of its designator, by name; empty if it has no solution."""
         return argument_values(self.finished.solution if self.finished is not None else ())
 
     @property
@@ -160,7 +162,7 @@ class Node:
 
     @property
     def origin(self) -> Node:
-        """The task in which its failure began: descend to the last failed child, if possible with the same error."""
+        """The task in which its failure began. It is the last failed descendant, if possible with the same error."""
         node = self
         while failed := [child for child in node.children if child.failed]:
             node = next((child for child in reversed(failed) if child.error == node.error), failed[-1])
@@ -176,7 +178,7 @@ class Node:
 
     @property
     def motion(self) -> Node:
-        """The innermost motion around the task or the task itself, if it is a motion; else the task."""
+        """The task itself if it is a motion, else the innermost motion around it; without a motion, the task."""
         return next((node for node in self.around() if node.kind == "motion"), self)
 
     @property
@@ -222,23 +224,23 @@ class Node:
 
     @property
     def dealt_with(self) -> bool:
-        """Whether a task around it ended without a failure, so that its own failure decided nothing."""
+        """Whether a task around it ended without a failure, so that its own failure didn't decide the plan."""
         return any(node.finished is not None and not node.failed for node in self.around())
 
     @property
     def path(self) -> str:
-        """Names from the outermost task down to this one."""
+        """Names of the tasks from the outermost task down to this task."""
         return "/".join(reversed([node.name for node in self.around()]))
 
     def around(self) -> Iterator[Node]:
-        """Yield the task and the tasks around it, from the inside out."""
+        """Yield the task and the tasks around it, from the innermost to the outermost."""
         node: Node | None = self
         while node is not None:
             yield node
             node = node.parent
 
     def walk(self) -> Iterator[tuple[int, Node]]:
-        """Yield the task and all tasks below with their depth from 0, each before its children."""
+        """Yield the task and all tasks below it, each before its children, with their depths from 0."""
         stack = [(0, self)]
         while stack:
             depth, node = stack.pop()
@@ -250,15 +252,15 @@ class Node:
 
 
 def decisive(origins: Sequence[Node]) -> Node | None:
-    """Return the task whose failure decides a plan, of the origins of failures in the order of their ends.
+    """Return the task whose failure decides a plan; in each of ``origins`` (in order of their ends) a failure began.
 
-    It is the last origin that no task around it dealt with; if there is none, the last origin.
+    This is the last origin that no task around it dealt with; if all were dealt with, the last origin.
     """
     return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
 
 
 def walk(roots: Iterable[Node]) -> Iterator[tuple[int, Node]]:
-    """Yield all tasks of trees with their depth from 0, each before its children."""
+    """Yield all tasks of trees, each before its children, with their depths from 0."""
     for root in roots:
         yield from root.walk()
 
@@ -289,15 +291,15 @@ class Tree:
     """All tasks of a plan or recording; trees of the same records are equal. All methods are thread-safe.
 
     Args:
-        limit: largest number of tasks; tasks that ended first are dropped, children before parents. None for all.
-        size: largest number of bytes of records, likewise.
+        limit: largest number of tasks; tasks that ended first are dropped, children before parents. None: keep all.
+        size: largest number of bytes of records; tasks are dropped in the same way.
         unpacked: number of tasks whose records stay parsed; further records are packed (:class:`PackedTask`).
     """
 
     __hash__ = None  # type: ignore[assignment]  # mutable
 
     def __init__(self, limit: int | None = None, size: int | None = None, unpacked: float = math.inf) -> None:
-        #: Id of the task in which the plan's failure began, if the caller knows it; 0 if it began outside of tasks;
+        #: Id of the task in which the plan's failure began, if the caller knows the id; 0 if it began outside of tasks;
         #: None to find it from the tasks.
         self.began: int | None = None
         #: Lines that the plan printed or logged, by the id of the task; empty for a running plan.
@@ -310,7 +312,7 @@ class Tree:
         self._lock = threading.Lock()
         self._roots: dict[int, Node] = {}
         self._ended: deque[int] = deque()
-        self.nodes: dict[int, Node] = {}  # by id
+        self.nodes: dict[int, Node] = {}  # all tasks by id
 
     @property
     def roots(self) -> tuple[Node, ...]:
@@ -318,7 +320,7 @@ class Tree:
         return tuple(sorted(self._roots.values(), key=attrgetter("id")))
 
     def apply(self, record: Task, size: int = 0) -> Node:
-        """Add the next record, which is kept, and return its task; ``size`` is the record's bytes, if known."""
+        """Keep the next record, and return its task; ``size`` is the number of the record's bytes, if known."""
         number, phase, above = record.task, record.phase, record.parent
         if self._weighs and not size:
             size = record.ByteSize()
@@ -361,11 +363,11 @@ class Tree:
             node.parent.forgotten += 1
 
     def walk(self) -> Iterator[tuple[int, Node]]:
-        """Yield all tasks with their depth from 0, each before its children."""
+        """Yield all tasks, each before its children, with their depths from 0."""
         return walk(self.roots)
 
     def find(self, *, kind: str | None = None, name: str | None = None, status: State | None = None) -> list[Node]:
-        """Return the tasks of a kind, name and status (None for any), each before its children."""
+        """Return the tasks with a kind, name and status, each before its children; None matches everything."""
         return [
             node
             for _, node in self.walk()
@@ -387,7 +389,7 @@ class Tree:
         return rendering.lines(self, depth, whole=whole)
 
     def text(self, depth: int | None = None, *, whole: bool = False) -> str:
-        """Return the lines in one string."""
+        """Return the lines as a single string."""
         return "\n".join(self.lines(depth, whole=whole))
 
     def facts(self, depth: int | None = None) -> Iterator[dict[str, object]]:

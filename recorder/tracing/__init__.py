@@ -1,1 +1,1 @@
-"""What a running program records: the journal, spans of tasks, call stacks; and how Ctrl-C is deferred meanwhile."""
+"""Recording inside of a running program: the journal, spans of tasks, call stacks, and the deferral of Ctrl-C."""

@@ -1,7 +1,7 @@
 """The plan's frames: call stacks of tasks, and the local variables of raised errors.
 
-A call stack has the plan's lines that called one another, outermost first. In a thread that runs part of a task, the
-call stack continues the call stack of the code that requested the task. So every call stack begins where the plan
+A call stack contains the plan's lines that called one another, outermost first. In a thread that runs part of a task,
+the call stack continues the call stack of the code that requested the task. So every call stack begins where the plan
 begins.
 
 Local variables are described without calling users' code: values of Python's own types are written out, objects of a
@@ -35,40 +35,40 @@ if TYPE_CHECKING:
     from recorder.records import Failure
 
 
-CallSite: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
+CallSite: TypeAlias = "tuple[str, int]"  # a file and the number of a line, from 1
 
-#: The middle of a longer call stack is left out.
+#: Largest number of lines in a call stack; the middle of a longer call stack is left out.
 MAX_LINES: Final = 32
-#: Frames of these packages are left out: the plan's lines are outside of them.
+#: Packages whose frames are left out of call stacks: the plan's lines are outside of these packages.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "contextlib", "threading", "concurrent", "contextvars"})
-#: Modules that run a plan as a program; their callers are left out, too.
+#: Modules that run a plan as a program; callers of these modules are left out, too.
 _RUNNERS: Final = frozenset({"pycram.cli", "pycram.running", "replay.cli.restore", "replay.retrace.guided_run"})
-#: Python's own files, installed packages and their commands; they aren't part of a plan.
+#: Folders of Python's own files, installed packages and commands; files in these folders aren't part of a plan.
 _FOREIGN: Final = re.compile(
     r"^<frozen|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]|[/\\](?:bin|Scripts)[/\\][^/\\.]+$"
 )
-_MAX_CACHED: Final = 4096  # call stacks, and lines
+_MAX_CACHED: Final = 4096  # largest number of cached call stacks, and of cached lines
 _RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 
 
 class CallStack(NamedTuple):
     """The plan's lines that led to a task. Every task has one, so it is a named tuple, which is cheap."""
 
-    #: Outermost first; a recursive line is listed once. Without a recording, only the innermost line.
+    #: Lines, outermost first; a recursive line is listed once. Without a recording, there is only the innermost line.
     lines: tuple[CallSite, ...]
-    #: The lines of another thread's call stack that this one continues.
+    #: The lines of another thread's call stack, which this call stack continues.
     inherited: tuple[CallSite, ...]
-    thread: int  # ident of the thread or branch in which it ends
-    callers: tuple[SourceLine, ...] = ()  # all lines but the innermost, as records hold them
-    recording: int = 0  # number of the recording for which it was made; 0 for none
+    thread: int  # ident of the thread or branch in which the call stack ends
+    callers: tuple[SourceLine, ...] = ()  # all lines except the innermost line, as records contain them
+    recording: int = 0  # number of the recording for which the call stack was made; 0 for none
 
     @property
     def line(self) -> CallSite:
-        """The innermost line; ("", 0) if there is none."""
+        """The innermost line; ("", 0) for an empty call stack."""
         return self.lines[-1] if self.lines else ("", 0)
 
     def at_line(self, number: int) -> CallStack | None:
-        """Return the call stack for another line of its innermost function; None if the stack must be walked again."""
+        """Return the call stack for another line of its innermost function; None if :func:`walk` must be called."""
         lines, inherited, thread, callers, recording = self
         file, latest = lines[-1]
         if recording != journal.recording_number() or lines[-2:-1] == (
@@ -86,7 +86,7 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
     The frame is returned if :meth:`CallStack.at_line` can derive the call stacks of its other lines while it runs.
 
     Args:
-        frame: of the code, or of a function that it has called.
+        frame: frame of the code, or of a function that the code has called.
         outer: call stack of the current task.
     """
     frame, line = _innermost(frame)
@@ -100,7 +100,7 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
         return CallStack(innermost or inherited[-1:], inherited[-1:], thread), None
     own = _lines_from(frame.f_back) if frame is not None else ()
     around = (*inherited, *(own[1:] if own[:1] == inherited[-1:] else own))
-    repeated = around[-1:] == innermost  # a lambda is defined in the requesting line
+    repeated = around[-1:] == innermost  # a lambda is defined in the line that requests it
     lines = around if repeated else (*around, *innermost)
     if len(lines) > MAX_LINES:
         lines = (*lines[: MAX_LINES // 2], *lines[-MAX_LINES // 2 :])
@@ -109,17 +109,17 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
 
 
 def is_resumable(frame: FrameType) -> bool:
-    """Return whether a frame is of a generator or coroutine, which another function can resume."""
+    """Return whether a frame belongs to a generator or coroutine, which another function can resume."""
     return bool(frame.f_code.co_flags & _RESUMABLE)
 
 
 def call_site() -> CallSite:
-    """Return the innermost line of the plan that led here; ("", 0) if there is none."""
+    """Return the innermost line of the plan that led to the present call; ("", 0) if no such line exists."""
     return _innermost(sys._getframe(1))[1] or ("", 0)  # noqa: SLF001  as inspect.currentframe() has it
 
 
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
-    """Return the plan's innermost frame and its line; without one, None and the line of the innermost foreign frame."""
+    """Return the plan's innermost frame and its line; without a plan, None and the innermost foreign line."""
     frame, foreign = plan_frame(frame)
     innermost = frame or foreign
     return frame, _site(innermost)[1] if innermost is not None else None
@@ -127,7 +127,7 @@ def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | No
 
 def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
     lines: list[CallSite] = []
-    known, plan, runner = _sites.get, _Origin.PLAN, _Origin.RUNNER  # for speed
+    known, plan, runner = _sites.get, _Origin.PLAN, _Origin.RUNNER  # local variables are faster
     last = None
     while frame is not None:
         origin, line, _ = known((id(frame.f_code), frame.f_lasti)) or _site(frame)
@@ -148,7 +148,7 @@ def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
     key = (
         id(code),
         frame.f_lasti,
-    )  # hashing the code itself is slow; the value keeps the code alive, and so its id unique
+    )  # hashing the code itself is slow; the value keeps the code alive, so that its id stays unique
     site = _sites.get(key)
     if site is None:
         file = code.co_filename
@@ -160,7 +160,7 @@ def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
 
 
 def recorded_file(file: str) -> str:
-    """Return the name of compiled code's file in records; of a notebook's cell, the cell's."""
+    """Return the name that records use for the file of compiled code; a notebook's cell has a name of its own."""
     named = notebook.cell_of(file) or escaped(file)
     if named != file:
         _unescaped[named] = file
@@ -168,9 +168,10 @@ def recorded_file(file: str) -> str:
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
-    """Return the plan's innermost frame among a frame and its callers, and the first foreign frame before it."""
+    """Search a frame and its callers: return the innermost frame of the plan, and the last foreign frame below it."""
     foreign = None
-    known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER  # for speed
+    # local variables are faster
+    known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER
     while frame is not None:
         file = frame.f_code.co_filename
         origin = known(file) or _origin(file, str(frame.f_globals.get("__name__", "")))
@@ -185,7 +186,7 @@ def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | N
 
 
 def plan_frames(frame: FrameType | None) -> Iterator[FrameType]:
-    """Yield the plan's frames among a frame and its callers, from the inside out."""
+    """Yield the plan's frames among a frame and its callers, from the innermost to the outermost."""
     while (frame := plan_frame(frame)[0]) is not None:
         yield frame
         frame = frame.f_back
@@ -204,9 +205,11 @@ class _Origin(Enum):
     RUNNER = auto()
 
 
-_origins: Final[dict[str, _Origin]] = {}  # by file
-_unescaped: Final[dict[str, str]] = {}  # by recorded names: files whose names aren't UTF-8, and cells of notebooks
-_sites: Final[dict[tuple[int, int], tuple[_Origin, CallSite, CodeType]]] = {}  # by a code's id and its instruction
+_origins: Final[dict[str, _Origin]] = {}  # origins of code, by file
+#: Real file names by recorded names, for names that aren't UTF-8 and for cells of notebooks.
+_unescaped: Final[dict[str, str]] = {}
+#: Origins and lines, by a code's id and its instruction.
+_sites: Final[dict[tuple[int, int], tuple[_Origin, CallSite, CodeType]]] = {}
 
 
 def _origin(file: str, module: str) -> _Origin:
@@ -224,7 +227,7 @@ def _origin(file: str, module: str) -> _Origin:
 
 
 class _Callers:
-    """A cache of callers as record fields; attaches each file of a plan once to a recording."""
+    """A cache of callers as record fields. It also attaches each file of a plan once to a recording."""
 
     def __init__(self) -> None:
         self._cache: dict[tuple[CallSite, ...], tuple[SourceLine, ...]] = {}
@@ -242,7 +245,7 @@ class _Callers:
                 self._attached.add(file)
                 source = Path(_unescaped.get(file, file))
                 is_cell = notebook.is_cell(file)
-                with suppress(OSError):  # typed at a prompt, or deleted
+                with suppress(OSError):  # the code was typed at a prompt, or its file was deleted
                     text = notebook.source_of(str(source)) if is_cell else source.read_bytes()
                     journal.attach([AssetFile(file if is_cell else source.name, text, "text/x-python")])
             innermost = lines[-1][0] if lines else ""
@@ -256,16 +259,17 @@ class _Callers:
 _callers: Final = _Callers()
 
 
-MAX_FRAMES: Final = 16  # innermost frames of an error
-MAX_VARIABLES: Final = 20  # of a frame
-MAX_CHARACTERS: Final = 80  # of a value
+MAX_FRAMES: Final = 16  # largest number of frames of an error, the innermost ones
+MAX_VARIABLES: Final = 20  # largest number of variables of a frame
+MAX_CHARACTERS: Final = 80  # largest number of characters of a value
 
-_MAX_ITEMS: Final = 6  # of a list
-_MAX_DEPTH: Final = 3  # of lists within lists
-_MAX_BITS: Final = 256  # of an integer
+_MAX_ITEMS: Final = 6  # largest number of shown items of a list
+_MAX_DEPTH: Final = 3  # largest depth of lists within lists
+_MAX_BITS: Final = 256  # largest number of bits of an integer
 _ELLIPSIS: Final = "..."
-_MARK: Final = "_pycram_frames"  # an error's attribute: the recording, and the frames that are recorded already
-_IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # a module's imports and definitions
+_MARK: Final = "_pycram_frames"  # attribute of an error with the recording and the frames that are already recorded
+#: Types of a module's imports and definitions, which aren't recorded.
+_IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)
 _TYPE_ALONE: Final = re.compile(r"<[\w.]+>")
 _EXACT: Final = frozenset({type(None), bool, int, float, complex, range, type(Path()), PurePosixPath})
 _BRACKETS: Final[Mapping[type, tuple[str, str]]] = {
@@ -278,16 +282,16 @@ _BRACKETS: Final[Mapping[type, tuple[str, str]]] = {
 
 
 def failure_with_frames(error: BaseException, *, errors: int = MAX_ERRORS) -> Failure:
-    """Return an error as :func:`failure` does, with the plan's frames if they are recorded."""
+    """Return an error as :func:`failure` does, and add the plan's frames if this recording has frames."""
     record = failure(error, errors=errors)
     if journal.keeps_local_variables():
-        with suppress(Exception):  # an error's own methods may raise anything
+        with suppress(Exception):  # an error's own methods may raise any exception
             record.frames.extend(_new_frames(error))
     return record
 
 
 def _new_frames(error: BaseException) -> list[StackFrame]:
-    """Return the plan's frames that led to an error, outermost first, without frames of its earlier records."""
+    """Return the plan's frames that led to an error, outermost first, without frames that are already recorded."""
     recording, known = vars(error).get(_MARK, (0, frozenset()))
     if recording != journal.recording_number():
         known = frozenset()
@@ -323,8 +327,8 @@ def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
 def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
     """Yield names and values, in the order of their first assignment.
 
-    A module has many variables, some of them imported: only its last ones with more than a type to show are kept.
-    IPython's own are left out.
+    A module has many variables, also imported ones. Only its last variables whose values can be shown are kept.
+    IPython's own variables are left out.
     """
     hidden = notebook.own_variables() if frame.f_locals is frame.f_globals else {}
     try:
@@ -334,7 +338,7 @@ def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
             if type(name) is str and name.isidentifier() and name[:2] != "__" and not issubclass(type(value), _IGNORED)
             if name not in hidden or hidden[name] is not value
         }
-    except RuntimeError:  # another thread is changing them
+    except RuntimeError:  # another thread is changing the variables
         return
     texts = [(name, LEFT_OUT if is_secret(name) else described(value)) for name, value in values.items()]
     if frame.f_locals is frame.f_globals:
@@ -376,7 +380,7 @@ def _collection(value: Any, depth: int) -> str:
         return f"{before}{_ELLIPSIS}{after}"
     try:
         some: Iterable[Any] = list(islice(value.items() if kind is dict else value, _MAX_ITEMS))
-    except RuntimeError:  # another thread is changing it
+    except RuntimeError:  # another thread is changing the value
         some = ()
     if kind is dict:
         texts = [
@@ -392,7 +396,7 @@ def _collection(value: Any, depth: int) -> str:
 
 
 def _of_numpy(value: Any, name: str) -> str:
-    """Return a number or small array of NumPy as its values, a larger array as its shape."""
+    """Return the values of a number or small array of NumPy, but only the shape of a larger array."""
     dtype = getattr(value, "dtype", None)
     if dtype is None or dtype.kind not in "biuf":
         return f"<{name}>"

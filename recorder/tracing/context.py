@@ -1,11 +1,11 @@
 """The context of running code: its branch or thread, the current world, and the room on its stack.
 
-A branch of a plan shares its thread with other branches. It has a call stack, a context and a name of its own; records
-have this name in place of the thread's name.
+A branch of a plan shares its thread with other branches. It has its own call stack, context and name; records have this
+name instead of the thread's name.
 
 The current world is the one that was opened or made current last; when it closes, the previous world becomes current
-again. A thread's choice holds for itself, its branches, and all threads without a choice of their own. A branch's
-choice holds for itself and its own branches only.
+again. If a thread chooses the current world, the choice applies to the thread, its branches, and all threads without a
+choice of their own. A branch's choice applies only to the branch and its own branches.
 
 Before a record is made, the stack is checked, so that no RecursionError interrupts the record.
 """
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 class BranchIdentity(NamedTuple):
     """Identity of a branch of a plan."""
 
-    thread: int  # ident of its thread; a thread that it starts may inherit its context
-    ident: int  # negative; idents of threads are positive
-    name: str  # in records
+    thread: int  # ident of the branch's thread; a thread that the branch starts may inherit its context
+    ident: int  # a negative number; idents of threads are positive
+    name: str  # name of the branch in records
 
 
 _branch: ContextVar[BranchIdentity | None] = ContextVar("pycram_branch", default=None)
@@ -53,7 +53,7 @@ def enter_branch(branch: BranchIdentity | None) -> None:
 
 
 def current_name() -> str:
-    """Return the name of the running branch; outside of branches, of the thread."""
+    """Return the name of the running branch; outside of branches, the name of the thread."""
     branch = _branch.get()
     if branch is None or branch.thread != threading.get_ident():
         return escaped(threading.current_thread().name)
@@ -61,20 +61,21 @@ def current_name() -> str:
 
 
 def current_ident() -> int:
-    """Return the ident of the running branch; outside of branches, of the thread."""
+    """Return the ident of the running branch; outside of branches, the ident of the thread."""
     branch, thread = _branch.get(), threading.get_ident()
     return thread if branch is None or branch.thread != thread else branch.ident
 
 
 class KnownWorld(Protocol):
-    """A world: its name and clock, as records have them."""
+    """A world, with its name and clock as in records."""
 
     name: str
     sim_step: int
 
 
 _lock = threading.Lock()
-# In the order in which they became current, each with the thread of the choosing branch, or 0; replaced, not mutated.
+# Open worlds in the order in which they became current, each with the branch or thread that chose it; the tuple is
+# replaced.
 _open: dict[KnownWorld, int] = {}
 _chosen: ContextVar[tuple[weakref.ref[KnownWorld], ...]] = ContextVar("pycram_world", default=())
 
@@ -105,7 +106,7 @@ def open_worlds() -> tuple[KnownWorld, ...]:
 
 
 def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | None:
-    """Return the current world of this branch or thread, of all open worlds or of some; None if there is none."""
+    """Return this branch's or thread's current world, among all or some open worlds; None if there is no such world."""
     known = _open
     for chosen in reversed(_chosen.get()):
         if (world := chosen()) in known and (among is None or world in among):
@@ -115,30 +116,30 @@ def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | N
     return next((world for world, thread in reversed(worlds.items()) if thread != this_thread), None)
 
 
-#: Most stack frames that recording a record needs, down to the file's compression.
+#: Largest number of stack frames that a record needs, down to the file's compression.
 FOR_RECORD: Final = 40
-#: Most stack frames that a task needs for its records, its block and its end.
+#: Largest number of stack frames that a task needs for its records, its block and its end.
 FOR_TASK: Final = 120
 
-_COUNTED: Final = 4  # a frame counts up to 4 in Python's limit, with the C functions that called it
-_outside = 0  # largest number of frames below a greenlet so far; Python counts them for the greenlet, too
+_COUNTED: Final = 4  # with the C functions that called it, a frame counts up to 4 times for Python's limit
+_outside = 0  # largest number of frames below a greenlet so far; Python counts these frames for the greenlet, too
 
 
 def require_stack_room(frames: int) -> None:
-    """Raise RecursionError unless the stack has room for that many frames.
+    """Raise RecursionError unless the stack has room for the given number of frames.
 
-    On a shallow stack, the usual case, the check takes as long as 6 calls; else as long as that many nested calls.
+    On a shallow stack, which is usual, the check takes as long as 6 calls; otherwise, as long as the nested calls.
     """
     shallow = (sys.getrecursionlimit() - frames) // _COUNTED - _outside
     if shallow > 0:
         try:
             sys._getframe(shallow)  # noqa: SLF001  inspect.stack() reads source files
-        except ValueError:  # the stack has fewer frames
+        except ValueError:  # the stack is shallow: it has fewer frames
             return
     try:
         _call(frames)
     except RecursionError as error:
-        raise RecursionError(*error.args) from None  # without the frames of the check
+        raise RecursionError(*error.args) from None  # the traceback doesn't show the frames of the check
 
 
 def greenlets_begin() -> None:

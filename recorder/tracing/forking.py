@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-#: Blocked during a fork: Python drops errors that signal handlers raise within the hooks of a fork.
+#: Signals that are blocked during a fork: Python drops errors that signal handlers raise within the hooks of a fork.
 _INTERRUPTS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-_WARNS: Final = sys.version_info >= (3, 12)  # if a process with threads forks
+_WARNS: Final = sys.version_info >= (3, 12)  # whether Python warns if a process with threads forks
 
 _own: Final[weakref.WeakSet[threading.Thread]] = weakref.WeakSet()
 
 
 def own(thread: threading.Thread) -> threading.Thread:
-    """Mark a thread as ours: forked children don't need it."""
+    """Mark a thread as ours, so that it needn't exist in forked children."""
     _own.add(thread)
     return thread
 
@@ -60,7 +60,7 @@ def fork_continuation() -> int:
 
     The sinks of these journals must not have threads, or files that both processes would write.
     """
-    state = random.getstate()  # Python seeds a child again
+    state = random.getstate()  # Python seeds the random numbers of a child again
     child = _fork(_fork_continuing)
     if not child:
         random.setstate(state)
@@ -70,7 +70,7 @@ def fork_continuation() -> int:
 def _fork(fork: Callable[[], int]) -> int:
     with journal.still(), catch_warnings() if _WARNS else nullcontext():
         if _WARNS:
-            simplefilter("ignore", DeprecationWarning)  # about threads: ours are paused
+            simplefilter("ignore", DeprecationWarning)  # a warning about other threads: our threads are paused
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
         try:
             child = fork()
@@ -81,12 +81,12 @@ def _fork(fork: Callable[[], int]) -> int:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_identity: int | None = None  # of a process that continues another process
-_continuing = False  # while a continuing child is forked
+_identity: int | None = None  # identity of the original process, if this process continues it
+_continuing = False  # True while a continuing child is forked
 
 
 def process() -> int:
-    """Return the identity of this process: its number, or that of the process that it continues."""
+    """Return the identity of this process: its process id, or the id of the process that it continues."""
     return os.getpid() if _identity is None else _identity
 
 
@@ -114,8 +114,8 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_in_forked_child)
 
 
-_OPEN: Final = "/proc/self/fd"  # only Linux has it
-_OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # the links in this folder must be followed
+_OPEN: Final = "/proc/self/fd"  # folder of open files, which only Linux has
+_OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # flag of links that must not be followed; 0 on systems without it
 
 
 def _separate_file_positions() -> None:
@@ -131,7 +131,7 @@ def _separate_file_positions() -> None:
     for descriptor in descriptors:
         try:
             _reopen(int(descriptor))
-        except OSError:  # closed meanwhile, or without permission to open it again
+        except OSError:  # another thread has closed the file, or it can't be opened again
             continue
 
 

@@ -4,7 +4,7 @@ Python raises KeyboardInterrupt in the main thread between any two instructions.
 from its log; within a record, a number would have no record; within a block, a branch would run on alone. So Ctrl-C is
 deferred
 
-- in a section (:class:`Uninterrupted`), which is a change or a record, to the section's end;
+- in a section (:class:`Uninterrupted`), which is a change or a record, until the section ends;
 - in branches and in the code of the :class:`Host`, which is the plan language, until it calls :func:`raise_pending`, at
   every checkpoint (:mod:`pycram.scheduling`).
 
@@ -56,21 +56,22 @@ class Host(Protocol):
 
 
 _host: Host | None = None
-_handler: Callable[[int, FrameType | None], Any] = signal.default_int_handler  # the handler before ours
-_holder = 0  # ident of the main thread, which another thread becomes if it forks the process
-_open = 0  # number of open sections and scopes in the main thread; if there are any, our handler is installed
-_sections = 0  # number of sections among them
+#: The handler that was installed before ours.
+_handler: Callable[[int, FrameType | None], Any] = signal.default_int_handler
+_holder = 0  # ident of the main thread; after a fork, the forking thread is the main thread
+_open = 0  # number of open sections and scopes in the main thread; our handler is installed while any is open
+_sections = 0  # number of sections among the open sections and scopes
 _pending = False
 _terminated = 0  # the signal of the last interrupt; 0 for Ctrl-C
 _owner = 0  # the process that called :func:`terminable`; its forked children have no recording
-_checkpoint = 0  # the host's checkpoint at which the last interrupt was raised
+_checkpoint = 0  # number of the host's checkpoint at which the last interrupt was raised
 
 
 def _on_sigint(number: int, frame: FrameType | None) -> None:
     global _pending  # noqa: PLW0603  there is one main thread
     if _handler is _ignore and not _terminated:
         return
-    if threading.get_ident() != _holder:  # forked by another thread: no section is open in this process
+    if threading.get_ident() != _holder:  # after a fork by another thread, no section is open in this process
         _signal.signal(_SIGINT, _handler)
         _handler(number, frame)
     elif _sections or (frame is not None and (frame.f_globals is globals() or _defers(frame))):
@@ -112,7 +113,7 @@ def enter(host: Host | None = None) -> bool:
     handler = _signal.getsignal(_SIGINT)
     if not callable(handler):
         return False
-    if handler is not _on_sigint:  # otherwise inherited from a parent process
+    if handler is not _on_sigint:  # otherwise the handler was inherited from a parent process
         _handler = handler
     _holder, _host, _sections, _pending = thread, host, 0, False
     _signal.signal(_SIGINT, _on_sigint)
@@ -125,7 +126,7 @@ def leave() -> None:
     global _open, _pending  # noqa: PLW0603  as above
     _open -= 1
     if not _open:
-        if _signal.getsignal(_SIGINT) is _on_sigint:  # else the plan has set another one
+        if _signal.getsignal(_SIGINT) is _on_sigint:  # otherwise the plan has set another handler
             _signal.signal(_SIGINT, _handler)
         if _pending:
             _pending = False
@@ -154,7 +155,7 @@ def terminable() -> Iterator[None]:
             raise Terminated(_terminated)
     finally:
         for number, before in taken:
-            if signal.getsignal(number) in (_on_termination, _ignore):  # else the plan has set another one
+            if signal.getsignal(number) in (_on_termination, _ignore):  # otherwise the plan has set another handler
                 signal.signal(number, before)
 
 
@@ -166,7 +167,7 @@ def _take() -> list[tuple[int, signal.Handlers]]:
     taken = [(number, signal.SIG_DFL) for number in _TERMINATING if signal.getsignal(number) is signal.SIG_DFL]
     if taken:
         _terminated, _owner = 0, os.getpid()
-        if signal.getsignal(_SIGINT) is signal.SIG_IGN:  # a background job; sections need a handler
+        if signal.getsignal(_SIGINT) is signal.SIG_IGN:  # background jobs ignore SIGINT; but sections need a handler
             signal.signal(_SIGINT, _ignore)
             taken.append((_SIGINT, signal.SIG_IGN))
     for number, before in taken:
@@ -251,13 +252,13 @@ def _call() -> None:
 
 
 class Uninterrupted:
-    """A section that SIGINT doesn't interrupt; may nest. Outside of the main thread, it has no effect."""
+    """A section that SIGINT doesn't interrupt; sections may be nested. Outside of the main thread, it has no effect."""
 
     __slots__ = ("_held",)
 
     def __enter__(self) -> Self:
         global _open, _sections  # noqa: PLW0603  as above
-        if _open and threading.get_ident() == _holder:  # inlined from enter(), for speed
+        if _open and threading.get_ident() == _holder:  # the code of enter(), inlined for speed
             _open += 1
             self._held = True
         else:

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 
 class Sink(Protocol):
-    """The destination of records. Called in order, under the journal's lock; must not call the journal.
+    """The destination of records. The journal calls it in order, under its lock; the sink must not call the journal.
 
-    It must not keep references to mutations and keyframes. It may keep other records, in which only number and time
-    change, if another journal records them.
+    It must not keep references to mutations and keyframes. It may keep other records; if another journal records them,
+    only their number and time change.
     """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
@@ -73,7 +73,7 @@ class Journal:
     """Numbers records for several sinks.
 
     ``clock_ns`` returns ns since the Unix epoch, ``monotonic_ns`` the ns of a steady clock. With ``local_variables``,
-    failures in the journal may have the plan's local variables.
+    recorded failures may contain the plan's local variables.
     """
 
     def __init__(
@@ -90,8 +90,9 @@ class Journal:
         self._began_ns = monotonic_ns()
         self._lock = threading.RLock()
         self._writing = self._resuming = False
-        self._interrupting: deque[Record | AssetFile] = deque()  # arrived while this thread was writing
-        self._strikes: list[Strike] = []  # since the latest record
+        # records and files that arrived while this thread was writing
+        self._interrupting: deque[Record | AssetFile] = deque()
+        self._strikes: list[Strike] = []  # strikes since the latest record
         self._next = 0
         self._latest_ns = 0
         self._attached: set[str] = set()
@@ -103,20 +104,20 @@ class Journal:
         return self._next
 
     def add_sink(self, sink: Sink) -> None:
-        """Add a sink; it gets the records from here on, and is closed with the others."""
+        """Add a sink. It receives all later records, and is closed together with the other sinks."""
         with self._lock:
             self._sinks = (*self._sinks, sink)
 
     def expect_keyframes(self, worlds: Iterable[str]) -> None:
-        """Skip mutations of these worlds until their keyframes, which include the mutations."""
+        """Skip mutations of these worlds until their next keyframes, which include the mutations."""
         with self._lock:
             self._expected.update(worlds)
 
     def append(self, record: Record) -> int:
-        """Number and keep a record without number and times; return its size in bytes.
+        """Set the number and times of a record, and keep the record; return its size in bytes.
 
-        The size is 0 if the record is skipped (:meth:`expect_keyframes`) or queued, as this thread is just writing
-        another record. Output of signal handlers, finalizers and sinks is queued.
+        The size is 0 if the record is skipped (:meth:`expect_keyframes`) or if it is queued because this thread is
+        writing another record. Output of signal handlers, finalizers and sinks is queued.
         """
         record.cause = _cause.get().get(self, 0)
         return self._take(record)
@@ -127,7 +128,7 @@ class Journal:
             self._strikes.append(strike)
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
-        """Keep files, each content once."""
+        """Keep files; files with the same content are kept once."""
         for asset in assets:
             self._take(asset)
 
@@ -161,7 +162,7 @@ class Journal:
                 return 0
             self._expected.remove(item.world)
         self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
-        del item.strikes[:]  # of another journal
+        del item.strikes[:]  # strikes that another journal has added
         if self._strikes:
             item.strikes.extend(self._strikes)
             self._strikes.clear()
@@ -175,7 +176,7 @@ class Journal:
         return len(payload)
 
     def flush(self) -> None:
-        """Flush all sinks, unless this thread is just appending."""
+        """Flush all sinks, unless this thread is appending a record."""
         with Uninterrupted(), self._lock:
             if not self._writing:
                 for sink in self._sinks:
@@ -200,19 +201,19 @@ class RunningTask(Protocol):
         """Its number, from 1."""
 
 
-#: The task that runs in this context, None for none; set by :mod:`recorder.tracing.span`.
+#: The running task of this context, or None; set by :mod:`recorder.tracing.span`.
 current_task: ContextVar[RunningTask | None] = ContextVar("pycram_task", default=None)
 
 
 def task_id() -> int:
-    """Return the id of the task that runs in this context, 0 for none."""
+    """Return the id of the running task of this context; 0 without a task."""
     task = current_task.get()
     return task.id if task is not None else 0
 
 
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
-_opened = 0  # journals so far
+_opened = 0  # number of journals that were opened
 _sources: tuple[RecordedWorld, ...] = ()  # the known worlds; replaced, not mutated
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
@@ -271,11 +272,11 @@ def emit(
     """Complete a record's envelope and append it to every open journal; return its step in each.
 
     Args:
-        record: without its envelope.
+        record: the record without its envelope.
         world: name of the record's world, if any.
         sim_step: simulated steps of that world.
-        task: id of its task; by default the current one.
-        number: called before each journal takes the record; sets references to steps, which differ in each journal.
+        task: id of its task; by default the current task.
+        number: function that sets references to steps, which each journal numbers differently; called for each journal.
 
     Raises:
         RecursionError: the stack has no room; the record isn't numbered.
@@ -313,12 +314,12 @@ def keeps_local_variables() -> bool:
     return bool(journals) and all(journal.local_variables for journal in journals)
 
 
-#: Returns how often this thread has polled for strikes; set by the scheduler, 0 without one.
+#: Returns how often this thread has polled for strikes; set by the scheduler; 0 without a scheduler.
 looks: Callable[[], int] = int
 
 
 def strike(look: int, which: Iterable[int]) -> None:
-    """Keep a strike in every open journal: a decision by the clock or by workers in the main thread.
+    """Keep a strike in every open journal: a decision of the clock or of worker threads that the main thread noticed.
 
     Args:
         look: number of the poll that found it.
@@ -336,7 +337,7 @@ def attach(assets: Iterable[AssetFile]) -> None:
 
 
 def flush() -> None:
-    """Flush all open journals, before native code that blocks all other threads for long."""
+    """Flush all open journals; called before native code that blocks all other threads for a long time."""
     for journal in _open:
         journal.flush()
 
@@ -350,7 +351,7 @@ def register(source: RecordedWorld) -> None:
 
 
 def announce(source: RecordedWorld) -> None:
-    """Make a world known that was opened unrecorded: open journals get its state now, others when they open."""
+    """Make a world known that was opened unrecorded: open journals record its state now, others when they open."""
     register(source)
     for journal in _listening():
         source.record_keyframe(journal)
@@ -364,7 +365,7 @@ def unregister(source: RecordedWorld) -> None:
 
 
 def current_world() -> tuple[str, int]:
-    """Return name and simulated steps of the known world that is current in this context; "", 0 for none."""
+    """Return the name and simulated steps of this context's current world, if it is known; otherwise "" and 0."""
     world = context.current_world(_sources)
     return (world.name, world.sim_step) if world is not None else ("", 0)
 
@@ -375,11 +376,11 @@ def recording_number() -> int:
 
 
 def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Record]] | None = None) -> None:
-    """Begin recording to a journal; existing worlds give a keyframe first.
+    """Begin recording to a journal; a keyframe of each existing world comes first.
 
     Args:
         journal: the journal; after an error, no further records are appended to it.
-        running: returns the records of the running tasks, which come first; keeps the tasks from ending meanwhile.
+        running: returns the records of the running tasks, which come first; until then, no task can end.
 
     Raises:
         RecursionError: the stack has no room for the keyframes.
@@ -388,7 +389,7 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
     context.require_stack_room(context.FOR_TASK)
     with _registry, running or nullcontext(()) as tasks:
         _opened += 1
-        order = context.open_worlds()  # without a world that is being opened
+        order = context.open_worlds()  # the list lacks a world that is being opened
         sources = sorted(_sources, key=lambda source: order.index(source) if source in order else len(order))
         for record in tasks:
             journal.append(record)

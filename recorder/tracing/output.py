@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from recorder.tracing.journal import Journal
 
-MAX_CHARACTERS: Final = 10_000  # of a record; a longer line is split
+MAX_CHARACTERS: Final = 10_000  # largest number of characters of a record; a longer line is split
 
 _CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # escape sequences, for example colours
 #: True while handlers of logging print a message that is recorded already.
@@ -53,14 +53,14 @@ def _replaced(name: str, log: Journal) -> Iterator[None]:
     try:
         yield
     finally:
-        if getattr(sys, name) is recorded:  # else the plan has set another one
+        if getattr(sys, name) is recorded:  # otherwise the plan has set another stream
             setattr(sys, name, stream)
         recorded.end()
 
 
 @contextmanager
 def _logged(log: Journal) -> Iterator[None]:
-    """Record messages before the loggers call their handlers; an own handler would change ``basicConfig``."""
+    """Record messages before loggers call handlers; a handler of ours would change the effect of ``basicConfig``."""
     before = logging.Logger.callHandlers
     ended = False
 
@@ -94,8 +94,8 @@ def _logged_line(message: logging.LogRecord) -> Output:
 class _Origin(NamedTuple):
     """The place where an output line began."""
 
-    site: CallSite  # the plan's line
-    task: int  # id of the task
+    site: CallSite  # the plan's line that began the output line
+    task: int  # id of the task that began the output line
 
     @classmethod
     def here(cls) -> _Origin:

@@ -35,20 +35,21 @@ if TYPE_CHECKING:
     from recorder.tracing.call_stack import CallSite
     from recorder.tracing.journal import Journal
 
-    Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent  # with the plan's line
+    #: Records that contain the plan's line.
+    Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent
 
-#: Limits of the tree, which keeps the latest tasks: number of tasks, and bytes of records. A plan may run for days.
+#: Limits of the tree, which keeps the latest tasks of a plan that may run for days: number of tasks, bytes of records.
 MAX_TASKS: Final = 20_000
 MAX_BYTES: Final = 100_000_000
-_MAX_CACHED: Final = 4096  # call stacks as records hold them
+_MAX_CACHED: Final = 4096  # largest number of cached call stacks, in the form of record fields
 
 _STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # looked up once, as a message type finds them slowly
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
 _ids = itertools.count(1)
 _tree: Final = Tree(MAX_TASKS, MAX_BYTES)
-_tree_of = 0  # number of the recording of the tree's tasks; 0 before the first
-_running: Final[dict[int, Task]] = {}  # the first records of running tasks that recordings may contain
-_emitting: Final = threading.RLock()  # held while a task's record is kept and these two change
+_tree_of = 0  # number of the recording that contains the tree's tasks; 0 before the first recording
+_running: Final[dict[int, Task]] = {}  # the first records of running tasks, by id, if recordings may contain them
+_emitting: Final = threading.RLock()  # held while a task's record is kept and these two variables change
 _current: Final = cast("ContextVar[Span | None]", journal.current_task)
 
 
@@ -72,17 +73,17 @@ class Span:
     """A task while it runs; as a context manager, the task is the block."""
 
     kind: str  # motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
-    name: str  # for people
+    name: str  # the task's name, for people
     parent: int = field(default_factory=journal.task_id)  # id of the task around it, 0 for none
     parameters: Mapping[str, object] = field(default_factory=dict)
     attempt: int = 0  # number of the attempt, from 1; 0 if it isn't an attempt
-    source: CallStack | None = None  # call stack of the requesting code; None to find it at the start
+    source: CallStack | None = None  # call stack of the requesting code; None: the call stack of the start
     id: int = field(default_factory=_ids.__next__)  # unique in this process, from 1
-    solution: Mapping[str, object] = field(default_factory=dict)  # as resolved; set while it runs
-    result: object = None  # set while it runs
+    solution: Mapping[str, object] = field(default_factory=dict)  # the resolved solution; set while the task runs
+    result: object = None  # the result; set while the task runs
     error: BaseException | None = None  # a failure that isn't raised; set while it runs
-    decision: Decision | None = None  # how it was decided; set while it runs, or before
-    checkpoint: int = 0  # at which the clock or a worker thread decided it; set while it runs
+    decision: Decision | None = None  # how the task was decided; set while the task runs, or before
+    checkpoint: int = 0  # checkpoint at which the clock or a worker thread decided the task; set while the task runs
     _start_ns: int = 0
     _begun: bool = False
     _ended: bool = False
@@ -106,7 +107,7 @@ class Span:
         self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Record the end, once and only after a recorded beginning; ``error`` is None if the task succeeded."""
+        """Record the end, but only once and after a recorded start; ``error`` is None if the task succeeded."""
         if self._ended or not self._begun:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
@@ -126,7 +127,7 @@ class Span:
             try:
                 self._emit(record)
             except OSError:
-                if error is None:  # a failing disk must not hide why the task failed
+                if error is None:  # an error of a full disk must not hide the failure of the task
                     raise
 
     @contextmanager
@@ -149,7 +150,7 @@ class Span:
         self._token = _current.set(self)
         try:
             self.start()
-        except BaseException as error:  # whatever interrupts the start, the task must end
+        except BaseException as error:  # a started task must end, also if an interrupt stops its start
             self.__exit__(type(error), error, error.__traceback__)
             raise
         return self
@@ -159,7 +160,7 @@ class Span:
     ) -> None:
         try:
             self.finish(self.error if error is None else error)
-        except KeyboardInterrupt as interrupt:  # perhaps before its record
+        except KeyboardInterrupt as interrupt:  # the interrupt may have come before the record of the end
             self.finish(interrupt)
             raise
         finally:
@@ -204,7 +205,7 @@ class Span:
             try:
                 size = journal.publish(record)
             finally:
-                if not size and not record.wall_time_ns:  # no journal numbered it
+                if not size and not record.wall_time_ns:  # no journal numbered the record
                     record.wall_time_ns = time.time_ns()
                 _tree.apply(record, size)
                 if record.phase == _FINISHED:
@@ -220,7 +221,7 @@ def current() -> Span | None:
 
 @contextmanager
 def running() -> Iterator[list[Task]]:
-    """Keep tasks from beginning and ending while the block runs, and yield the running tasks.
+    """Prevent tasks from starting and ending while the block runs, and yield the running tasks.
 
     The tasks are given as records of their beginnings for a new recording, outer tasks before inner ones.
     """
@@ -239,7 +240,7 @@ def running() -> Iterator[list[Task]]:
 def emit(
     record: Located, *, world: str = "", sim_step: int = 0, number: Callable[[Journal], None] | None = None
 ) -> Mapping[Journal, int]:
-    """Emit a record with the plan's line that led to it, unless the task has the same; see :func:`journal.emit`."""
+    """Emit a record with the plan's line that led to it, unless its task has the same; see :func:`journal.emit`."""
     if not journal.is_unrecorded():
         task = _current.get()
         asked = task.source if task is not None else None
@@ -249,7 +250,7 @@ def emit(
 
 
 def _line_fields(kind: type[Located], stack: CallStack) -> bytes:
-    """Return the serialized fields of a call stack, cached: loops in a plan repeat them."""
+    """Return the serialized fields of a call stack; they are cached, as loops in a plan repeat call stacks."""
     key = kind, stack.lines
     fields = _fields.get(key)
     if fields is None:

@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-PORT: Final = 9876  # where viewers listen by default
-_POLL_PERIOD: Final = 0.2  # s between attempts to reach a viewer
+PORT: Final = 9876  # the default port of viewers
+_POLL_PERIOD: Final = 0.2  # seconds between attempts to reach a viewer
 HOST: Final = "127.0.0.1"  # recordings are private: never listen on the network
 
 _SCHEMES: Final = ("rerun", "rerun+http", "rerun+https")
 _HINT: Final = f"use spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or serve"
 _METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
 _SOCKETS: Final = Path("/proc/net/tcp")
-_LISTENS: Final = "0A"  # the state of a socket
-_ANSWER_TIMEOUT: Final = 1.0  # s; a running viewer answers within milliseconds
+_LISTENS: Final = "0A"  # the state of a listening socket, as in /proc/net/tcp
+_ANSWER_TIMEOUT: Final = 1.0  # seconds; a running viewer answers within milliseconds
 
 
 class ViewerGone(Exception):
@@ -54,7 +54,7 @@ class Target:
     """The viewer that shows a plan."""
 
     kind: ViewerKind
-    url: str = ""  # its address, if it is started separately
+    url: str = ""  # address of a viewer that is started separately
 
     @classmethod
     def parse(cls, text: str) -> Target:
@@ -80,7 +80,7 @@ def address(port: int) -> str:
 
 
 def answers(url: str) -> bool:
-    """Return whether a viewer's server accepts an empty stream of messages; an open port isn't enough."""
+    """Return whether a viewer's server accepts an empty stream of messages; an open port doesn't prove that."""
     import http.client  # noqa: PLC0415  most recordings have no viewer
 
     parts = urlsplit(url)
@@ -128,7 +128,7 @@ def free_port(preferred: int) -> int:
     raise RecordingError(HOST, "no port is free")
 
 
-END_TIMEOUT: Final = 2.0  # s that a viewer needs to end after its connection broke
+END_TIMEOUT: Final = 2.0  # seconds that a viewer needs to end after its connection broke
 
 
 class ViewerWindow:
@@ -144,7 +144,7 @@ class ViewerWindow:
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  its last line is read when it ended
-        self.url = address(PORT)  # where it accepts records; it has answered there
+        self.url = address(PORT)  # address at which the viewer accepts records, and has already answered
         if not (is_own(PORT) and answers(self.url)):
             self._start(free_port(PORT))
 
@@ -155,11 +155,11 @@ class ViewerWindow:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=self._stderr,
-            start_new_session=True,  # Ctrl-C is meant for the plan
+            start_new_session=True,  # Ctrl-C stops only the plan
             env=os.environ | {"RERUN_APP_ONLY": "true"},
         )
         wait_for_answer(self.url, self.check)
-        if not is_own(port):  # another program took the port first
+        if not is_own(port):  # another program has taken the port
             raise ViewerGone(f"another user's program listens at {self.url}")
 
     def check(self, timeout: float = 0.0) -> None:

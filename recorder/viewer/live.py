@@ -7,9 +7,9 @@ deliver it, even if it is still loading the viewer's library. Records that the v
 reported.
 
 A viewer can stall its client, fill its memory or hang its exit; only the separate process suffers from that. On the
-socket, the process may send ``Status.ABSENT``, sends ``Status.READY`` when there is a viewer, and then the number of
-shown records of each batch. The recording sends batches, which are lists of topics with payloads and of files; an empty
-batch is the end.
+socket, the process may send ``Status.ABSENT``. It sends ``Status.READY`` when there is a viewer, and then the number of
+shown records of each batch. The recording sends batches: lists of files, and of topics with payloads. An empty batch is
+the end.
 """
 
 from __future__ import annotations
@@ -55,16 +55,16 @@ if TYPE_CHECKING:
     from recorder.viewer.translator import Translator
 
 
-_END_TIMEOUT: Final = 1.8  # s for the viewer to take the rest
+_END_TIMEOUT: Final = 1.8  # seconds for the viewer to take the rest
 _START_TIMEOUTS: Final = {
     ViewerKind.SPAWN: 5.0,
     ViewerKind.CONNECT: 3.0,
     ViewerKind.SERVE: 3.0,
 }  # s for a viewer to start, even if the plan ends sooner
-_LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a late viewer
-_HAND_OVER_TIMEOUT: Final = 0.5  # s for the process to read the rest
-_BATCH_PERIOD: Final = 0.2  # s: many small batches cost too much
-_MAX_ITEMS: Final = 500  # of a batch
+_LINGER_TIMEOUT: Final = 30.0  # seconds that the process waits for a late viewer after the end of a recording
+_HAND_OVER_TIMEOUT: Final = 0.5  # seconds for the process to read the rest
+_BATCH_PERIOD: Final = 0.2  # seconds between batches: many small batches cost too much
+_MAX_ITEMS: Final = 500  # largest number of items in a batch
 _MAX_BYTES: Final = 4 << 20
 _ROOT: Final = str(Path(__file__).parent.parent.parent)
 _NICENESS: Final = 10  # the plan has priority if cores are few, also while the viewer's library is loaded
@@ -81,7 +81,7 @@ _lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that still de
 
 
 class RerunSink:
-    """A sink that is a viewer; ``live`` is as for :func:`recorder.record`, else RecordingError is raised."""
+    """A sink that is a viewer; ``live`` is as for :func:`recorder.record`, otherwise RecordingError is raised."""
 
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
@@ -89,14 +89,15 @@ class RerunSink:
         self._records = 0
         self._taken = 0
         self._ended = threading.Event()
-        self._settled = threading.Event()  # no need to wait: the viewer has all records, is gone or isn't there yet
+        # set if waiting is useless: the viewer has all records, is gone or hasn't started
+        self._settled = threading.Event()
         self._sending = threading.Lock()
         self._started = time.monotonic()
         self._connection, child_end = Pipe()
         with child_end:
             self._process = subprocess.Popen(  # noqa: S603  our own code
                 [sys.executable, "-c", _CODE, _ROOT, str(child_end.fileno()), live, title, str(_LINGER_TIMEOUT)],
-                stdin=subprocess.PIPE,  # closed when this process ends, however it ends
+                stdin=subprocess.PIPE,  # the pipe is closed when this process ends, however it ends
                 stdout=subprocess.DEVNULL,
                 pass_fds=[child_end.fileno()],
                 env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # the process prints its own messages
@@ -133,7 +134,7 @@ class RerunSink:
         if served and (behind or settled) and self._process.poll() is None:
             atexit.register(_stop, self._process, os.getpid())
         elif not behind:
-            _stop(self._process)  # unblocks the thread, if it still waits
+            _stop(self._process)  # unblocks the thread if it still waits
         self._thread.join()
         self._connection.close()
         missed = self._records - self._taken
@@ -146,7 +147,7 @@ class RerunSink:
             )
 
     def _hand_over(self) -> bool:
-        """Send the rest to the process, and unblock the thread; return whether the process took the rest."""
+        """Send the remaining items to the process, and unblock the thread; return whether the process took them."""
 
         def send() -> None:
             with self._sending, contextlib.suppress(OSError):
@@ -172,12 +173,12 @@ class RerunSink:
             while self._connection.recv() is not Status.READY:
                 self._settled.set()
             self._settled.clear()
-            with unrecorded():  # if a finalizer prints in this thread, its record would wait for the queue
+            with unrecorded():  # otherwise a finalizer that prints in this thread would wait forever for the queue
                 while sent := self._send():
                     self._taken += self._connection.recv()
                     self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # use at most half a core
             self._connection.recv()
-        except (EOFError, OSError):  # the process has ended and printed why, or has got the rest
+        except (EOFError, OSError):  # the process has ended and printed the reason, or has received the rest
             self._queue.take_rest()
         finally:
             self._settled.set()
@@ -196,9 +197,9 @@ class RerunSink:
 
 
 def _stop(process: subprocess.Popen[bytes], owner: int | None = None) -> None:
-    if owner not in (None, os.getpid()):  # in a forked child: the viewer belongs to the parent
+    if owner not in (None, os.getpid()):  # this process is a forked child: the viewer belongs to the parent
         return
-    with process:  # waits for its end, and closes the pipe
+    with process:  # leaving the block waits for the end of the process, and closes the pipe
         process.kill()
 
 
@@ -206,7 +207,7 @@ Item: TypeAlias = tuple[str, bytes] | AssetFile
 """A record's topic and payload, or a file."""
 
 _TRANSIENT: Final = frozenset({"move_body", "move_joints", "simulate", "set_realtime"})
-_OVERHEAD: Final = 200  # approximate bytes of an item in Python
+_OVERHEAD: Final = 200  # approximate memory of an item in Python, in bytes
 
 
 class LiveQueue:
@@ -224,7 +225,7 @@ class LiveQueue:
         self._count = 0
         self._changed = threading.Condition()
         self._closed = False
-        self.size = 0  # bytes of all items
+        self.size = 0  # number of bytes of all items
         self.dropped = 0  # number of records that were dropped
 
     def __len__(self) -> int:
@@ -246,7 +247,7 @@ class LiveQueue:
             self._changed.notify()
 
     def take(self, max_items: int, max_bytes: int) -> list[Item]:
-        """Wait for items, and take the oldest up to the limits; return no items if the queue is closed and empty."""
+        """Wait for items, and take the oldest items up to the limits; a closed and empty queue returns no items."""
         taken: list[Item] = []
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed)
@@ -293,7 +294,7 @@ def _cost(item: Item) -> int:
 
 _TYPES: Final = {topic: kind for kind, topic in TOPICS.items()}
 _STDERR: Final = 2
-_CALL_TIMEOUT: Final = 1.0  # s, of one call of the viewer's library
+_CALL_TIMEOUT: Final = 1.0  # seconds for a call of the viewer's library
 
 
 class Status(Enum):
@@ -310,7 +311,7 @@ def main(arguments: list[str]) -> None:
         arguments: the socket's descriptor, the target, the recording's title, and the time for a late viewer after the
             recording's end, s.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is meant for the plan; a new session would undo the niceness
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C stops only the plan; a new session would undo the niceness
     connection = Connection(int(arguments[0]))
     target = Target.parse(arguments[1])
     absent = threading.Event()
@@ -336,7 +337,7 @@ def _print(text: str) -> None:
 def _end_with_parent(absent: threading.Event, linger: float) -> None:
     """End this process ``linger`` seconds after the recording's process, which closes the pipe however it ends.
 
-    By then, all records are here. Without a viewer, this process ends immediately.
+    By then, this process has all records. Without a viewer, it ends immediately.
     """
     sys.stdin.buffer.read()
     sys.stderr.flush()
@@ -346,7 +347,7 @@ def _end_with_parent(absent: threading.Event, linger: float) -> None:
 
 
 class _Batches:
-    """The batches of the recording, which are read immediately, even if the viewer is slow."""
+    """The batches of the recording; they are read immediately, even if the viewer is slow."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -427,7 +428,7 @@ class _Display:
     def __init__(self, stream: rr.RecordingStream, translator: Translator) -> None:
         self._stream = stream
         self._translator = translator
-        self._laid_out = -1  # number of worlds
+        self._laid_out = -1  # number of worlds in the layout; -1 before the first layout
         self._reported = False
 
     def lay_out(self) -> None:
@@ -469,7 +470,7 @@ def _deliver(stream: rr.RecordingStream, window: ViewerWindow | None) -> None:
     while True:
         try:
             stream.flush(timeout_sec=_CALL_TIMEOUT)
-        except RuntimeError as error:  # the library's type for all errors
+        except RuntimeError as error:  # the library raises RuntimeError for all errors
             broken = "timed out" not in str(error)
             if window is not None:
                 window.check(END_TIMEOUT if broken else 0.0)

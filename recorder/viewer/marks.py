@@ -36,15 +36,15 @@ if TYPE_CHECKING:
 FAILURES: Final = "failures"
 _PAIRS: Final = "pairs"
 _TARGETS: Final = "targets"
-_POINT: Final = 0.02  # m, as all lengths below
+_POINT: Final = 0.02  # radius in m; all sizes below are in m, too
 _LINE: Final = 0.004
 LINK: Final = 0.015
 _ARROW: Final = 0.35
 _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
-_PIN: Final = 0.3  # height of a failure's label, above the label of its target
-_ABOVE_ROBOT: Final = 1.8  # height of a failure without a position
-_MAX_PAIRS: Final = 5  # of colliding links that are shown
+_PIN: Final = 0.3  # height of a failure's label, which is above the label of its target
+_ABOVE_ROBOT: Final = 1.8  # height of the label of a failure without a position
+_MAX_PAIRS: Final = 5  # largest number of shown pairs of colliding links
 
 
 class Marks:
@@ -76,9 +76,9 @@ class TaskMarks:
         self._columns = columns
         self._scene = scene
         self._running: dict[int, tuple[str, Marks]] = {}  # name and marks of running motions
-        self._targets: dict[int, Vector] = {}  # of running tasks
+        self._targets: dict[int, Vector] = {}  # positions of the targets of running tasks, by id
         self._failures = Marks(columns, scene)
-        self._failure = ("", "")  # the shown failure, with which parents fail, too
+        self._failure = ("", "")  # the shown failure, which failed parents repeat
 
     def show(self, record: Task, now: TimePoint) -> None:
         """Update the marks at a task's start or end."""
@@ -107,7 +107,7 @@ class TaskMarks:
             shapes.append(_arrow(camera, (x, y, z), BLUE))
         elif orientation is not None:
             shapes.append(_arrow(target, geometry.rotate(orientation, (_ARROW, 0.0, 0.0)), BLUE))
-        # a name that no other running motion has; names are reused to keep entities few
+        # no other running motion has this name; names are reused so that there are few entities
         taken = {name for name, _ in self._running.values()}
         names = (record.name, *(f"{record.name} {number}" for number in range(2, len(taken) + 2)))
         name = next(name for name in names if name not in taken)
@@ -171,7 +171,7 @@ def _arrow(start: Vector, vector: Vector, color: Color) -> rr.AsComponents:
     return rr.Arrows3D(origins=[start], vectors=[vector], colors=[color], radii=[_ARROW_RADIUS])
 
 
-_ATTACHMENT_LINE: Final = 0.003  # m
+_ATTACHMENT_LINE: Final = 0.003  # radius in m
 
 
 class Attachments:
@@ -216,8 +216,8 @@ def _attachment_changes(
     return record.attachments, [pair for pair in pairs if pair not in carried]
 
 
-_FRUSTUM: Final = 0.6  # m, length
-_FRUSTUM_LINE: Final = 0.003  # m
+_FRUSTUM: Final = 0.6  # length in m
+_FRUSTUM_LINE: Final = 0.003  # radius in m
 
 
 class CameraFrustums:
@@ -256,7 +256,7 @@ class CameraFrustums:
 
 
 def camera_position(scene: ViewerScene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
-    """Return the position of a camera: a position, pose or frame, by default the robot's own; None if unknown."""
+    """Return the position of a camera, given as a position, pose or frame (default: the robot's own); None if unknown."""
     robot = scene.robot(world, robot_name)
     if isinstance(camera, list) or robot is None:
         return position(camera)
@@ -276,7 +276,7 @@ def name_of(value: object) -> str:
 
 
 def vector(value: object, length: int) -> tuple[float, ...] | None:
-    """Return a recorded value as that many finite numbers; None for other values."""
+    """Return a recorded value as the given number of finite numbers; None for other values."""
     if not isinstance(value, list | tuple) or len(value) != length:
         return None
     finite = all(isinstance(number, int | float) and math.isfinite(number) for number in value)
@@ -292,7 +292,7 @@ def position(value: object) -> Vector | None:
 
 
 def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | None:
-    """Return the first position among values, else the position of the first object; None without either."""
+    """Return the first position among values, else the position of the first object; None if there is neither."""
     for value in values.values():
         point = position(value)
         if point is not None:
@@ -305,11 +305,12 @@ def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | 
 
 
 PATHS: Final = "paths"
-_PLANNED: Final = 0.004  # m, radius
-_DRIVEN: Final = 0.01  # m
+_PLANNED: Final = 0.004  # radius in m
+_DRIVEN: Final = 0.01  # radius in m
 _ABOVE_FLOOR: Final = 0.01  # m, height of a base's path above the floor
-_MIN_LENGTH: Final = 0.001  # m; a tool that only turns has no path
-_SAMPLES: Final = 6  # between updates of the driven line, about 0.2 s; each update sends the whole line
+_MIN_LENGTH: Final = 0.001  # length in m; a tool that only turns has no path
+#: Number of samples between updates of the driven line, about 0.2 s; each update sends the whole line.
+_SAMPLES: Final = 6
 _ENDING: Final = ("reset", "restore", "close_world")  # commands that end all trajectories
 
 
@@ -317,10 +318,10 @@ _ENDING: Final = ("reset", "restore", "close_world")  # commands that end all tr
 class _Path:
     """The path of a tool frame or base."""
 
-    now: Callable[[], Vector]  # returns its current position in the world
+    now: Callable[[], Vector]  # function that returns the present position in the world
     entity: str  # path of the planned line's entity
     driven_entity: str  # path of the driven line's entity
-    label: str  # of the planned line
+    label: str  # label of the planned line
     planned: Sequence[Vector]  # points in the frame of the planned line's entity
     driven: list[Vector] = field(default_factory=list)  # points in the world
 
@@ -373,7 +374,7 @@ class TrajectoryPaths:
             self._remove(world, record.remove_body.body, now)
 
     def _keep(self, world: str, following: Mapping[int, Following], now: TimePoint) -> None:
-        """Show only the trajectories of a keyframe, given by number."""
+        """Show only a keyframe's trajectories, which are given by number."""
         followed = self._followed[world]
         for number in followed.keys() - following.keys():
             self._clear(followed.pop(number).paths, now)
@@ -430,10 +431,10 @@ class TrajectoryPaths:
                 yield arm, scene.frame(world, begin.body), at_tool, points
 
     def _end(self, world: str, number: int, now: TimePoint, driven: float) -> None:
-        """End a trajectory after ``driven`` seconds of it."""
+        """End a trajectory of which ``driven`` seconds were executed."""
         followed = self._followed[world].pop(number, None)
         if followed is None:
-            return  # its beginning isn't recorded
+            return  # the trajectory began before the recording
         begin = followed.following.begin
         if driven >= begin.trajectory.times[-1]:
             self._clear(followed.paths, now)

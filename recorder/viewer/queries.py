@@ -2,8 +2,8 @@
 
 Marks are green if the answer is yes (or nothing blocks), and red if it is no. A query for places has a map on the
 floor, with cells from blue (hardly suitable) to green (suitable). A taken place is a green point with its heading, a
-rejected place a red point with the reason, an untried place a grey point. Maps are validated, as a recording may be a
-stranger's.
+rejected place a red point with the reason, an untried place a grey point. Maps are validated, because a recording may
+come from a stranger.
 """
 
 from __future__ import annotations
@@ -90,9 +90,9 @@ def _text(line: str) -> str:
 
 
 PICTURE: Final = "picture"
-_MAX_CLASSES: Final = 60_000  # the viewer's classes are 16 bits
-MAX_PIXELS: Final = 1 << 24  # of a picture; robots' cameras have a tenth
-_GOLDEN_RATIO: Final = 0.618034  # steps of hue, so that neighbours differ
+_MAX_CLASSES: Final = 60_000  # largest number of classes, which have 16 bits in the viewer
+MAX_PIXELS: Final = 1 << 24  # largest number of pixels of a picture; robots' cameras have a tenth
+_GOLDEN_RATIO: Final = 0.618034  # steps of hue, so that the colours of neighbours differ
 
 
 class QueryPicture:
@@ -101,7 +101,7 @@ class QueryPicture:
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._path = columns.path(QUERIES, PICTURE)
-        self._classes: dict[str, int] = {}  # by body; the same in all pictures
+        self._classes: dict[str, int] = {}  # class numbers by body, the same in all pictures
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show a query's picture, if it has one."""
@@ -131,10 +131,10 @@ class QueryPicture:
 
 
 PLACES: Final = "places"
-_ABOVE: Final = 0.01  # m above a floor or surface, so that it doesn't hide the marks
-_POINT: Final = 0.025  # m
+_ABOVE: Final = 0.01  # height in m above a floor or surface, so that the map doesn't hide the marks
+_POINT: Final = 0.025  # radius in m
 _TAKEN: Final = 0.05
-_HEADING: Final = 0.15  # m, length of a taken place's arrow
+_HEADING: Final = 0.15  # length in m of a taken place's arrow
 _ALPHA: Final = 150
 _MAX_LABELS: Final = 200
 _COLORS: Final = {TAKEN: GREEN, NOT_TRIED: GREY}
@@ -202,7 +202,7 @@ def _cells(record: Query) -> rr.Mesh3D | None:
 
 MAX_CELLS: Final = 1 << 20
 """Largest number of cells of a map; usual maps have some thousands."""
-_FARTHEST: Final = 1e6  # m
+_FARTHEST: Final = 1e6  # largest distance in m from the world's origin
 
 
 def scores_of(grid: Grid) -> NDArray[np.float64]:
@@ -243,7 +243,8 @@ def spots_of(grid: Grid) -> NDArray[np.float64]:
 _MAX_LETTERS: Final = 60
 _ANSWERS: Final = "answers"
 _NO: Final = ("false", "null", "[]", "")
-_BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}  # by the evidence that names the bodies
+#: The verbs, by the evidence that names the bodies.
+_BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}
 
 
 class QueryMarks(Marks):

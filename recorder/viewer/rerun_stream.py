@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     ColumnMaker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
 
 
-APPLICATION: Final = "pycram"  # viewers remember a layout for each application
-_WRITE_TIMEOUT: Final = 60.0  # s for writing the rows of a file
-_SWITCH: Final = "RERUN"  # environment variable that turns logging to viewers off
+APPLICATION: Final = "pycram"  # name of the application, for which viewers remember a layout
+_WRITE_TIMEOUT: Final = 60.0  # seconds for writing the rows of a file
+_SWITCH: Final = "RERUN"  # name of the environment variable that turns logging to viewers off
 
 
 @contextlib.contextmanager
@@ -55,7 +55,7 @@ def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
         yield stream
         try:
             stream.flush(timeout_sec=_WRITE_TIMEOUT)
-        except RuntimeError as error:  # the library's type for all errors; the message has the cause
+        except RuntimeError as error:  # the library raises RuntimeError for all errors; the message has the cause
             raise OSError(str(error)) from error
         stream.disconnect()
 

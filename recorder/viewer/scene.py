@@ -53,8 +53,8 @@ class SceneBody:
 
     loaded: LoadBody  # how it was loaded
     joints: dict[str, float] = field(default_factory=dict)  # positions in rad or m by name
-    pose: Pose = geometry.IDENTITY  # of the base in the world
-    shapes: set[str] = field(default_factory=set)  # paths of its shapes' entities
+    pose: Pose = geometry.IDENTITY  # pose of the base in the world
+    shapes: set[str] = field(default_factory=set)  # paths of the entities of its shapes
     links: dict[str, _Link] = field(default_factory=dict)  # links with recorded poses, by name; "" is the base
 
 
@@ -66,9 +66,10 @@ class ViewerScene:
         self._prefix = prefix
         self._frames = FrameTree()
         self._files: dict[str, bytes] = {}
-        self._transforms: dict[tuple[str, str], Series] = {}  # by world and frame; also of removed bodies
+        # pose buffers by world and frame; they also contain removed bodies
+        self._transforms: dict[tuple[str, str], Series] = {}
         self._first: TimePoint | None = None
-        self.bodies: dict[str, dict[str, SceneBody]] = {}  # by world, then name
+        self.bodies: dict[str, dict[str, SceneBody]] = {}  # the bodies by world and name
         self.robots: dict[str, str] = {}  # names of the controlled robots, by world
         #: Missing files of bodies, as ``<sha256>/<file name>``; one for each body.
         self.absent: dict[str, None] = {}
@@ -103,7 +104,7 @@ class ViewerScene:
         return (scene_body, model) if scene_body is not None and model is not None and link in model.links else None
 
     def robot(self, world: str, name: str = "") -> tuple[str, SceneBody] | None:
-        """Return the robot of that name, else the controlled robot, else any robot; None if the world has no robot."""
+        """Return the robot with the name, else the controlled robot, else any robot; None if the world has no robot."""
         bodies = self.bodies.get(world, {})
         for candidate in (name, self.robots.get(world, "")):
             if candidate in bodies:
@@ -249,7 +250,7 @@ def _changed_bodies(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]
         unchanged = {loaded.body for loaded in record.loaded} - {loaded.body for loaded in added}
         return [name for name in bodies if name not in unchanged], added
     command = record.WhichOneof("command")
-    if command == "open_world":  # the bodies of a closed world are shown until a world of its name opens
+    if command == "open_world":  # the bodies of a closed world are shown until a world with the same name opens
         return list(bodies), []
     added = [record.load_body] if command == "load_body" else []
     removed = {*record.effect.removed, *(loaded.body for loaded in added)}
@@ -307,7 +308,7 @@ def _solids(kind: str, shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.A
     radii, lengths = zip(*sizes, strict=True)
     if kind == "cylinder":
         return rr.Cylinders3D(lengths=lengths, radii=radii, centers=centers, quaternions=turns, **look)
-    # the viewer's capsules begin at their origin and have no length of their caps; a URDF's are centred
+    # a capsule of the viewer begins at its origin, and its length excludes the caps; a capsule of a URDF is centred
     feet = [geometry.transform(shape.pose, (0.0, 0.0, -shape.size[1] / 2)) for shape in shapes]
     return rr.Capsules3D(lengths=lengths, radii=radii, translations=feet, quaternions=turns, **look)
 

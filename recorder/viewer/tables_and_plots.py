@@ -46,12 +46,12 @@ if TYPE_CHECKING:
 
 
 LOG: Final = "log"
-_COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # of lines; the viewer's own colours are too dark
+_COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # colours of lines; the viewer's own colours are too dark
 _LEVELS: Final = {Log.DEBUG: "DEBUG", Log.INFO: "INFO", Log.WARNING: "WARN", Log.ERROR: "ERROR"}
 
 
 def numbered(text: str, now: TimePoint) -> str:
-    """Return a text after its step."""
+    """Return a text with its step number before it."""
     return f"#{now.step} {text}"
 
 
@@ -122,14 +122,14 @@ _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
 _COMMON: Final = ("world", "task", "thread", "cause", "text")
 _Sourced: TypeAlias = Task | Mutation | Event | Subscription | Fluent | Query | Refusal
 _SOURCED: Final = (*get_args(_Sourced), Output)
-"""Types of records with a line of the plan; other records than tasks omit the line if it is their task's."""
+"""Types of records with a line of the plan. If a record's task has the same line, the record omits it."""
 
 KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
 """Names of the tables."""
 
 
 class RecordTables:
-    """A table for each type of record except keyframes, which have no new facts."""
+    """A table for each type of record; keyframes have none, as they contain no new facts."""
 
     def __init__(self, columns: Columns) -> None:
         self._tables = {
@@ -139,7 +139,7 @@ class RecordTables:
             )
             for kind, names in _COLUMNS.items()
         }
-        self._sources: dict[int, str] = {}  # call sites of the tasks that run
+        self._sources: dict[int, str] = {}  # call sites of the running tasks, by id
 
     def show(self, record: Record, text: str, now: TimePoint) -> None:
         """Add a record with its line of text."""

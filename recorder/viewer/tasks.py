@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from recorder.viewer.rerun_stream import Columns, Series, TimePoint
 
 
-LANES: Final = "level"  # the viewer shows it in the titles of lanes
+LANES: Final = "level"  # the viewer shows this name in the titles of lanes
 STATUS_MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
-_MAX_NAMES: Final = 300  # with their own colours in a lane; then tasks are named by kind
+_MAX_NAMES: Final = 300  # largest number of names with their own colours in a lane; further tasks are named by kind
 
 
 @dataclass(slots=True)
@@ -52,7 +52,7 @@ class TaskTimeline:
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._running: dict[int, _Running] = {}
-        self._slots: dict[int, set[int]] = {}  # occupied slots, by depth
+        self._slots: dict[int, set[int]] = {}  # occupied slots, by depth of the tasks
         self._lanes: dict[tuple[int, int], _Lane] = {}
 
     def show(self, record: Task, now: TimePoint) -> None:
@@ -106,11 +106,11 @@ _COLORS: Final = {
     State.CREATED: YELLOW,
 }
 _PLAN: Final = "plan"
-_MAX_TASKS: Final = 300  # in the tree
-_MAX_CHILDREN: Final = 7  # shown children of a task
+_MAX_TASKS: Final = 300  # largest number of tasks in the tree
+_MAX_CHILDREN: Final = 7  # largest number of shown children of a task
 _THINNING: Final = 1000  # after 1,000 updates, every second update is drawn, after 2,000 every third, ...
-_ACROSS: Final = 120.0  # px from a task to its children
-_DOWN: Final = 34.0  # px
+_ACROSS: Final = 120.0  # pixels between a task and its children, to the right
+_DOWN: Final = 34.0  # pixels between neighbours, downwards
 _MAX_LETTERS: Final = 24
 
 

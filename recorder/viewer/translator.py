@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from recorder.records.values import AssetFile
 
 
-_BATCH: Final = 20_000  # records: fewer take more time, more take more memory
+_BATCH: Final = 20_000  # number of records in a batch: fewer take more time, more take more memory
 _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that neither add nor remove bodies
 
 
@@ -48,9 +48,9 @@ class Translator:
         self._paths = TrajectoryPaths(columns, scene)
         self._task_marks, self._query_marks = TaskMarks(columns, scene), QueryMarks(columns, scene)
         self._places = QueryPlaces(columns, scene)
-        self._sim_ns = 0  # of the latest record with a world
-        self._previous_ns = 0  # wall time of the record before
-        self._waiting = 0  # records
+        self._sim_ns = 0  # simulated time of the latest record with a world
+        self._previous_ns = 0  # wall time of the previous record
+        self._waiting = 0  # number of records that wait to be sent
 
     def attach(self, asset: AssetFile) -> None:
         """Take an attached file; models and meshes must come before the records that use them."""
@@ -113,7 +113,8 @@ class Translator:
             if motion.sim_step != step:
                 step = motion.sim_step
                 steps = max(record.simulate.steps, 1) if isinstance(record, Mutation) else 1
-                share = min(max((step - end + steps) / steps, 0.0), 1.0)  # of the wall time since the record before
+                # the fraction of the wall time since the previous record
+                share = min(max((step - end + steps) / steps, 0.0), 1.0)
                 wall = self._previous_ns + round((now.wall - self._previous_ns) * share)
                 time = now if step == end else TimePoint(now.step, sim_ns(step), wall)
             body = self.scene.move(world, motion, time)
@@ -160,7 +161,7 @@ class ActiveWorlds:
 
 
 def acts(record: Record) -> bool:
-    """Return whether a plan acts in the record's world, beyond opening, filling and closing it."""
+    """Return whether a plan acts in the record's world; opening, filling and closing a world don't count."""
     return bool(record.world) and _is_act(_action(record))
 
 
@@ -171,23 +172,23 @@ def _is_act(action: str) -> bool:
 def _action(record: Record) -> str:
     """Return the change of a record: a mutation's command or "keyframe"; "" for other records."""
     if type(record) is Mutation:  # isinstance takes five times as long for other types
-        return record.WhichOneof("command") or "change"  # of another release
+        return record.WhichOneof("command") or "change"  # a command of another release
     return _KEYFRAME if type(record) is Keyframe else ""
 
 
 ORIGIN: Final = (0.0, 0.0, 0.0)
 _WORLD: Final = "world_1"  # default name of the first world
-_EYE: Final = (-2.6, -2.6, 2.3)  # m, from a world's centre
+_EYE: Final = (-2.6, -2.6, 2.3)  # position in m, relative to a world's centre
 
 
 def blueprint(worlds: Mapping[str, Vector], front: str = "") -> rrb.Blueprint:
-    """Return the layout for a recording, by the centres of its known worlds in m, with the tab of ``front`` open."""
+    """Return the layout for a recording; ``worlds`` has the centres of known worlds in m; the tab of ``front`` is open."""
     left, right = _scenes("", worlds, front), _details("", worlds)
     return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
 
 
 def side_by_side(recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]) -> rrb.Blueprint:
-    """Return the layout for compared recordings: as :func:`blueprint`, by the root entity of each recording."""
+    """Return the layout for compared recordings, given by root entity; see :func:`blueprint`."""
     columns = [
         rrb.Vertical(_scenes(root, worlds, fronts[root]), _details(root, worlds), row_shares=[3, 2], name=root)
         for root, worlds in recordings.items()

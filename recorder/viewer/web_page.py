@@ -1,7 +1,7 @@
 """A web page that shows the viewer in browsers of this machine, to the user who has its address.
 
-Its server listens on the loopback only, which other machines can't reach. But other users of this machine and all pages
-in its browsers can reach it. So each request must
+Its server listens on the loopback only, which other machines can't reach. But other users of this machine, and all
+pages in its browsers, can reach the server. So each request must
 
 - name this server as its ``Host``: other names that resolve to this address (DNS rebinding) are refused;
 - contain the token, which is part of the page's address only;
@@ -12,7 +12,7 @@ forbids connections to other servers. Records reach the page as one file that gr
 
 The viewer's files, as WebAssembly, are in the viewer's program, which serves them over HTTP only. The library's own
 page server listens on all addresses of the machine; the program can listen on the loopback alone. So the program is
-started, its files are fetched, and it is ended again.
+started, its files are fetched, and the program is stopped.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
 
-_PORT: Final = 9090  # of pages
-_MAX_TRIES: Final = 5  # for a free port
-_START_TIMEOUT: Final = 5.0  # s for the file to be written
-_PIECE: Final = 1 << 20  # bytes of a write
+_PORT: Final = 9090  # preferred port of pages
+_MAX_TRIES: Final = 5  # largest number of attempts to find a free port
+_START_TIMEOUT: Final = 5.0  # seconds for the file to be written
+_PIECE: Final = 1 << 20  # largest number of bytes in a write
 _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 
 
@@ -60,7 +60,7 @@ class WebPage:
         self._stream = stream
         try:
             self._records = GrowingFile(stream)
-        except (OSError, RuntimeError) as error:  # RuntimeError is the library's type for all errors
+        except (OSError, RuntimeError) as error:  # the library raises RuntimeError for all errors
             raise ViewerGone(f"the page can't be served: {error}") from error
         for _ in range(_MAX_TRIES):
             try:
@@ -85,7 +85,8 @@ def private_link(address: str) -> Iterator[str]:
 
     Other users can see the arguments of a browser's process, but can't read this file.
     """
-    with tempfile.NamedTemporaryFile("w", prefix="pycram-page-", suffix=".html") as file:  # readable for its owner only
+    # only its owner can read the file
+    with tempfile.NamedTemporaryFile("w", prefix="pycram-page-", suffix=".html") as file:
         file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={html.escape(address)}">')
         file.flush()
         yield Path(file.name).as_uri()
@@ -108,7 +109,7 @@ class GrowingFile:
             self._grown.notify_all()
 
     def pieces(self) -> Iterator[bytes]:
-        """Yield the content from the beginning, and then what is added; never ends."""
+        """Yield the content from the beginning, then all added content; the iteration never ends."""
         at = 0
         while True:
             with self._grown:
@@ -120,7 +121,7 @@ class GrowingFile:
 
 RECORDS: Final = "records.rrd"
 INDEX: Final = "index.html"
-_REQUEST_TIMEOUT: Final = 10.0  # s for a client to send its request
+_REQUEST_TIMEOUT: Final = 10.0  # seconds for a client to send its request
 _TYPES: Final = {
     "html": "text/html",
     "js": "text/javascript",
@@ -140,7 +141,7 @@ _HEADERS: Final = {
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves the page from threads of its own until it is closed, or this process ends.
+    """Serves the page in its own threads until it is closed, or this process ends.
 
     Args:
         port: 0 for any free port; OSError is raised if a port isn't free.
@@ -149,18 +150,18 @@ class PageServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    allow_reuse_address = False  # refuse a used port
+    allow_reuse_address = False  # a port that is in use is refused
 
     def __init__(self, port: int, files: Callable[[], dict[str, bytes]], pieces: Callable[[], Iterable[bytes]]) -> None:
         super().__init__((HOST, port), _Request)
         self.files, self.pieces = files, pieces
-        self.host = f"{HOST}:{self.server_port}"  # its name and port, as browsers send them
-        self.token = secrets.token_urlsafe(16)  # which requests must contain
+        self.host = f"{HOST}:{self.server_port}"  # name and port of the server, as browsers send them
+        self.token = secrets.token_urlsafe(16)  # secret token, which each request must contain
         threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
 
     @property
     def address(self) -> str:
-        """The address of the page's folder; anybody with it may read the records."""
+        """The address of the page's folder; anybody who knows the address may read the records."""
         return f"http://{self.host}/{self.token}/"
 
     def server_bind(self) -> None:
@@ -228,7 +229,7 @@ class _Request(BaseHTTPRequestHandler):
 
 NAMES: Final = (INDEX, "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico")
 _PROGRAM: Final = Path(rerun_cli.__file__).with_name("rerun")
-_TIMEOUT: Final = 20.0  # s for the program to answer
+_TIMEOUT: Final = 20.0  # seconds for the program to answer
 _ADDRESS: Final = re.compile(rb"web-viewer at http://127\.0\.0\.1:(\d+)")
 # With an address of records, the program serves the page only. CI=1 turns its usage statistics off.
 _OPTIONS: Final = ("--serve-web", "--bind", HOST, "--web-viewer-port", "0", f"rerun+http://{HOST}:1/proxy")
@@ -266,7 +267,7 @@ def read_viewer_files() -> dict[str, bytes]:
 
 
 def _port(process: subprocess.Popen[bytes]) -> int:
-    """Return the port that the program prints: a port that was free before could be another server's by now."""
+    """Return the port that the program prints: a port that was free before may now belong to another server."""
     said = b""
     for line in process.stderr or ():
         said = line
