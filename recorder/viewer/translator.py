@@ -182,7 +182,7 @@ _EYE: Final = (-2.6, -2.6, 2.3)  # position in m, relative to a world's centre
 
 
 def blueprint(worlds: Mapping[str, Vector], front: str = "") -> rrb.Blueprint:
-    """Return the layout for a recording; ``worlds`` has the centres of known worlds in m; the tab of ``front`` is open."""
+    """Return the layout for a recording; ``worlds`` has the known centres in m; the tab of ``front`` is open."""
     left, right = _scenes("", worlds, front), _details("", worlds)
     return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
 
