@@ -190,7 +190,7 @@ class Block:
         try:
             if self._decided or self.scope.is_cancelled:
                 branch.settle(State.CANCELLED)
-                branch.span.ask()
+                branch.span.announce()
                 branch.span.finish(Cancelled())
             elif self.policy.concurrent:
                 name = f"{self.name}-{self._taken} {branch.name}"

@@ -17,7 +17,7 @@ from pycram.foundation.failures import BadArgument, UsageError
 from pycram.scheduling.cancellation import body, raise_if_cancelled, wait
 from pycram.scheduling.future import unwrap
 from recorder.tasks import State
-from recorder.tracing.span import Span
+from recorder.tracing.span import Cancelled, Span
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,6 +98,7 @@ class Branch:
         """Set its outcome, once."""
         if not self._begun:
             self._dropped()
+            self.span.finish(error or Cancelled())  # if its request is on record
         self.action, self.context, self._dropped = _nothing, _EMPTY_CONTEXT, _nothing
         self._result, self.error = result, error
         self.state = state  # last: other threads may read it

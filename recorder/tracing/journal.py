@@ -200,6 +200,9 @@ class RunningTask(Protocol):
     def id(self) -> int:
         """Its number, from 1."""
 
+    def announce(self) -> None:
+        """Record the request of the task, unless its request or its start is on record."""
+
 
 #: The running task of this context, or None; set by :mod:`recorder.tracing.span`.
 current_task: ContextVar[RunningTask | None] = ContextVar("pycram_task", default=None)
@@ -209,6 +212,18 @@ def task_id() -> int:
     """Return the id of the running task of this context; 0 without a task."""
     task = current_task.get()
     return task.id if task is not None else 0
+
+
+def announced_task_id() -> int:
+    """Return the id of the task that runs in this context, 0 for none; its beginning is on record.
+
+    The body of a block is read before the block's branch starts, and may already change a world.
+    """
+    task = current_task.get()
+    if task is None:
+        return 0
+    task.announce()
+    return task.id
 
 
 _registry = threading.Lock()
@@ -284,7 +299,7 @@ def emit(
     context.require_stack_room(context.FOR_RECORD)
     record.world = world
     record.sim_step = sim_step
-    record.task = task_id() if task is None else task
+    record.task = announced_task_id() if task is None else task
     record.thread = current_name()
     steps = {}
     for journal in _listening():

@@ -99,7 +99,7 @@ class _Origin(NamedTuple):
 
     @classmethod
     def here(cls) -> _Origin:
-        return cls(call_site(), journal.task_id())
+        return cls(call_site(), journal.announced_task_id())
 
 
 class RecordedStream:

@@ -84,6 +84,8 @@ class Span:
     error: BaseException | None = None  # a failure that isn't raised; set while it runs
     decision: Decision | None = None  # how the task was decided; set while the task runs, or before
     checkpoint: int = 0  # checkpoint at which the clock or a worker thread decided the task; set while the task runs
+    #: The task of the context in which this task was made.
+    _around: Span | None = field(default_factory=lambda: _current.get(), repr=False)  # noqa: PLW0108  defined below
     _start_ns: int = 0
     _begun: bool = False
     _ended: bool = False
@@ -93,6 +95,11 @@ class Span:
     def ask(self) -> None:
         """Record the request of a task that starts later or in another thread."""
         self._emit_begin(Task.ASKED, Task.CREATED)
+
+    def announce(self) -> None:
+        """Record the request of the task, unless its request or its start is on record."""
+        if not self._begun and not journal.is_unrecorded():
+            self.ask()
 
     def start(self, began_ns: int = 0) -> None:
         """Record the start.
@@ -177,6 +184,8 @@ class Span:
         if self.parameters:
             record.parameters.extend(arguments(self.parameters))
         self._begun = True
+        if self._around is not None and self._around.id == self.parent:
+            self._around.announce()
         self._emit(record)
 
     def _record(self, phase: Task.Phase, status: Task.Status) -> Task:
