@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from functools import singledispatch
 from html import escape
 from typing import TYPE_CHECKING, Final
 
@@ -15,6 +16,12 @@ _MAX_LINES: Final = 40  # largest number of shown lines of a section
 _PRE: Final = '<pre style="margin:0 0 0.3em 1em;white-space:pre-wrap;line-height:1.3">'
 _CELL: Final = '<td style="text-align:left">'
 _HEAD: Final = '<th style="text-align:left">'
+
+
+@singledispatch
+def rendered(value: object) -> str:
+    """Return HTML of a value; a module that has the words for a class registers a function for it."""
+    return page(repr(value))
 
 
 def page(title: str, *parts: str) -> str:
@@ -33,6 +40,11 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[object]], limit: int =
 def _cell(value: object) -> str:
     text = "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
     return escape(text if len(text) <= _MAX_CELL else text[: _MAX_CELL - 3] + "...")
+
+
+def vector(values: Iterable[float]) -> str:
+    """Return numbers with three decimals, without trailing zeros."""
+    return f"[{', '.join(f'{round(value, 3) + 0.0:g}' for value in values)}]"
 
 
 def text(lines: Iterable[str]) -> str:

@@ -40,13 +40,16 @@ if TYPE_CHECKING:
 _MAX_ERRORS: Final = 1000
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Recording:
     """A recording in progress."""
 
     path: Path
     journal: Journal  # numbers its records
     viewer: RerunSink | None = None  # the viewer that shows the recording live
+
+    def __repr__(self) -> str:
+        return f"<Recording {self.path}: {self.length} records so far>"
 
     @property
     def length(self) -> int:

@@ -9,7 +9,9 @@ import io
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from recorder import html
 from replay.errors import ReplayError
+from replay.file.lifetimes import title
 from replay.file.record_reader import RecordReader
 from replay.history.steps import moment_of, step_of
 from replay.state.fold import last_open_step, state_at
@@ -41,7 +43,8 @@ class _Moment:
 
     def last_open(self, world: str | None) -> State:
         """Return the state after the last step at which a world was open."""
-        return state_at(self.log, last_open_step(self.log, self.step, world))
+        step = last_open_step(self.log, self.step, world)
+        return replace(state_at(self.log, step), source=_Moment(self.log, step, None))
 
     def png(self, world: str) -> bytes | None:
         """Return a small picture of a world; None without the packages that draw, or if models are missing."""
@@ -64,6 +67,23 @@ class Recording(RecordReader):
     Raises:
         NotALog: the file is no recording, or completely unreadable.
     """
+
+    def _repr_html_(self) -> str:
+        from replay.history.summary import summary  # noqa: PLC0415  slow to import
+
+        info = summary(self)
+        worlds = ", ".join(f"{title(each.world, each.lifetime)}: {each.seconds:.3f} s" for each in info.worlds)
+        facts = {
+            "plan": info.plan,
+            "started": f"{info.started:%Y-%m-%d %H:%M:%S} UTC",
+            "took": f"{info.seconds:.3f} s",
+            "outcome": info.outcome,
+            "failure": info.failure,
+            "worlds": worlds,
+            "incomplete": info.problems,
+        }
+        rows = [(name, text) for name, text in facts.items() if text]
+        return html.page(f"{self.path}: {info.records} steps", html.table(("", ""), rows))
 
     def step(self, name: int | str) -> int:
         """Return the number of a step; see :func:`replay.history.steps.step_of` for the names."""
@@ -102,6 +122,7 @@ class Recording(RecordReader):
 
     def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:
         """Return the last change of a body or joint; see :func:`replay.history.blame.blame`."""
+        from replay.explain import blame_report  # noqa: F401, PLC0415  how notebooks show it
         from replay.history.blame import blame  # noqa: PLC0415  as above
 
         return blame(self, target, None if step is None else self.step(step), world)

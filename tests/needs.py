@@ -22,10 +22,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
 
 _SYSTEM: Final = "`make system-packages`"
+_DEV: Final = "`make test`"
 _LONG: Final = "`make test-long`"
 _REASON: Final = "this machine has no "
 #: Modules that only the environment of the long measures has.
 _PACKAGES: Final = {"Ray": "ray", "PyAV": "av", "polars": "polars", "datasets": "datasets"}
+#: Modules of the extra `dev` that only some tests use.
+_DEV_PACKAGES: Final = {"Jupyter": "nbclient"}
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
 #: What the viewer's window loads when it opens.
 _WINDOW_LIBRARIES: Final = (
@@ -84,7 +87,7 @@ _FOUND: Final[dict[str, Callable[[], bool]]] = {
     "window libraries": lambda: _loads(*_WINDOW_LIBRARIES),
     "Chromium": lambda: _runs(browser() or "", "--version"),
     "network namespaces": lambda: _runs("unshare", "-rn", *_CABLE),
-    **{name: functools.partial(_is_installed, module) for name, module in _PACKAGES.items()},
+    **{name: functools.partial(_is_installed, module) for name, module in {**_PACKAGES, **_DEV_PACKAGES}.items()},
 }
 
 
@@ -109,6 +112,10 @@ def need(*names: str) -> None:
         (pytest.fail if os.environ.get("CI") else pytest.skip)(f"{_REASON}{', no '.join(missing)}")
 
 
+def _maker(name: str) -> str:
+    return _LONG if name in _PACKAGES else _DEV if name in _DEV_PACKAGES else _SYSTEM
+
+
 def summary(reasons: Iterable[str]) -> str | None:
     """Return the line that sums up what was skipped for what is missing; None if nothing was.
 
@@ -121,7 +128,7 @@ def summary(reasons: Iterable[str]) -> str | None:
     names = Counter(name for text in of_needs for name in text.split(", no "))
     tests = f"{len(of_needs)} test{'s' if len(of_needs) > 1 else ''}"
     missing = [name for name in _FOUND if name in names]
-    makers = list(dict.fromkeys(_LONG if name in _PACKAGES else _SYSTEM for name in missing))
+    makers = list(dict.fromkeys(_maker(name) for name in missing))
     install = f"{' and '.join(makers)} install{'s' if len(makers) == 1 else ''} them"
     return f"{tests} skipped: {', '.join(f'no {name}' for name in missing)}; {install}"
 

@@ -28,7 +28,7 @@ from pycram.world import saved_state
 from pycram.world.object import Object
 from pycram.world.saved_state import SavedState
 from pycram.world.world import BulletWorld, current_world, open_worlds
-from recorder import records
+from recorder import html, records
 from recorder.recording import record
 from recorder.records import format_error
 from recorder.tracing import journal
@@ -77,7 +77,7 @@ class ProjectedError(PlanFailure):
 export("pycram.projection", NotProjectable, ProjectionDied, ProjectedError)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Outcome:
     """The outcome of a projected action."""
 
@@ -96,6 +96,18 @@ class Outcome:
 
     def __bool__(self) -> bool:
         return self.succeeded
+
+    def __repr__(self) -> str:
+        return f"<Outcome {self._summary()}>"
+
+    def _repr_html_(self) -> str:
+        recording = [f"recording: {self.recording}"] if self.recording is not None else []
+        return html.page(self._summary(), html.text(recording))
+
+    def _summary(self) -> str:
+        failed = f": {format_error(self.failure)}" if self.failure is not None else ""
+        ended = "succeeded" if self.succeeded else f"failed{failed}"
+        return " ".join(f"{self.action} {ended}, after {self.duration:.3f} s of simulated time".split())
 
     def __record__(self) -> object:
         """Return the result of the projection's task."""

@@ -28,7 +28,7 @@ from pycram.world.object import Object
 from pycram.world.overlaps import overlaps
 from pycram.world.simulation import RealtimeClock, Waits
 from pycram.world.transaction import ReadOnlyAttributes, TransactionManager, update
-from recorder import records
+from recorder import html, records
 from recorder.tracing import context, journal
 from recorder.tracing.context import current_name
 
@@ -197,6 +197,18 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
 
     def __repr__(self) -> str:
         return f"BulletWorld({self.mode!r}, name={self.name!r})"
+
+    def _repr_html_(self) -> str:
+        if self.closed:
+            return html.page(f"{self.name}: ended")
+        rows = []
+        for each in self.objects:
+            position, orientation = map(html.vector, each.get_position_and_orientation())
+            attached = ", ".join(other.name for other in each.attachments)
+            rows.append((each.name, each.type, position, orientation, attached))
+        title = f"{self.name}: {self.sim_step / records.STEPS_PER_SECOND:.3f} s simulated"
+        columns = ("object", "type", "position, m", "orientation, xyzw", "attached to")
+        return html.page(title, html.table(columns, rows))
 
     def __record__(self) -> object:
         """Return its reference in records."""

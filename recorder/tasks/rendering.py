@@ -12,7 +12,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from functools import partial
 from html import escape as escape_quotes
-from itertools import groupby
+from itertools import groupby, islice
 from operator import attrgetter
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -76,6 +76,15 @@ def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: b
             stack += [(level + 1, part) for part in reversed(parts)]
         elif item.parts:
             stack.append((level + 1, f"... {sum(1 for _ in item.walk()) - 1} below"))
+
+
+def depth_of(tree: Tree, limit: int) -> int | None:
+    """Return the largest depth at which a tree has at most some rows, at least 1; None for all depths."""
+    deepest = max((depth for depth, _ in tree.walk()), default=0) + 1
+    for depth in range(1, deepest + 1):
+        if len(list(islice(rows(tree, depth, output=False), limit + 1))) > limit:
+            return max(depth - 1, 1)
+    return None
 
 
 def lines(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:

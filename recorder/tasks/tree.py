@@ -17,7 +17,7 @@ from functools import lru_cache
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, cast
 
-from recorder import notebook
+from recorder import html, notebook
 from recorder.records import STEPS_PER_SECOND, Task, argument_values
 from recorder.tasks import rendering
 
@@ -425,3 +425,6 @@ class Tree:
 
     def __repr__(self) -> str:
         return f"Tree({len(self)} tasks)"
+
+    def _repr_html_(self) -> str:
+        return html.page(f"{len(self)} tasks", self.to_svg(rendering.depth_of(self, html.MAX_ROWS * 2)))

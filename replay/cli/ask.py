@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 from replay.cli.console import native_output_to_stderr, numbers, print_moment, print_result
@@ -11,7 +10,6 @@ from replay.history.steps import HINT
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator
 
     from recorder.records import Plain
     from replay.recording import Recording
@@ -44,8 +42,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
             options.step, options.question, world=options.world, moves=[_move(text) for text in options.move]
         )
     print_moment(log, options.step)
-    lines = [f"{answer.question}: {_answer(answer.answer)}", *_lines(answer.evidence, "  ")]
-    print_result(lambda: _data(answer), lines, as_json=options.json)
+    print_result(lambda: _data(answer), answer.lines(), as_json=options.json)
     return 0
 
 
@@ -77,31 +74,3 @@ def _data(answer: QueryAnswer) -> Plain:
         "answer": list(answer.answer) if isinstance(answer.answer, list) else answer.answer,
         "evidence": dict(answer.evidence),
     }
-
-
-def _answer(answer: bool | str | list[str | bool]) -> str:
-    if isinstance(answer, list):
-        return ", ".join(map(_answer, answer)) or "nothing"
-    return answer if isinstance(answer, str) else "yes" if answer else "no"
-
-
-def _lines(evidence: object, indent: str) -> Iterator[str]:
-    if not isinstance(evidence, dict):
-        return
-    width = max((len(name) for name in evidence), default=0)
-    for name, value in evidence.items():
-        if isinstance(value, dict) and value:
-            yield f"{indent}{name}"
-            yield from _lines(value, indent + "  ")
-        else:
-            yield f"{indent}{name:{width}}  {_short(value)}"
-
-
-def _short(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.5g}"
-    if isinstance(value, list):
-        return ", ".join(map(_short, value)) or "none"
-    if value == {}:
-        return "none"
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

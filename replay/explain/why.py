@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
+from recorder import html
 from recorder.records import Failure, Query, Run, argument_values
 from recorder.records.text import fates_text, foreseen, is_choice
 from replay.compare import Difference, difference
@@ -75,7 +76,7 @@ class ChangesSince:
     difference: Difference  # between the states after the task and before the failure
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Why:
     """The explanation of a failure."""
 
@@ -106,6 +107,16 @@ class Why:
     unfinished: tuple[Node, ...] = ()  # the innermost unfinished tasks of a recording that was cut off
     endless: tuple[Node, ...] = ()  # the innermost tasks whose end may be among lost records
     failed_threads: tuple[Run, ...] = ()  # records of other failed threads of the plan
+
+    def __repr__(self) -> str:
+        from replay.explain import why_report  # noqa: PLC0415  it imports this module
+
+        return f"<Why: {next(why_report.lines(self))}>"
+
+    def _repr_html_(self) -> str:
+        from replay.explain import why_report  # noqa: PLC0415  as above
+
+        return html.report(why_report.lines(self))
 
     @property
     def is_python_error(self) -> bool:

@@ -125,8 +125,8 @@ def _(tried: TriedAction) -> dict[str, object]:
 # --- as text ---------------------------------------------------------------------------------------------------------
 
 
-def lines(why: Why, path: str) -> Iterator[str]:
-    """Yield the explanation as text; ``path`` is the recording's, for commands."""
+def lines(why: Why, path: str = "") -> Iterator[str]:
+    """Yield the explanation as text; ``path`` is the recording's, for commands, which are left out without it."""
     causes = [line for cause in why.causes for line in cause.lines()]
     yield from _headline(why)
     yield from section("Unfinished at the end of the recording", _unfinished(why.unfinished))
@@ -155,7 +155,8 @@ def lines(why: Why, path: str) -> Iterator[str]:
     yield from section("Attempts", _attempts(why))
     yield from section("Queries on which the plan relied", _queries(why))
     yield from section("Changes since the last success", _changes(why))
-    yield from section("Look closer", _commands(why, shlex.quote(path)))
+    if path:
+        yield from section("Look closer", _commands(why, shlex.quote(path)))
 
 
 def _headline(why: Why) -> Iterator[str]:

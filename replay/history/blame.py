@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from recorder import html
 from recorder.records import Keyframe, Mutation
 from replay.errors import Damaged, NoSuchName
 from replay.history.tasks import CausingTasks, causing_tasks
@@ -38,7 +39,7 @@ class Carried:
     causes: CausingTasks | None  # of the attaching record
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Blame:
     """The last change of a body or joint."""
 
@@ -60,6 +61,13 @@ class Blame:
     carried: tuple[Carried, ...]  # the attachments to the commanded body, its own first
     #: Before a change in simulation: the last change of more than settling. Before a removal: the last change.
     earlier: Blame | None = None
+
+    def __repr__(self) -> str:
+        name = f"{self.body}.{self.joint}" if self.joint else self.body
+        return f"<Blame {name} in {self.world}: {self.how} at step {self.record.seq}>"
+
+    def _repr_html_(self) -> str:
+        return html.rendered(self)
 
 
 def blame(log: RecordReader, target: str, at: int | None = None, world: str | None = None) -> Blame:

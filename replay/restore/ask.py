@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 from pycram import bullet_world_reasoning as btr
 from pycram.foundation.failures import PycramError
 from pycram.reasoning.queries.query import RECORDED_AS, Verdict
+from recorder import html
 from recorder.records import Query, format_error, to_json
 from replay.errors import NoSuchName
 from replay.report.question import BadQuestion, Name, QueryCall, parse, question_of
@@ -22,7 +23,7 @@ from replay.restore.world import temporary_world
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from pycram.reasoning.queries.query import Found
     from pycram.world.object import Object
@@ -51,7 +52,7 @@ class Move:
     orientation: Quaternion | None = None  # xyzw; None leaves it unchanged
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class QueryAnswer:
     """The answer to a query."""
 
@@ -61,6 +62,18 @@ class QueryAnswer:
     answer: bool | list[str | bool]  # true or false, names of objects, or true or false for each target
     evidence: Mapping[str, Plain]  # the basis of the answer
     moves: tuple[Move, ...] = ()  # made before the query
+
+    def __repr__(self) -> str:
+        return f"<QueryAnswer after step {self.step}: {next(self.lines())}>"
+
+    def _repr_html_(self) -> str:
+        headline, *more = self.lines()
+        return html.page(headline, html.text(more))
+
+    def lines(self) -> Iterator[str]:
+        """Yield question, answer and evidence as text."""
+        yield f"{self.question}: {_answer(self.answer)}"
+        yield from _lines(self.evidence, "  ")
 
 
 def ask(
@@ -196,3 +209,31 @@ def _object(world: BulletWorld, name: str) -> Object:
     if name == "robot" and world.robot is not None:
         return world.robot
     raise NoSuchName("object", name, (body.name for body in world.objects))
+
+
+def _answer(answer: bool | str | list[str | bool]) -> str:
+    if isinstance(answer, list):
+        return ", ".join(map(_answer, answer)) or "nothing"
+    return answer if isinstance(answer, str) else "yes" if answer else "no"
+
+
+def _lines(evidence: object, indent: str) -> Iterator[str]:
+    if not isinstance(evidence, dict):
+        return
+    width = max((len(name) for name in evidence), default=0)
+    for name, value in evidence.items():
+        if isinstance(value, dict) and value:
+            yield f"{indent}{name}"
+            yield from _lines(value, indent + "  ")
+        else:
+            yield f"{indent}{name:{width}}  {_short(value)}"
+
+
+def _short(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    if isinstance(value, list):
+        return ", ".join(map(_short, value)) or "none"
+    if value == {}:
+        return "none"
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

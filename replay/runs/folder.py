@@ -31,6 +31,7 @@ import duckdb
 import pyarrow as pa
 from pyarrow import compute, parquet
 
+from recorder import html
 from replay.errors import NotALog, ReplayError
 from replay.file.record_reader import RecordReader
 from replay.runs.rows import FOLDER, NEW, partial_rows, read_rows, tables_of, written_rows
@@ -398,6 +399,11 @@ class Answer:
     def __repr__(self) -> str:
         return f"<Answer: {len(self)} rows of {', '.join(self.columns)}>"
 
+    def _repr_html_(self) -> str:
+        shown = Answer(self._table.slice(0, html.MAX_ROWS)).rows()
+        more = f"; the first {len(shown)}:" if len(shown) < len(self) else ""
+        return html.page(f"{len(self)} row{'' if len(self) == 1 else 's'}{more}", html.table(self.columns, shown))
+
     @property
     def columns(self) -> list[str]:
         """Names of the columns."""
@@ -449,6 +455,12 @@ class Runs:
 
     def __repr__(self) -> str:
         return f"<Runs {self.path}: {len(self)} runs>"
+
+    def _repr_html_(self) -> str:
+        counts = self.sql("SELECT outcome, count(*) AS runs FROM runs GROUP BY outcome ORDER BY runs DESC")
+        skipped = [f"{each.name} was skipped: {each.reason}" for each in self.skipped]
+        title = f"{self.path}: {len(self)} runs"
+        return html.page(title, html.table(counts.columns, counts.rows()), html.text(skipped))
 
     def __len__(self) -> int:
         return len(self.folder.runs)

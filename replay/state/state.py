@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
+from recorder import html
 from recorder.records import STEPS_PER_SECOND
 from replay.errors import NoSuchName
 from replay.file.lifetimes import title
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from replay.file.assets import Assets
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Body:
     """A body of a world."""
 
@@ -31,6 +32,9 @@ class Body:
     joints: Mapping[str, float] = field(default_factory=dict)  # positions by name, rad or m
     joint_velocities: Mapping[str, float] = field(default_factory=dict)  # by name, rad/s or m/s
     color: tuple[float, ...] = ()  # RGBA 0..1; empty: the color of its model
+
+    def __repr__(self) -> str:
+        return f"<Body {self.name} ({self.type}) at {html.vector(self.position)}>"
 
     @property
     def pose(self) -> Pose:
@@ -88,7 +92,7 @@ class RecordedBelief:
         return self.position, self.orientation
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class World:
     """The state of a world."""
 
@@ -105,6 +109,28 @@ class World:
     following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow, by number
     #: Beliefs by names of robot and object, the latest last.
     beliefs: Mapping[tuple[str, str], RecordedBelief] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<World {self._summary()}>"
+
+    def _repr_html_(self) -> str:
+        return html.page(self._summary(), self._table())
+
+    def _summary(self) -> str:
+        if not self.open:
+            return f"{self.title}: closed"
+        count = f"{len(self.bodies)} object{'' if len(self.bodies) == 1 else 's'}"
+        return f"{self.title}: {count}, {self.seconds:.3f} s simulated{self.robot and f', robot {self.robot}'}"
+
+    def _table(self) -> str:
+        if not self.bodies:
+            return ""
+        rows = []
+        for body in self.bodies.values():
+            held = self.carrier(body.name)
+            by = f"{held.carrier} {held.carrier_link}" if held is not None else ""
+            rows.append((body.name, body.type, html.vector(body.position), html.vector(body.orientation), by))
+        return html.table(("object", "type", "position, m", "orientation, xyzw", "held by"), rows)
 
     @property
     def title(self) -> str:
@@ -172,7 +198,7 @@ class MomentSource(Protocol):
         """Return a small picture of a world; None if none can be drawn."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class State:
     """All worlds after a step, or at a moment within the stretch of simulation that follows it."""
 
@@ -182,6 +208,22 @@ class State:
     assets: Assets | None = field(default=None, repr=False, compare=False)  # the recording's attached files
     sampled: Sampled | None = None  # the moment within a stretch of simulation; None after a step
     source: MomentSource | None = field(default=None, repr=False, compare=False)  # of states of an open recording
+
+    def __repr__(self) -> str:
+        worlds = "; ".join(world._summary() for world in self.worlds.values())  # noqa: SLF001  same module
+        return f"<State {self._when()}: {worlds or 'no worlds'}>"
+
+    def _repr_html_(self) -> str:
+        parts = []
+        for world in self.worlds.values():
+            png = self.source.png(world.name) if self.source is not None and world.open else None
+            parts += [world._repr_html_(), html.picture(png, world.title) if png is not None else ""]
+        if self.source is not None and self.worlds and not any(world.open for world in self.worlds.values()):
+            parts.append(self.source.last_open(None)._repr_html_())
+        return html.page(f"State {self._when()}{self.uncertainty and f'; {self.uncertainty}'}", *parts)
+
+    def _when(self) -> str:
+        return f"after step {self.step}" if self.sampled is None else f"at {self.sampled.at:.3f} s"
 
     def world(self, name: str | None = None) -> World:
         """Return a world by name; by default the last opened world that is still open.
