@@ -68,8 +68,8 @@ log.state_at(5).world().bodies["<i>milk</i>"]
 
 def run_cells(cells: list[str], folder: Path) -> list[list[Mapping[str, Any]]]:
     """Run cells in a kernel, also after errors; return their outputs."""
-    from nbclient import NotebookClient
-    from nbformat import v4
+    from nbclient import NotebookClient  # noqa: PLC0415  tests of notebooks alone need it
+    from nbformat import v4  # noqa: PLC0415  as above
 
     notebook = v4.new_notebook(cells=[v4.new_code_cell(cell) for cell in cells])
     resources = {"metadata": {"path": str(folder)}}
