@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Envelope, Event, Keyframe, Mutation, Query, Run, Task
-from replay.state.fold import apply, fold
+from replay.state.fold import apply
 from replay.state.json_data import message_data, world_data
 
 if TYPE_CHECKING:
@@ -128,11 +128,14 @@ class Integrity:
         elif isinstance(record, Run):
             cause = self.tasks.check_run(record)
         deviation = None
-        if isinstance(record, Keyframe) and self.knows(record.world) and not cause:
-            deviation = self._compare_keyframe(record)
-            cause = "" if deviation is None else "the keyframe differs from the fold of the previous records"
+        before = (
+            self._worlds[record.world].build() if isinstance(record, Keyframe) and self.knows(record.world) else None
+        )
         if isinstance(record, Mutation | Keyframe | Query) and not cause:
             cause = self._apply_change(record)
+        if isinstance(record, Keyframe) and before is not None and not cause:
+            deviation = self._compare_keyframe(record, before)
+            cause = "" if deviation is None else "the keyframe differs from the fold of the previous records"
         return Problem(step, cause, deviation, self.tasks.path(record.task)) if cause else None
 
     def _check_envelope(self, record: Record) -> str:
@@ -158,15 +161,13 @@ class Integrity:
             return f"the record is inconsistent: {error}"
         return ""
 
-    def _compare_keyframe(self, frame: Keyframe) -> Deviation | None:
+    def _compare_keyframe(self, frame: Keyframe, before: World) -> Deviation | None:
         self.keyframes += 1
         loaded: list[Plain] = [body.body for body in frame.loaded]
         states: list[Plain] = [body.body for body in frame.bodies]
         if loaded != states:
             return Deviation("bodies", states, loaded)
-        return first_deviation(
-            _plain(fold([frame]).worlds[frame.world]), _plain(self._worlds[frame.world].build()), frame.world
-        )
+        return first_deviation(_plain(self._worlds[frame.world].build()), _plain(before), frame.world)
 
 
 def _plain(world: World) -> Plain:

@@ -520,6 +520,8 @@ SAID: Final[dict[str, Callable[[list[Record], dict[str, bytes]], None]]] = {
     "NaN": every(DOUBLE, float("nan")),
     "far": every(DOUBLE, 1e30),
     "too far": every(DOUBLE, 1e300),
+    "squares beyond floats": every(DOUBLE, 5e307),
+    "infinite": every(DOUBLE, float("inf")),
     "control characters": every(TEXT, "\x1b[2J\u202e\x00"),
     "long": every(TEXT, "x" * 100_000),
     "nothing": every(TEXT, ""),
@@ -547,6 +549,25 @@ def test_what_records_say_harms_nobody(case: str, verbs: Sequence[list[str]], tm
 
     file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
     check(file, tmp_path, *verbs, damaged=False)
+
+
+@pytest.mark.parametrize("number", [float("inf"), float("nan"), 5e307])
+@pytest.mark.parametrize("field", ["orientation", "position", "velocity", "joint_positions", "joint_velocities"])
+def test_a_number_of_a_keyframe_that_is_none_is_damage(field: str, number: float, tmp_path: Path) -> None:
+    changed = []
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        for record in records:
+            if isinstance(record, Keyframe):
+                for body in record.bodies:
+                    numbers = getattr(body, field)
+                    if numbers:
+                        numbers[0] = number
+                        changed.append(body.body)
+
+    file = hostile.rewritten(GOLDEN.parent / "motions" / GOLDEN.name, tmp_path / "x.mcap", change)
+    assert changed
+    check(file, tmp_path, ["verify", "--static"], ["state", "last"], ["info"], damaged=False)
 
 
 @pytest.mark.measure("steps that can't be, by every verb")
