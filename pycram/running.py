@@ -117,7 +117,9 @@ def run(
     unrecorded |= isinstance(getattr(error, "__context__", None), RecordingError)
     if recording is not None and recording.path.is_file() and not unrecorded:
         shown = recording.path if log.is_absolute() else Path(os.path.relpath(recording.path, folder))
-        _print_next_steps(shown, recording.path.stat().st_size / 1e6, code)
+        tell(f"pycram: recorded to {shown} ({recording.path.stat().st_size / 1e6:.1f} MB). Next:")
+        for verb in ("info", "tree", "view") if code == SUCCEEDED else ("why", "tree", "view"):
+            tell(f"  pycram-replay {verb} {shlex.quote(str(shown))}")
         if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
         if debug and code == FAILED:
@@ -167,12 +169,6 @@ def _keep_page(recording: Recording) -> None:
     tell("pycram: the page stays until Ctrl-C")
     with contextlib.suppress(KeyboardInterrupt):
         recording.viewer.wait()
-
-
-def _print_next_steps(log: Path, size: float, code: int) -> None:
-    tell(f"pycram: recorded to {log} ({size:.1f} MB). Next:")
-    for verb in ("info", "tree", "view") if code == SUCCEEDED else ("why", "tree", "view"):
-        tell(f"  pycram-replay {verb} {shlex.quote(str(log))}")
 
 
 def chosen_seed(given: int | None) -> int:

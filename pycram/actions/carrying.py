@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from pycram.actions.containers import Access
     from pycram.models.surfaces import Surface
-    from pycram.reasoning.places import Place
+    from pycram.reasoning.places import FoundPlace
     from pycram.reasoning.places.goals import Target
     from pycram.world.object import Object
 
@@ -122,7 +122,7 @@ def _from_places(
                 return
 
 
-def _stance(place: Place) -> LocationDesignator:
+def _stance(place: FoundPlace) -> LocationDesignator:
     return LocationDesignator(position=place.position, orientation=place.orientation)
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from pycram.models.surfaces import Surface
     from pycram.motions.designator import Resolver, Solution
-    from pycram.reasoning.places import Place
+    from pycram.reasoning.places import FoundPlace
 
 #: Surfaces with their furniture.
 Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
@@ -196,7 +196,7 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
         }
 
 
-def _objects_places(slots: Mapping[str, Any]) -> Iterator[Place]:
+def _objects_places(slots: Mapping[str, Any]) -> Iterator[FoundPlace]:
     if "for" not in slots:
         known = sorted({body.type for body in _furniture() if not body.is_environment})
         problem = f"missing slot for: the object that is to be put there; {suggestion('', known)}"
@@ -215,7 +215,7 @@ def _objects_places(slots: Mapping[str, Any]) -> Iterator[Place]:
     )
 
 
-def _robots_places(slots: Mapping[str, Any]) -> Iterator[Place]:
+def _robots_places(slots: Mapping[str, Any]) -> Iterator[FoundPlace]:
     target = slots.get("reachable-for")
     seen = slots.get("visible-for")
     robot, away = BulletWorld.current_robot(), _point(slots.get("away-from"))
@@ -231,7 +231,7 @@ def _robots_places(slots: Mapping[str, Any]) -> Iterator[Place]:
     return _far_from(away, places, robot)
 
 
-def _far_from(point: Sequence[float], places: Iterator[Place], robot: Object) -> Iterator[Place]:
+def _far_from(point: Sequence[float], places: Iterator[FoundPlace], robot: Object) -> Iterator[FoundPlace]:
     near = 0
     for place in places:
         if math.dist(place.position[:2], point[:2]) >= _AWAY:

@@ -26,7 +26,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from pycram.reasoning.places import Place
+    from pycram.reasoning.places import FoundPlace
     from pycram.world.object import Object
     from recorder.geometry import PoseLike, Quaternion, Vector
 
@@ -292,7 +292,7 @@ class _Search:
         return self._distance(position) < _NEAR
 
 
-def _facing(place: Place, point: _Point) -> Quaternion:
+def _facing(place: FoundPlace, point: _Point) -> Quaternion:
     """Return the orientation in which a robot at a place faces a point."""
     across, along = (point.position[axis] - place.position[axis] for axis in (0, 1))
     return geometry.from_rpy(0.0, 0.0, math.atan2(along, across))

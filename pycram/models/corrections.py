@@ -91,10 +91,6 @@ def _rectangle(argument: str, value: object) -> tuple[tuple[float, float], ...]:
     return (-a, -b), (a, -b), (a, b), (-a, b)
 
 
-def _height(argument: str, value: object) -> float:
-    return math.inf if value == math.inf else checks.in_range(argument, value, 0.0)
-
-
 def _kind(argument: str, value: object) -> str:
     if value not in (DRAWER, DOOR):
         raise BadArgument(argument, value, f'"{DRAWER}" or "{DOOR}"')
@@ -114,7 +110,7 @@ ENTRIES: Final[Mapping[str, Mapping[str, Callable[[str, object], Any]]]] = {
         "orientation": checks.quaternion,
         "size": _rectangle,
         "outline": _polygon,
-        "clearance": _height,
+        "clearance": lambda name, value: math.inf if value == math.inf else checks.in_range(name, value, 0.0),
         "container": _optional_text,
     },
     _CONTAINERS: {

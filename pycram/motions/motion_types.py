@@ -75,14 +75,6 @@ def _gripper_resources(given: dict[str, Value]) -> Resources:
     return Resources({f"{arm}-gripper" for arm in _arms(given, "gripper")})
 
 
-def _joint_resources(given: dict[str, Value]) -> Resources:
-    return Resources({f"{arm}-arm" for arm in arm_names() if f"{arm}-arm" in given})
-
-
-def _base_resources(_: dict[str, Value]) -> Resources:
-    return Resources({"base"}, {f"{arm}-{part}" for arm in arm_names() for part in ("arm", "gripper")})
-
-
 # --- the types -------------------------------------------------------------------------------------------------------
 
 _ARM: Final = Slot("arm", slots.ARM, default=lambda _: slots.default_arm(), otherwise='The only arm, or "left"')
@@ -104,7 +96,9 @@ TYPES: Final = {
                 Slot("orientation", slots.ORIENTATION, default=_heading, otherwise="The robot's orientation now"),
             ),
             cmd="navigate",
-            resources=_base_resources,
+            resources=lambda _: Resources(
+                {"base"}, {f"{arm}-{part}" for arm in arm_names() for part in ("arm", "gripper")}
+            ),
         ),
         MotionType(
             "pick-up",
@@ -183,7 +177,7 @@ TYPES: Final = {
             (Slot("NAME-arm", slots.POSTURE, otherwise="that arm stays as it is"),),
             one_of=("NAME-arm",),
             cmd="move-joints",
-            resources=_joint_resources,
+            resources=lambda given: Resources({f"{arm}-arm" for arm in arm_names() if f"{arm}-arm" in given}),
             per_arm=True,
         ),
         MotionType(

@@ -29,7 +29,7 @@ _DROP_HEIGHT: Final = 0.03  # m; largest height of a body above the floor of the
 
 
 @dataclass(frozen=True, slots=True)
-class Attachment:
+class BodyAttachment:
     """One object carried by another."""
 
     carrier: Object
@@ -118,7 +118,7 @@ def renew(body: Object, transaction: Transaction) -> None:
         _hold(carrier, old.carrier_link, body, old.body_link, transaction)
 
 
-def end(attachment: Attachment, transaction: Transaction) -> None:
+def end(attachment: BodyAttachment, transaction: Transaction) -> None:
     """End an attachment as part of a transaction."""
     carrier, body = attachment.carrier, attachment.body
     del carrier._attachments[body], body._attachments[carrier]  # noqa: SLF001  this module keeps both sides equal
@@ -142,7 +142,7 @@ def _hold(
     held_pose = geometry.multiply(pose, geometry.multiply(geometry.invert(base), held))
     constraint = engine.fix(carrier.handle, link, body.handle, body_link, held_pose)
     engine.pass_through(carrier.handle, link, body.handle, robot=carrier.is_robot, enable=True)
-    attachment = Attachment(carrier, link, body, body_link, pose, constraint)
+    attachment = BodyAttachment(carrier, link, body, body_link, pose, constraint)
     carrier._attachments[body] = body._attachments[carrier] = attachment  # noqa: SLF001  see end
     transaction.mark_attached(attachment)
 

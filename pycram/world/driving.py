@@ -168,7 +168,7 @@ class Trajectories:
             raise FollowsTrajectory(action, followed.body.name, number, followed.trajectory.joints)
 
 
-class PlannedMotion(Protocol):
+class FollowableMotion(Protocol):
     """A motion that was planned."""
 
     @property
@@ -181,7 +181,7 @@ class PlannedMotion(Protocol):
 
 
 @refusing(name="follow")
-def follow(world: BulletWorld, motions: Sequence[tuple[Object, PlannedMotion]]) -> None:
+def follow(world: BulletWorld, motions: Sequence[tuple[Object, FollowableMotion]]) -> None:
     """Let bodies follow trajectories that start together, and wait in simulated time until all have ended.
 
     An error that ends the wait early stops all of them: they slow down along their paths for at most 0.2 s of
@@ -204,7 +204,10 @@ def follow(world: BulletWorld, motions: Sequence[tuple[Object, PlannedMotion]]) 
             for body, planned in motions:
                 begun.append(begin(world, body, planned.trajectory, planned.search))
         simulation.wait(world, lambda: all(each.ended for each in begun) or any(each.lost for each in begun))
-        _raise_lost(begun)
+        for each in begun:
+            if each.lost is not None and each.body.alive:
+                joint, error = each.lost
+                raise TrackingLost(each.body.name, each.number, joint, error, each.time, _touching(each.body, joint))
     finally:
         _stop_all(world, begun)
     for each in begun:
@@ -325,13 +328,6 @@ def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, floa
         if distance > limit:
             return name, start, at
     return None
-
-
-def _raise_lost(begun: Sequence[Followed]) -> None:
-    for each in begun:
-        if each.lost is not None and each.body.alive:
-            joint, error = each.lost
-            raise TrackingLost(each.body.name, each.number, joint, error, each.time, _touching(each.body, joint))
 
 
 def _touching(body: Object, joint: str) -> list[CollisionPair]:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pycram.models.load import Model
     from pycram.models.surfaces import Container
     from pycram.physics.body import LoadedBody
-    from pycram.world.attachment import Attachment
+    from pycram.world.attachment import BodyAttachment
     from pycram.world.world import BulletWorld
     from recorder.geometry import Pose, Quaternion, Vector
     from recorder.urdf import Urdf
@@ -121,7 +121,7 @@ class Object(ReadOnlyAttributes):
             self.description = description or find_description(self.urdf)
         self.original_pose: Pose = pose
         self.original_joints: Mapping[str, float] = MappingProxyType({})
-        self._attachments: dict[Object, Attachment] = {}
+        self._attachments: dict[Object, BodyAttachment] = {}
         self._handle: LoadedBody | None = None
         #: Objects that this one overlapped when it was loaded; :class:`Overlapping` warned of them.
         self.overlaps: Sequence[records.Overlap] = ()
@@ -387,12 +387,12 @@ class Object(ReadOnlyAttributes):
     # --- attachments -------------------------------------------------------------------------------------------------
 
     @property
-    def attachments(self) -> Mapping[Object, Attachment]:
+    def attachments(self) -> Mapping[Object, BodyAttachment]:
         """All attachments of the object, as carrier or carried, by the other object."""
         return MappingProxyType(self._attachments)
 
     @property
-    def carried(self) -> list[Attachment]:
+    def carried(self) -> list[BodyAttachment]:
         """Attachments in which the object is the carrier."""
         return [held for held in self._attachments.values() if held.carrier is self]
 

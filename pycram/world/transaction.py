@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from pycram.physics.body import Snapshot
-    from pycram.world.attachment import Attachment
+    from pycram.world.attachment import BodyAttachment
     from pycram.world.event import Event
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
@@ -51,8 +51,8 @@ class Transaction:
     modified: dict[str, Object] = field(default_factory=dict)  # objects whose state may have changed, by name
     removed: list[str] = field(default_factory=list)  # names of removed objects
     #: Attachments that are new or have a new relative pose, by the names of carrier and body.
-    attached: dict[tuple[str, str], Attachment] = field(default_factory=dict)
-    detached: list[Attachment] = field(default_factory=list)  # attachments that ended
+    attached: dict[tuple[str, str], BodyAttachment] = field(default_factory=dict)
+    detached: list[BodyAttachment] = field(default_factory=list)  # attachments that ended
     samples: list[records.Sample] = field(default_factory=list)  # states within a simulation
     number: Callable[[Journal], None] | None = None  # sets step numbers in the command, for each recording
     #: Called with the lock held when the transaction is recorded; the calls that they return are made after that.
@@ -63,7 +63,7 @@ class Transaction:
         for body in bodies:
             self.modified[body.name] = body
 
-    def mark_attached(self, attachment: Attachment) -> None:
+    def mark_attached(self, attachment: BodyAttachment) -> None:
         """Record an attachment that is new or has a new relative pose."""
         self.attached[attachment.carrier.name, attachment.body.name] = attachment
 

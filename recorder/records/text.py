@@ -341,22 +341,15 @@ def _out_of_reach(data: Mapping[str, Any]) -> str:
     return "out of reach" if distance is None else f"out of reach by {' and '.join(parts)}"
 
 
-def _misfit(data: Mapping[str, Any]) -> str:
-    width = data["width"]
-    if width is None:
-        return "nothing to take there"
-    return f"{width * 1e3:.0f} mm wide, the fingers hold {data['least'] * 1e3:.0f} to {data['most'] * 1e3:.0f} mm"
-
-
-def _unseen(data: Mapping[str, Any]) -> str:
-    share, hiders = data["share"], ", ".join(data["hidden_by"])
-    return (f"seen to {share:.0%} only" if share else "not seen") + (f" (behind {hiders})" if hiders else "")
-
-
 _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     "OutOfReach": _out_of_reach,
     "Touching": lambda data: _pairs(data) + (f", and {data['more']} more" if data.get("more") else ""),
-    "Misfit": _misfit,
+    "Misfit": lambda data: (
+        "nothing to take there"
+        if data["width"] is None
+        else f"{data['width'] * 1e3:.0f} mm wide, "
+        f"the fingers hold {data['least'] * 1e3:.0f} to {data['most'] * 1e3:.0f} mm"
+    ),
     "Uneven": lambda data: (
         "nothing to take there" if data["height"] is None else f"uneven by {data['height'] * 1e3:.0f} mm"
     ),
@@ -365,7 +358,10 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
         "its fingers would touch it on one side only" if data["sides"] else "its fingers would close on nothing"
     ),
     "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
-    "Unseen": _unseen,
+    "Unseen": lambda data: (
+        (f"seen to {data['share']:.0%} only" if data["share"] else "not seen")
+        + (f" (behind {', '.join(data['hidden_by'])})" if data["hidden_by"] else "")
+    ),
     "Unreached": lambda data: (
         f"no path in {data['checks']} checks, which came within {data['distance']:.2f} of the goal"
         + (f"; most often {pairs}" if (pairs := _pairs(data)) else "")

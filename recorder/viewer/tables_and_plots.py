@@ -200,10 +200,8 @@ class Plots:
             world, body, joint = key
             path = self._columns.path("plots", *((JOINTS, world, body, joint) if joint else (HEIGHTS, world, body)))
             self._columns.send_static(path, rr.SeriesLines(interpolation_mode=_STEPS))
-            series = self._series[key] = self._columns.series(path, _scalars)
+            series = self._series[key] = self._columns.series(
+                path, lambda rows: rr.Scalars.columns(scalars=[each for (each,) in rows])
+            )
             series.add(last[0], (last[1],))
         series.add(now, (value,))
-
-
-def _scalars(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    return rr.Scalars.columns(scalars=[value for (value,) in rows])

@@ -10,7 +10,7 @@ are folded: only the last few children of a task are shown, and only the childre
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import rerun as rr
 
@@ -88,12 +88,9 @@ class TaskTimeline:
         if key not in self._lanes:
             beside = f".{running.slot + 1}" if running.slot else ""
             path = self._columns.path(LANES, f"{running.depth}{beside}")
-            self._lanes[key] = _Lane(path, self._columns.series(path, _states))
+            states = self._columns.series(path, lambda rows: rr.StateChange.columns(state=[state for (state,) in rows]))
+            self._lanes[key] = _Lane(path, states)
         return self._lanes[key]
-
-
-def _states(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    return rr.StateChange.columns(state=[state for (state,) in rows])
 
 
 GRAPH: Final = "graph"

@@ -232,7 +232,9 @@ class Prompt(cmd.Cmd):
         if arrival.text:
             self.print_error(f"the plan differs from its recording after step {step}: {arrival.text}")
         self.stack = self.session.plan.ask("where")
-        self.frame = self._frame_of(halt)
+        lines = [each.line for each in halt.met if each.line is not None]
+        stopped = [number for number, each in enumerate(self.stack) if (each["file"], each["line"]) in lines]
+        self.frame = stopped[0] if stopped else 0  # the frame at the breakpoint, or the innermost frame
         self._listed = 0
         self._print_step(step)
         if self.follow is not None:
@@ -245,12 +247,6 @@ class Prompt(cmd.Cmd):
         before, after = change[-2:]
         texts = [each if isinstance(each, str) else _short(each) for each in (before, after)]
         return f": {texts[0]} -> {texts[1]}"
-
-    def _frame_of(self, halt: Halt) -> int:
-        """Return the number of the frame at a breakpoint; without a breakpoint 0, the innermost frame."""
-        lines = [each.line for each in halt.met if each.line is not None]
-        frames = [number for number, each in enumerate(self.stack) if (each["file"], each["line"]) in lines]
-        return frames[0] if frames else 0
 
     def _print_step(self, step: int) -> None:
         record = self.log[step]
@@ -550,24 +546,27 @@ class Prompt(cmd.Cmd):
         found: list[str] = self.session.plan.ask("complete", frame=self.frame, text=text)
         return found
 
-    def _complete_place(self, text: str, *_: Any) -> list[str]:
+    def complete_break(self, text: str, *_: Any) -> list[str]:
+        """Complete the name of a task or an event."""
         timeline = self.session.timeline
         names = {*timeline.kinds.values(), *(path[-1] for path in timeline.paths.values()), *timeline.events}
         return _beginning(text, (*names, "failure", "event"))
 
-    def _complete_quantity(self, text: str, *rest: Any) -> list[str]:
+    def complete_watch(self, text: str, *rest: Any) -> list[str]:
+        """Complete the name of a quantity."""
         from replay.debug.expressions import quantity_names  # noqa: PLC0415  as above
 
         found = _beginning(text, quantity_names(self.log, self.session.step))
         return found or self.completedefault(text, *rest)
 
-    def _complete_object(self, text: str, *_: Any) -> list[str]:
+    def complete_state(self, text: str, *_: Any) -> list[str]:
+        """Complete the name of an object."""
         worlds = self.log.state_at(self.session.step).worlds.values()
         return _beginning(text, (name for world in worlds for name in world.bodies))
 
-    complete_break = complete_tbreak = _complete_place
-    complete_watch = complete_rwatch = _complete_quantity
-    complete_state = complete_blame = _complete_object
+    complete_tbreak = complete_break
+    complete_rwatch = complete_watch
+    complete_blame = complete_state
 
     do_s, do_n, do_r, do_unt = do_step, do_next, do_return, do_until
     do_c = do_cont = do_continue

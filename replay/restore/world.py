@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-    from recorder.records import AttachBody, BeginTrajectory, LoadBody, Record
+    from recorder.records import BeginTrajectory, LoadBody, Record
     from replay.file.record_reader import RecordReader
     from replay.state.state import Body, RecordedBelief, Sampled, World
 
@@ -312,11 +312,6 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
         return reexecution.worlds.pop(name)
 
 
-def _attach(world: BulletWorld, command: AttachBody) -> None:
-    carrier, body = world.get_object(command.carrier), world.get_object(command.body)
-    carrier.attach(body, command.carrier_link or None, command.body_link or None)
-
-
 def _begin_trajectory(world: BulletWorld, command: BeginTrajectory) -> None:
     search = command.search if command.HasField("search") else None
     trajectory = Trajectory.of_record(command.trajectory)
@@ -331,7 +326,9 @@ _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
     "move_joints": lambda world, command: world.get_object(command.body).set_joint_positions(
         dict(zip(command.joints, command.positions, strict=True))
     ),
-    "attach_body": _attach,
+    "attach_body": lambda world, command: world.get_object(command.carrier).attach(
+        world.get_object(command.body), command.carrier_link or None, command.body_link or None
+    ),
     "detach_body": lambda world, command: world.get_object(command.carrier).detach(world.get_object(command.body)),
     "set_gravity": lambda world, command: world.set_gravity(command.gravity),
     "set_color": lambda world, command: world.get_object(command.body).set_color(command.color),

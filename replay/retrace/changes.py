@@ -420,7 +420,10 @@ class AnswerOracle:
         if isinstance(recorded, Query) and _answers(recorded, question, world):
             self._beside[threading.get_ident()] = recorded
             self.taken += 1
-            return _taken(recorded, world)
+            answer = _live(from_json(recorded.answer_json), world)
+            evidence = {each.name: _live(from_json(each.json), world) for each in recorded.evidence}
+            picture = recorded.picture if recorded.HasField("picture") else None
+            return Found(answer, evidence, picture) if isinstance(answer, list) else Verdict(answer, evidence, picture)
         own = ask()
         for given in self.given:
             if given.fits(question.name, question.arguments, world):
@@ -453,13 +456,6 @@ def _answers(recorded: Query, question: Asked, world: BulletWorld) -> bool:
     moment = recorded.name, recorded.world, recorded.sim_step
     same_moment = moment == (question.name, world.name, world.sim_step)
     return same_moment and list(recorded.arguments) == records.arguments(question.arguments)
-
-
-def _taken(recorded: Query, world: BulletWorld) -> Verdict | Found[Object]:
-    answer = _live(from_json(recorded.answer_json), world)
-    evidence = {each.name: _live(from_json(each.json), world) for each in recorded.evidence}
-    picture = recorded.picture if recorded.HasField("picture") else None
-    return Found(answer, evidence, picture) if isinstance(answer, list) else Verdict(answer, evidence, picture)
 
 
 def _live(value: Plain, world: BulletWorld) -> Any:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from pycram.models.rigid_parts import RigidPart
     from pycram.physics.body import LoadedBody, Snapshot
-    from pycram.world.attachment import Attachment
+    from pycram.world.attachment import BodyAttachment
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
@@ -267,7 +267,7 @@ class PhysicsClone(SimulationClone):
         """Forget the contacts of earlier queries, which would change the last bits of the result."""
         self.engine.reset_collision_filter(copy, fixed=body.fixed, robot=body.is_robot)
 
-    def _hold(self, held: Attachment, copies: Mapping[str, LoadedBody]) -> None:
+    def _hold(self, held: BodyAttachment, copies: Mapping[str, LoadedBody]) -> None:
         carrier, body = copies[held.carrier.name], copies[held.body.name]
         pose = geometry.multiply(
             geometry.invert(self.engine.link_pose(carrier, held.carrier_link)),

@@ -7,7 +7,7 @@ run's seed. Each place is checked by the rules of the motion that would use it, 
 
 from pycram.reasoning.places.free import free_places
 from pycram.reasoning.places.goals import Pull, PutDown
-from pycram.reasoning.places.search import Place
+from pycram.reasoning.places.search import FoundPlace
 from pycram.reasoning.places.standing import standing_places
 
-__all__ = ["Place", "Pull", "PutDown", "free_places", "standing_places"]
+__all__ = ["FoundPlace", "Pull", "PutDown", "free_places", "standing_places"]

@@ -25,7 +25,7 @@ from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.goals import PutDown, PutDownGoal, description_of
 from pycram.reasoning.places.maps import Grid, arm_reach, draw_cells, random_generator, room
-from pycram.reasoning.places.search import Batch, Place, Search, Spot, drives
+from pycram.reasoning.places.search import Batch, FoundPlace, Search, Spot, drives
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
 from pycram.scheduling.future import unwrap
@@ -79,7 +79,7 @@ def free_places(
     arms: Sequence[str] | None = None,
     away: Sequence[float] | None = None,
     seed: int | None = None,
-) -> Iterator[Place]:
+) -> Iterator[FoundPlace]:
     """Return places where an object can be put down on surfaces, best first. Each is checked when it is asked for.
 
     A place is where `place` would set the object down: its outline is on the surface, and other objects are farther
@@ -182,7 +182,7 @@ class SurfaceSearch(Search):
         self._corners = np.concatenate([corners for _, corners in pieces_of(body.model.path)])
         self._own = {body, *held(body)}
 
-    def _next(self, batch: Batch, number: int) -> Place | None:
+    def _next(self, batch: Batch, number: int) -> FoundPlace | None:
         searched, spots = self._draw(batch, number)
         place = self._first(batch, spots, searched)
         if place is not None:
@@ -333,14 +333,14 @@ class SurfaceSearch(Search):
 
     # --- checks: one place after the other ---------------------------------------------------------------------------
 
-    def _first(self, batch: Batch, spots: Sequence[Spot], searched: SearchedSurface) -> Place | None:
+    def _first(self, batch: Batch, spots: Sequence[Spot], searched: SearchedSurface) -> FoundPlace | None:
         """Return the first place that fulfils all constraints."""
         outline = searched.outline()
         obstacles = [geometry.convex_hull(each) for each in self._obstacles(searched).corners().reshape(-1, 4, 2)]
         for spot in spots:
             self._done.append(spot.pose[0])
             excluded = self._excluded(spot, searched, outline, obstacles)
-            if isinstance(excluded, Place):
+            if isinstance(excluded, FoundPlace):
                 batch.take(
                     spot.name,
                     {"position": excluded.position, "orientation": excluded.orientation, "arms": excluded.arms},
@@ -351,7 +351,7 @@ class SurfaceSearch(Search):
 
     def _excluded(
         self, spot: Spot, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
-    ) -> Place | tuple[str, Rejection]:
+    ) -> FoundPlace | tuple[str, Rejection]:
         """Return a place that fulfils all constraints, or the constraint that excludes it, with the reason."""
         (x, y, z), turn = spot.pose
         own = geometry.convex_hull(self._turned_corners(turn)[:, :2] + (x, y))
@@ -369,7 +369,7 @@ class SurfaceSearch(Search):
         if reasons and len(missed) == len(reasons):
             return "reach", min(missed, key=lambda each: each.miss())
         reached = tuple(name for name, reason in reasons.items() if reason is None)
-        return Place(rest, turn, reached, spot.score, searched.surface.name)
+        return FoundPlace(rest, turn, reached, spot.score, searched.surface.name)
 
     def _no_room(
         self, own: Polygon, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]

@@ -39,7 +39,7 @@ _TILT: Final = math.radians(2)
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class FoundPlace:
     """A place where a robot can stand, or where an object can be put down."""
 
     position: Vector  # of the robot's base or of the object, in the world, m
@@ -122,7 +122,7 @@ class Search(ABC):
         self._counts: dict[str, int] = {}  # of the places that each constraint excluded
         self._last = ""  # the constraint that excluded the last place
 
-    def places(self) -> Iterator[Place]:
+    def places(self) -> Iterator[FoundPlace]:
         """Yield places until the search has ended.
 
         Raises:
@@ -143,7 +143,7 @@ class Search(ABC):
                 return
 
     @abstractmethod
-    def _next(self, batch: Batch, number: int) -> Place | None:
+    def _next(self, batch: Batch, number: int) -> FoundPlace | None:
         """Return a place from a new batch, which is numbered from 0; None if all of the batch are excluded."""
 
     def _product(self, maps: Iterable[tuple[str, Array]]) -> tuple[Array, float]:

@@ -17,7 +17,7 @@ from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.goals import PullGoal, TakeGoal, Target, description_of, goal_of, promising
 from pycram.reasoning.places.maps import Grid, arm_reach, draw_cells, random_generator, room, surroundings
-from pycram.reasoning.places.search import Batch, Place, Search, Spot, drives
+from pycram.reasoning.places.search import Batch, FoundPlace, Search, Spot, drives
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE, seen_share
 from pycram.reasoning.rejections import OutOfReach, Touching, Unseen, Untried
@@ -68,7 +68,7 @@ def standing_places(
     avoid: Sequence[Sequence[float]] = (),
     grasp: str | None = None,
     seed: int | None = None,
-) -> Iterator[Place]:
+) -> Iterator[FoundPlace]:
     """Return places where a robot can stand, with its arms as they are, best first.
 
     A place is where `moving` would put the robot; an arm reaches there the targets of `pick-up`, `place` or
@@ -149,7 +149,7 @@ class StandingSearch(Search):
         self._rejected: list[Vector] = []
         self._failed = 0  # batches without a place since the last place
 
-    def _next(self, batch: Batch, number: int) -> Place | None:
+    def _next(self, batch: Batch, number: int) -> FoundPlace | None:
         spots = self._draw(batch, number)
         place = self._first(batch, spots)
         self._failed = 0 if place is not None else self._failed + 1
@@ -196,20 +196,16 @@ class StandingSearch(Search):
             cells = np.flatnonzero(faced)
             factors.append((self._purpose, faced))
             for goal in self._goals:
-                straight = self._straight(centers[cells], goal)
+                x, y, z = goal.position
+                target = [goal.body] if isinstance(goal, TakeGoal) else []
+                between = maps.Footprints(surroundings(robot, *target), z, z + _LEVEL)  # obstacles as high as the goal
+                straight = maps.straight(centers[cells], (x, y), between)
                 factors.append((self._purpose, maps.scattered(straight, cells, len(centers))))
         if drives(robot):
             factors.append(("collision", maps.scattered(room(robot, centers[cells]), cells, len(centers))))
         if self._near is not None:
             factors.append(("near", maps.near(centers, self._near, _NEAR, _ROOM)))
         return grid, factors, yaws
-
-    def _straight(self, centers: Array, goal: Goal) -> Array:
-        """Return almost 0 where an obstacle as high as the goal is between a place and the goal, else 1."""
-        x, y, z = goal.position
-        target = [goal.body] if isinstance(goal, TakeGoal) else []
-        between = maps.Footprints(surroundings(self._robot, *target), z, z + _LEVEL)
-        return maps.straight(centers, (x, y), between)
 
     def _grid(self, here: Sequence[float]) -> Grid:
         """Return the cells from which all goals may be reached and seen."""
@@ -260,11 +256,11 @@ class StandingSearch(Search):
 
     # --- checks: one place after the other ---------------------------------------------------------------------------
 
-    def _first(self, batch: Batch, spots: Sequence[Spot]) -> Place | None:
+    def _first(self, batch: Batch, spots: Sequence[Spot]) -> FoundPlace | None:
         """Return the first place that fulfils all constraints."""
         quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
         tries = _TRIES if quick else _FEWER
-        place: Place | None = None
+        place: FoundPlace | None = None
         closely: list[tuple[Spot, str, Rejection]] = []  # counted last, because these places fulfil most constraints
         for some in _growing(spots) if quick else (spots,):
             left = []
@@ -277,7 +273,7 @@ class StandingSearch(Search):
                 batch.reject(spot.name, Untried())
             for spot in left[:tries]:
                 excluded = self._excluded(spot)
-                if isinstance(excluded, Place):
+                if isinstance(excluded, FoundPlace):
                     place = excluded
                     break
                 closely.append((spot, *excluded))
@@ -330,7 +326,7 @@ class StandingSearch(Search):
                     found.append((f"collision with {pair[2].name}", Touching([checker.named(pair, depth)])))
         return found
 
-    def _excluded(self, spot: Spot) -> Place | tuple[str, Rejection]:
+    def _excluded(self, spot: Spot) -> FoundPlace | tuple[str, Rejection]:
         """Return a place that fulfils all constraints, or the constraint that excludes it, with the reason."""
         able = list(self._arms)
         grasps: dict[str, str] = {}
@@ -352,7 +348,7 @@ class StandingSearch(Search):
             if seen.share <= VISIBLE_SHARE:
                 return f"see {self._see.name}", Unseen(seen.share, list(seen.hiding))
         names = tuple(arm.name for arm in able) if self._goals else ()
-        return Place(*spot.pose, names, spot.score, "", {name: grasps[name] for name in names if name in grasps})
+        return FoundPlace(*spot.pose, names, spot.score, "", {name: grasps[name] for name in names if name in grasps})
 
 
 def _growing(spots: Sequence[Spot]) -> Iterator[Sequence[Spot]]:

@@ -21,7 +21,7 @@ from recorder.viewer.queries import scores_of, spots_of
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pycram.reasoning.places import Place
+    from pycram.reasoning.places import FoundPlace
     from tests.conftest import MemorySink
 
 TOP = 0.72  # m, the table's
@@ -52,7 +52,7 @@ def on(table: Object) -> list[tuple[Object, object]]:
     return [(table, table.surface("table"))]
 
 
-def some(count: int, places: Iterator[Place]) -> list[Place]:
+def some(count: int, places: Iterator[FoundPlace]) -> list[FoundPlace]:
     return list(itertools.islice(places, count))
 
 
