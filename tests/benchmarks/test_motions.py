@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 sys.path.insert(0, str(Path(__file__).parent.parent.parent / "demos"))
 
 import set_the_table
-from set_the_table import COUNTER, ISLAND, go, open_drawer, perform
+from set_the_table import COUNTER, ISLAND, go, open_drawer
+
+from pycram import perform
+from pycram.motion_designators import looking, moving, opening_gripper, pick_up, place
 
 pytestmark = pytest.mark.slow
 
@@ -38,18 +41,18 @@ def motions(kitchen: Object) -> dict[str, tuple[Callable[[], object], Callable[[
     cereal, bowl = (world.get_objects_by_type(kind)[0] for kind in ("cereal", "bowl"))
 
     def carry() -> None:
-        perform(type="pick-up", object=bowl, arm="right")
+        perform(pick_up(object=bowl, arm="right"))
         go(ISLAND)
 
     def stay() -> None: ...
 
     return {
-        "moving": (lambda: perform(type="moving", target=[-0.3, 1, 0], orientation=[0, 0, 1, 0]), stay, 3),
-        "looking": (lambda: perform(type="looking", object=cereal), stay, 2),
-        "opening-gripper": (lambda: perform(type="opening-gripper", gripper="left"), stay, 2),
-        "pick-up": (lambda: perform(type="pick-up", object=bowl, arm="right"), stay, 8),
+        "moving": (lambda: perform(moving(target=[-0.3, 1, 0], orientation=[0, 0, 1, 0])), stay, 3),
+        "looking": (lambda: perform(looking(object=cereal)), stay, 2),
+        "opening-gripper": (lambda: perform(opening_gripper(gripper="left")), stay, 2),
+        "pick-up": (lambda: perform(pick_up(object=bowl, arm="right")), stay, 8),
         "place, without its settling": (
-            lambda: perform(type="place", object=bowl, target=[-0.8, 1.2, 0.9], arm="right"),
+            lambda: perform(place(object=bowl, target=[-0.8, 1.2, 0.9], arm="right")),
             carry,
             7,
         ),

@@ -192,7 +192,7 @@ def test_a_person_follows_the_demo_to_and_fro(
     shown = prompt.type("c")
     assert "Breakpoint 2, task pick-up" in shown
     begun = step(shown)
-    assert "move_object()" in prompt.type("u")
+    assert "move_object()" in prompt.type("where")
     prompt.keys("p obj" + TAB)
     assert "\n'bowl'" in prompt.type("_t", TAB)
     assert step(prompt.type("s")) == begun + 1
