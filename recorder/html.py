@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from functools import singledispatch
-from html import escape
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -16,6 +14,13 @@ _MAX_LINES: Final = 40  # largest number of shown lines of a section
 _PRE: Final = '<pre style="margin:0 0 0.3em 1em;white-space:pre-wrap;line-height:1.3">'
 _CELL: Final = '<td style="text-align:left">'
 _HEAD: Final = '<th style="text-align:left">'
+
+
+def escape(text: str) -> str:
+    """Return text as HTML."""
+    from html import escape  # noqa: PLC0415  only notebooks need it
+
+    return escape(text)
 
 
 @singledispatch
@@ -81,4 +86,6 @@ def report(lines: Iterable[str], unfolded: int = 2) -> str:
 
 def picture(png: bytes, what: str) -> str:
     """Return a PNG as a picture."""
+    from base64 import b64encode  # noqa: PLC0415  only pictures need it
+
     return f'<div><img src="data:image/png;base64,{b64encode(png).decode()}" alt="{escape(what)}"></div>'

@@ -5,7 +5,6 @@ IPython is never imported here: a running IPython is already loaded.
 
 from __future__ import annotations
 
-import linecache
 import os
 import re
 import sys
@@ -48,6 +47,8 @@ def cell_of(file: str) -> str:
 
 def source_of(file: str) -> bytes:
     """Return the source of a cell, for its file name in compiled code."""
+    import linecache  # noqa: PLC0415  slow to import; only notebooks need it
+
     return "".join(linecache.getlines(file)).encode("utf-8", "replace")
 
 

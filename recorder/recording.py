@@ -49,7 +49,7 @@ class Recording:
     viewer: RerunSink | None = None  # the viewer that shows the recording live
 
     def __repr__(self) -> str:
-        return f"<Recording {self.path}: {self.length} records so far>"
+        return f"<Recording {self.path}: {self.length} record{'' if self.length == 1 else 's'}>"
 
     @property
     def length(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,14 +67,16 @@ log.state_at(5).world().bodies["<i>milk</i>"]
 """
 
 
-def run_cells(cells: list[str], folder: Path) -> list[list[Mapping[str, Any]]]:
+def run_cells(cells: list[str], folder: Path, name: str = "") -> list[list[Mapping[str, Any]]]:
     """Run cells in a kernel, also after errors; return their outputs."""
     from nbclient import NotebookClient  # noqa: PLC0415  tests of notebooks alone need it
     from nbformat import v4  # noqa: PLC0415  as above
 
     notebook = v4.new_notebook(cells=[v4.new_code_cell(cell) for cell in cells])
     resources = {"metadata": {"path": str(folder)}}
-    NotebookClient(notebook, allow_errors=True, timeout=120, resources=resources).execute()
+    NotebookClient(notebook, allow_errors=True, timeout=120, resources=resources).execute(
+        env=os.environ | {"JPY_SESSION_NAME": name}  # as Jupyter tells its kernels
+    )
     return [cell.outputs for cell in notebook.cells]
 
 
@@ -97,7 +100,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cells(folder: Path) -> dict[str, list[Mapping[str, Any]]]:
     """Outputs by the source of their cells."""
     sources = [cell.strip() for cell in PLAN.split("# %%\n")]
-    return dict(zip(sources, run_cells(sources, folder), strict=True))
+    return dict(zip(sources, run_cells(sources, folder, "work/table.ipynb"), strict=True))
 
 
 def test_a_traceback_has_the_lines_of_the_notebook_alone_and_ends_with_the_failure(
@@ -124,6 +127,7 @@ def test_records_and_explanations_name_the_cells(
     assert cells
     with replay.open(folder / "run.mcap") as log:
         assert log.complete
+        assert log[0].name == "table"
         assert list(log[0].arguments) == []  # the kernel's own are none of the plan
         motion = next(record for record in log.records(Task) if record.kind == "motion")
         assert (motion.source_file, motion.source_line) == ("In [3]", 3)

@@ -292,7 +292,7 @@ class Object(ReadOnlyAttributes):
         return self.get_position_and_orientation()[1]
 
     def get_position_and_orientation(self) -> tuple[list[float], list[float]]:
-        """Return position and orientation."""
+        """Return position [x, y, z] in m and orientation [x, y, z, w] of the base link in the world."""
         with self.world.lock:
             position, orientation = self.world.engine.pose(self.handle)
         return list(position), list(orientation)

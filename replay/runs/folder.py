@@ -459,7 +459,7 @@ class Runs:
     def _repr_html_(self) -> str:
         counts = self.sql("SELECT outcome, count(*) AS runs FROM runs GROUP BY outcome ORDER BY runs DESC")
         skipped = [f"{each.name} was skipped: {each.reason}" for each in self.skipped]
-        title = f"{self.path}: {len(self)} runs"
+        title = f"{self.path}: {len(self)} run{'' if len(self) == 1 else 's'}"
         return html.page(title, html.table(counts.columns, counts.rows()), html.text(skipped))
 
     def __len__(self) -> int:

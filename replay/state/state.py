@@ -38,7 +38,7 @@ class Body:
 
     @property
     def pose(self) -> Pose:
-        """Position and orientation."""
+        """Position xyz in m and orientation xyzw of its base link in the world."""
         return self.position, self.orientation
 
     @property
