@@ -31,6 +31,7 @@ from pycram.world.world import BulletWorld, current_world, open_worlds
 from recorder import html, records
 from recorder.recording import record
 from recorder.records import format_error
+from recorder.records.tracebacks import text_or
 from recorder.tracing import journal
 from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span
@@ -331,15 +332,10 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
         return _pickled((failure is None, result, failure, steps, state, ""))
     except Exception:  # noqa: BLE001  pickling calls code of the plan's classes; a text replaces what it can't pickle
         if failure is None:
-            return _pickled((True, None, None, steps, state, _text(result)))
+            kind = type(result).__name__
+            text = text_or(partial(repr, result), lambda error: f"<{kind}, without a text: {format_error(error)}>")
+            return _pickled((True, None, None, steps, state, text))
         return _pickled((False, None, ProjectedError(format_error(failure)), steps, state, ""))
-
-
-def _text(result: Result) -> str:
-    try:
-        return repr(result)
-    except Exception as error:  # noqa: BLE001  as above
-        return f"<{type(result).__name__}, without a text: {format_error(error)}>"
 
 
 def _pickled(answer: object) -> bytes:

@@ -11,13 +11,15 @@ from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from traceback import TracebackException
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from recorder import notebook
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import CodeType, TracebackType
+
+Other = TypeVar("Other")
 
 MAX_FRAMES: Final = 32
 """Largest number of frames of an error in a text, the innermost ones; an error that passes many blocks has more."""
@@ -141,7 +143,7 @@ def _message(error: BaseException) -> Iterator[str]:
         yield from (f"{line}\n" for line in text_or(partial(str, note), lambda _: "<note str() failed>").split("\n"))
 
 
-def text_or(text: Callable[[], str], otherwise: Callable[[Exception], str]) -> str:
+def text_or(text: Callable[[], str], otherwise: Callable[[Exception], Other]) -> str | Other:
     """Return the text from a user's own method; if the method raises an error, return the given other text."""
     try:
         return text()

@@ -20,6 +20,7 @@ import sys
 import time
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from io import StringIO
 from itertools import islice
 from pathlib import Path
@@ -29,6 +30,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 from pycram.projection.child import Child, die_with, has_children, obstacle
 from pycram.scheduling.schedule import is_held, scheduler
 from recorder.records import Task, format_error
+from recorder.records.tracebacks import text_or
 from recorder.tracing import forking, interrupts, journal
 from recorder.tracing.call_stack import is_plan, plan_frames
 from recorder.tracing.journal import NullSink
@@ -192,10 +194,7 @@ def completions(frame: FrameType, text: str) -> list[str]:
 
 
 def _repr(value: object) -> str:
-    try:
-        return repr(value)
-    except Exception as error:  # noqa: BLE001  of a user's own type
-        return f"<{type(value).__name__}: {format_error(error)}>"
+    return text_or(partial(repr, value), lambda error: f"<{type(value).__name__}: {format_error(error)}>")
 
 
 # --- stopping ---------------------------------------------------------------------------------------------------------
@@ -251,14 +250,10 @@ class WatchedExpression:
 
     def value(self, frames: list[PlanFrame]) -> str | None:
         """Return its value as text; None if no call of the function runs, or the expression has no value."""
-        for each in frames:
-            code = each.frame.f_code
-            if (code.co_filename, code.co_firstlineno) == (self.file, self.first):
-                try:
-                    return repr(value_of(each.frame, self.expression))
-                except Exception:  # noqa: BLE001  the user's expression may raise any error
-                    return None
-        return None
+        function = (self.file, self.first)
+        codes = ((each.frame, each.frame.f_code) for each in frames)
+        frame = next((one for one, code in codes if (code.co_filename, code.co_firstlineno) == function), None)
+        return None if frame is None else text_or(lambda: repr(value_of(frame, self.expression)), lambda _: None)
 
 
 @dataclass(slots=True)
