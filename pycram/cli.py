@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """The command line ``pycram``: ``demo`` and ``run`` record a plan, ``sweep`` many runs; ``describe`` describes robots.
 
 The command restarts itself (:mod:`pycram.running`). So modules that take long to load are imported where they are used.
@@ -6,6 +7,7 @@ The command restarts itself (:mod:`pycram.running`). So modules that take long t
 from __future__ import annotations
 
 import argparse
+import functools
 import signal
 import sys
 import threading
@@ -14,8 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.running import INTERRUPTED, MAX_SEED, SUCCEEDED, WRONG_USAGE, RunSpec, chosen_seed, restart, run, tell
-from recorder.errors import RecordingError, discard, until_closed
+from recorder.errors import RecordingError, discard, similar_files, until_closed
 from recorder.packages import NotInstalled, needed, versions
+from recorder.terminal import Parser, complete, files_ending
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,10 +56,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run_command(argv: Sequence[str] | None) -> int:
     parser = options_parser()
+    complete(parser)
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
     given, arguments = given[:cut], given[cut + 1 :]  # argparse would parse the plan's options as ours
     given = ["--rerun=spawn" if word == "--rerun" else word for word in given]  # and the plan as the option's value
+    if not given:
+        parser.print_help()
+        return WRONG_USAGE
     if given == ["--version"]:
         print(f"pycram {versions()['pycram']}")
         return SUCCEEDED
@@ -67,7 +74,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
         return _other_command(options, arguments, again=argv is None)
     plan = demos() / f"{options.name}.py" if options.command == "demo" else Path(options.plan)
     if not plan.is_file():
-        parser.error(f"{plan}: no such plan")
+        parser.error(f"{plan}: no such plan{similar_files(plan)}")
     _check_together(parser, options)
     values = _values(parser, plan, options.set)
     if options.command == "demo" and options.robot:
@@ -166,30 +173,61 @@ def demos() -> Path:
     return installed if installed.is_dir() else here.parent / "demos"
 
 
-def options_parser() -> argparse.ArgumentParser:
+#: For each command two examples: its arguments, and what they do.
+EXAMPLES: Final = {
+    "demo": (("", "set the table"), ("breakfast --robot tiago_pro", "another demo with another robot")),
+    "run": (
+        ("plan.py --seed 7 --log run.mcap", "run a plan, and record it into run.mcap"),
+        ("plan.py --explore 100", "run it in 100 orders of its branches"),
+    ),
+    "sweep": (
+        ("plan.py --runs 100 -o runs", "100 runs with other seeds, recorded into a folder"),
+        ("plan.py --runs 20 -o runs --set arm=left,right", "runs with each value of a parameter"),
+    ),
+    "describe": (
+        ("my_robot.urdf", "guess the description of a robot"),
+        ("kitchen.urdf --picture kitchen.png", "list and draw the surfaces and doors of furniture"),
+    ),
+}
+
+
+def _examples(command: str) -> list[tuple[str, str]]:
+    return [(f"pycram {command} {arguments}".rstrip(), result) for arguments, result in EXAMPLES[command]]
+
+
+def options_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(prog="pycram", description="Runs robot plans and records everything that happens.")
+    parser = Parser(
+        prog="pycram",
+        description="Runs robot plans and records everything that happens. 'pycram COMMAND --help' shows examples.",
+    )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     commands = parser.add_subparsers(dest="command", required=True)
     names = sorted(file.stem for file in demos().glob("*.py"))
-    demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
+
+    def add_command(name: str, help_text: str, description: str) -> Parser:
+        completers = {"PLAN.py": files_ending(".py"), "FILE.urdf": files_ending(".urdf")}
+        examples = functools.partial(_examples, name)
+        return commands.add_parser(
+            name, help=help_text, description=description, examples=examples, completers=completers
+        )
+
+    demo = add_command("demo", "run a demo", "Runs a demo.")
     demo.add_argument(
         "name", nargs="?", default="set_the_table", choices=names, help="the demo (default: set_the_table)"
     )
     robots = sorted(file.stem for file in (Path(__file__).parent / "models" / "robots").glob("*.toml"))
     where = " and ".join(_WITH_ROBOTS)
     demo.add_argument("--robot", choices=robots, help=f"the robot, in {where} (default: pr2)")
-    plan = commands.add_parser(
-        "run", help="run a plan", description="Runs a plan: any Python file. Arguments after -- go to the plan."
-    )
+    plan = add_command("run", "run a plan", "Runs a plan: any Python file. Arguments after -- go to the plan.")
     plan.add_argument("plan", metavar="PLAN.py", help="the plan")
     for recorded in (demo, plan):
         _add_recording(recorded)
-    _add_sweep(commands.add_parser("sweep", help="run a plan many times", description=_SWEEP))
-    describe = commands.add_parser(
+    _add_sweep(add_command("sweep", "run a plan many times", _SWEEP))
+    describe = add_command(
         "describe",
-        help="describe a robot or furniture",
-        description="For a robot, guesses a first description from its URDF and prints it, or checks a description. "
+        "describe a robot or furniture",
+        "For a robot, guesses a first description from its URDF and prints it, or checks a description. "
         "For furniture, lists the surfaces, containers, joints and handles in its URDF.",
     )
     describe.add_argument("file", nargs="?", metavar="FILE.urdf", help="a URDF, or the name of a bundled one")

@@ -9,6 +9,7 @@ import io
 import os
 import sys
 from contextlib import contextmanager, suppress
+from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 from recorder import notebook
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 _MAX_SUGGESTED: Final = 3
 _MAX_LISTED: Final = 25  # up to this number, a hint lists all known names, such as the joints of a kitchen
+_MAX_FILES: Final = 2000  # of a folder that are compared with a name
 
 
 class PortableError(Exception):
@@ -63,6 +65,17 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the end of a message, "; did you mean ...?" with the nearest known names; "" without similar names."""
     near = nearest(name, known)
     return f"; did you mean {' or '.join(near)}?" if near else ""
+
+
+def similar_files(path: Path, others: Iterable[str] = ()) -> str:
+    """Return the end of a message about a missing file, "; did you mean ...?", with files of its folder and others."""
+    names = list(others)
+    with suppress(OSError):
+        near = (file for file in islice(path.parent.iterdir(), _MAX_FILES) if file.suffix == path.suffix)
+        names += [str(path.parent / file.name) for file in near]
+    by_stem = {type(path)(name).stem: name for name in names}
+    found = [by_stem[stem] for stem in nearest(path.stem, by_stem)]
+    return f"; did you mean {' or '.join(found)}?" if found else ""
 
 
 def suggestion(name: object, known: Iterable[str]) -> str:

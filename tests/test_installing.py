@@ -22,7 +22,7 @@ TEXTS = ("*.py", "*.md", "*.toml", "Makefile", ".ci/*")
 
 def test_the_base_is_what_reading_needs() -> None:
     base = {re.split("[^a-z-]", line)[0] for line in requires("pycram") or () if "extra ==" not in line}
-    assert base == {"mcap", "protobuf", "foxglove-schemas-protobuf", "numpy"}
+    assert base == {"mcap", "protobuf", "foxglove-schemas-protobuf", "numpy", "argcomplete"}
 
 
 def test_nothing_sends_anybody_to_the_stranger_of_this_name() -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 from pycram import running
 from pycram.exploration import DEPTH, LIMIT, SUCCEEDED, NotExplorable, explore_runs
 from recorder.errors import RecordingError
+from recorder.terminal import ProgressLines
 
 if TYPE_CHECKING:
     import argparse
@@ -34,8 +35,13 @@ def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
     def run_once(order: str, file: Path) -> None:
         running.run(replace(spec, order=order), file, overwrite=True)
 
+    lines = ProgressLines()
+
     def show(done: int) -> None:
-        if sys.stderr.isatty():
+        if not sys.stderr.isatty():
+            if lines.due():
+                running.tell(f"pycram: {done} of {options.explore} orders")
+        else:
             sys.stderr.write(f"\r{done} of {options.explore} orders " if done < options.explore else "\r\033[K")
             sys.stderr.flush()
 

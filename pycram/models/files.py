@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.failures import AssetError, BadArgument
 from pycram.models import store
 from pycram.models.warming import notable
+from recorder.errors import similar_files
 from recorder.packages import hint
 from recorder.records.values import AssetFile
 from recorder.urdf import Urdf, UrdfError
@@ -124,8 +125,9 @@ def find(path: str | Path) -> Path:
         shipped = resources() / given
         if shipped.is_file():
             return shipped
-    known = sorted(file.name for kind in ("*.urdf", "*.stl") for file in resources().glob(kind))
-    raise AssetError(path, f"no such file; PyCRAM's own files are {', '.join([*ROBOT_URDFS, *known])}")
+    known = [*ROBOT_URDFS, *sorted(file.name for kind in ("*.urdf", "*.stl") for file in resources().glob(kind))]
+    near = similar_files(given, known)
+    raise AssetError(path, "no such file" + (near or f"; PyCRAM's own files are {', '.join(known)}"))
 
 
 @cache

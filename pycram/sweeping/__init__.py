@@ -32,6 +32,7 @@ from pycram.running import MAX_SEED, RunSpec
 from pycram.scheduling.schedule import refuse_held
 from pycram.sweeping.local import Local, RunLost, RunOutcome, SweepSpec, Worker, WorkerLost
 from pycram.world.world import open_worlds
+from recorder.errors import similar_files
 from recorder.tracing import forking
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ def sweep(
     refuse_held()
     file, listed, sampled = Path(plan), set or {}, sample or {}
     if not file.is_file():
-        raise BadArgument("plan", str(plan), "the file of a plan")
+        raise BadArgument("plan", str(plan), f"the file of a plan{similar_files(file)}")
     _check(limit, memory, seed, runs, cores)
     try:
         for values in Variations(listed, sampled).every():

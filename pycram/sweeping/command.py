@@ -13,6 +13,7 @@ from pycram.foundation.failures import UsageError
 from pycram.plan_parameters import listed, sampled
 from pycram.running import FAILED, INTERRUPTED, SUCCEEDED, WRONG_USAGE, tell
 from pycram.sweeping import sweep
+from recorder.terminal import ProgressLines
 
 if TYPE_CHECKING:
     import argparse
@@ -63,21 +64,24 @@ def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
 class _Shown:
     def __init__(self, runs: int) -> None:
         self.bar: Progress | None = _bar() if sys.stderr.isatty() else None
+        self._lines = ProgressLines()
         self._runs = runs
         self._began = time.monotonic()
         self.seconds = 0.0
 
     def update(self, result: Sweep, outcome: RunOutcome | None) -> None:
-        """Update the bar."""
+        """Update the bar; without a terminal, print a line every 10 s."""
         now = time.monotonic()
         self._began = now if outcome is None else self._began
         self.seconds = now - self._began
+        done = result.before + result.done
         if self.bar is None:
+            if self._lines.due():
+                tell(f"pycram: {done} of {self._runs} runs, {result.failed} failed")
             return
         if not self.bar.task_ids:
             self.bar.add_task("", total=self._runs, failed=0, rate="", completed=result.before)
         rate = f"{result.done / self.seconds:.1f} runs/s" if self.seconds else ""
-        done = result.before + result.done
         self.bar.update(self.bar.task_ids[0], completed=done, failed=result.failed, rate=rate)
         self.bar.refresh()
 

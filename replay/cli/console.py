@@ -14,6 +14,7 @@ import sys
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final
 
+from recorder.terminal import messages, painted
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
@@ -23,6 +24,16 @@ if TYPE_CHECKING:
 
 
 _STDOUT, _STDERR = 1, 2
+#: What is coloured on a terminal.
+_COLOURED: Final = re.compile(
+    r"(?P<bold>^[a-z]{1,10}(?=  +\S)|(?:(?<=\n\n)|(?<=\A\n)|\A)[A-Z][^\n.]*(?=\n  ))"  # fields of info, headings
+    r"|(?P<yellow>\bsteps? \d+(?:-\d+)?|^ *\d+(?= +(?:[\d.]+s )?[a-z-]+ ))"
+    r"|(?P<dim>\b\d+\.\d+s(?= [a-z])|(?<=[, ])\d+\.\d ms\b)"
+    r"|(?P<cyan>(?:/|\b)[\w./-]+\.py:\d+|^ *pycram(?:-replay)? \S.*$)"
+    r"|(?P<red>\b(?:failed|rejected)\b|^[> ] *X(?= )|^X(?= ))"
+    r"|(?P<green>\bsucceeded\b|(?<=^complete     )yes|^[> ] *\+(?= )|^\+(?= ))",
+    re.MULTILINE,
+)
 #: Control characters except newlines and tabs, characters that change the direction of text, and
 #: surrogates, which represent bytes that aren't UTF-8.
 _CONTROL: Final = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e\\u2066-\\u2069\\ud800-\\udfff]")
@@ -39,8 +50,8 @@ def _escape(match: re.Match[str]) -> str:
 
 
 def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
-    """Print a result."""
-    print(visible(text), end=end, flush=flush)
+    """Print a result, on a terminal in colours."""
+    print(painted(visible(text), _COLOURED, sys.stdout), end=end, flush=flush)
 
 
 def print_json(value: object, *, flush: bool = False) -> None:
@@ -89,7 +100,7 @@ def _sound(value: object) -> object:
 
 def print_message(text: str) -> None:
     """Print a message on stderr."""
-    print(f"pycram-replay: {visible(text)}", file=sys.stderr)
+    print(f"pycram-replay: {visible(text)}", file=messages())
 
 
 @contextmanager

@@ -10,7 +10,6 @@ import cmd
 import contextlib
 import inspect
 import linecache
-import os
 import re
 import shlex
 import sys
@@ -18,6 +17,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
+from recorder.terminal import has_colours
 from recorder.user_folders import cache_folder
 from replay.cli import main
 from replay.cli.console import print_message, visible
@@ -123,7 +123,7 @@ class Prompt(cmd.Cmd):
         self._listed = 0  # the line after the last listed line; 0: no line was listed
         self.follow: Callable[[int], None] | None = None  # moves the viewer to a step; None without a viewer
         self._asks = self.use_rawinput = sys.stdin.isatty()
-        self._coloured = sys.stdout.isatty() and "NO_COLOR" not in os.environ
+        self._coloured = has_colours(sys.stdout)
 
     def run(self) -> None:
         """Take commands until the end of the input, or ``quit``."""

@@ -7,7 +7,7 @@ import shlex
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Run
-from replay.cli.console import print_result
+from replay.cli.console import print_result, print_text
 from replay.file.lifetimes import title
 from replay.history.summary import summary
 from replay.report.phrases import one_line
@@ -27,11 +27,22 @@ _DIGITS: Final = 12  # of a commit or hash
 _VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
 
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add whether to print what to do next, which ``pycram-replay LOG`` does."""
+    parser.set_defaults(next_steps=False)
+
+
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the summary."""
     info = summary(log)
     lines = (f"{name:12} {text}" for name, text in _rows(log, info) if text)
     print_result(lambda: _data(log, info), lines, as_json=options.json)
+    if options.next_steps and not options.json:
+        file = shlex.quote(str(log.path))
+        verbs = (f"why {file}", f"tree {file}", f"view {file} --at failure")
+        if not info.failure:
+            verbs = (f"tree {file}", f"state {file} last", f"view {file}")
+        print_text("\n".join(["", "Next", *(f"  pycram-replay {verb}" for verb in verbs), "  pycram-replay cheat"]))
     return 0
 
 

@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """``pycram-replay VERB LOG ...``: results on stdout, messages on stderr.
 
 Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete, 4 an internal error.
@@ -5,24 +6,27 @@ Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording w
 
 from __future__ import annotations
 
-import argparse
+import functools
 import importlib
 import io
 import os
 import re
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from recorder.errors import discard, suggestion, until_closed
 from recorder.packages import NotInstalled, needed
+from recorder.terminal import Parser, complete, paged, typed_words
 from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    import argparse
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from contextlib import AbstractContextManager
 
     from replay.recording import Recording
     from replay.runs.folder import Runs
@@ -56,6 +60,9 @@ VERBS: Final = {
 }
 #: Verbs that share the file of another verb, with functions of their own: ``add_fork``, ``run_fork``.
 _FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"}
+_CHEAT: Final = "cheat"  # the only verb that takes no recording
+_READ: Final = ("info", "log", "source", "show", "tree", "state", "diff", "blame", "why", "sql", "stats", "separate")
+"""Verbs whose output is paged."""
 _TAKE_INCOMPLETE: Final = ("debug", "resume")  # verbs that are made for incomplete recordings
 _FOLDER: Final = "the folder of recordings"
 _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.fromkeys(
@@ -107,10 +114,29 @@ def _command(arguments: list[str]) -> int:
 
         print(f"pycram-replay {version('pycram')}")
         return FINE
+    if (words := typed_words()) is not None:
+        complete(_parser(words[:1], completing=True))
+    if not arguments:
+        _parser(()).print_help()
+        return USAGE
+    first, *rest = arguments
+    summarised = first not in VERBS and (first.endswith(".mcap") or Path(first).exists())
+    if summarised:
+        first, rest = "info", arguments
+    elif first not in (*VERBS, _CHEAT) and not first.startswith("-"):
+        return _report(f"there is no verb {first!r}; {suggestion(first, (*VERBS, _CHEAT))}", USAGE)
     try:
-        options = _parser(arguments[:1]).parse_args(arguments)
+        options = _parser([first]).parse_args([first, *rest])
     except SystemExit as end:  # after printing help, or an error
         return FINE if not end.code else USAGE
+    if options.verb == _CHEAT:
+        from replay.cli.cheat import print_sheet  # noqa: PLC0415  as verbs
+
+        with paged():
+            print_sheet()
+        return FINE
+    if summarised:
+        options.next_steps = True
     return _run(_verb(options.verb), options)
 
 
@@ -166,25 +192,36 @@ def _verb(name: str) -> Verb:
     return Verb(add or (lambda _: None), run, run_folder)
 
 
-def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    for wrong in arguments:
-        if wrong not in VERBS and not wrong.startswith("-"):
-            _report(f"there is no verb {wrong!r}; {suggestion(wrong, VERBS)}", USAGE)
-            sys.exit(USAGE)
-    parser = argparse.ArgumentParser(
+def _examples(verb: str) -> Iterator[tuple[str, str]]:
+    from replay.cli.cheat import examples  # noqa: PLC0415  only help needs them
+
+    return examples(verb)
+
+
+def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
+    completers: Mapping[str, Callable[..., list[str]]] = {}
+    if completing:
+        from replay.cli.completion import COMPLETERS  # noqa: PLC0415  only shells need them
+
+        completers = COMPLETERS
+    parser = Parser(
         prog="pycram-replay",
-        description="Read recordings of robot plans, explain failures, and restore worlds.",
+        description="Read recordings of robot plans, explain failures, and restore worlds. 'pycram-replay LOG' "
+        "summarises a recording, 'pycram-replay VERB --help' shows examples of a verb.",
         epilog="Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete, "
         "4 an internal error.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, text in VERBS.items():
-        verb = verbs.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        description = f"{text[0].upper()}{text[1:]}."
+        examples = functools.partial(_examples, name)
+        verb = verbs.add_parser(name, help=text, description=description, examples=examples, completers=completers)
         verb.add_argument("log", metavar="LOG", help=_LOG_HELP.get(name, "the recording"))
         if name in arguments:
             _verb(name).add(verb)
         verb.add_argument("--json", action="store_true", help="print JSON")
+    verbs.add_parser(_CHEAT, help="print a cheat sheet: what to type for which question")
     return parser
 
 
@@ -198,7 +235,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
             if log.newer is not None:
                 print_message(f"{log.path}: {log.newer}")
             try:
-                with needed():
+                with needed(), _paged(options):
                     code = verb.run(log, options)
             except ReplayError as error:
                 lost = log.problems or isinstance(error, Damaged | Unreadable)
@@ -219,12 +256,17 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
     return code
 
 
+def _paged(options: argparse.Namespace) -> AbstractContextManager[None]:
+    follows = getattr(options, "follow", False)
+    return paged() if options.verb in _READ and not follows else nullcontext()
+
+
 def _run_on_folder(verb: Verb, options: argparse.Namespace) -> int:
     if verb.run_folder is None:
         takes = ", ".join(name for name in VERBS if name in _LOG_HELP)
         return _report(f"{options.log}: {options.verb} takes a single recording; verbs for folders are {takes}", USAGE)
     try:
-        with needed(), opened(options.log) as runs:  # a verb may need further packages
+        with needed(), opened(options.log) as runs, _paged(options):  # a verb may need further packages
             code = verb.run_folder(runs, options)
             skipped = runs.skipped
     except NotInstalled as error:

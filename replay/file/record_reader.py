@@ -16,6 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar, overload
 
+from recorder.errors import similar_files
 from recorder.mcap_writer import MODELS_LIBRARY
 from recorder.records import (
     PACKAGE,
@@ -391,7 +392,8 @@ def open_file(path: Path) -> BinaryIO:
             _check_start(path, file)
             undoing.pop_all()
     except OSError as error:
-        raise NotALog(path, error.strerror or str(error)) from error
+        near = similar_files(path) if isinstance(error, FileNotFoundError) else ""
+        raise NotALog(path, f"{error.strerror or error}{near}") from error
     return file
 
 

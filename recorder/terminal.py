@@ -1,0 +1,227 @@
+"""Commands on a terminal: colours, a pager, help with examples, progress in lines, and completion in shells.
+
+In pipes and files nothing is coloured or paged, unless ``FORCE_COLOR`` is set.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import os
+import re
+import shutil
+import sys
+import time
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from recorder.errors import did_you_mean
+
+if TYPE_CHECKING:
+    import subprocess
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from typing import IO, TextIO
+
+_COLOURS: Final = {"bold": "1", "dim": "2", "red": "31", "green": "32", "yellow": "33", "cyan": "36"}
+_HELP: Final = re.compile(
+    r"(?P<bold>^[a-z][a-z ]*:(?=\s))|(?P<cyan>^ +(?:-\S+(?:, --\S+)?|[a-z_]+(?=  +\S)|pycram\b.*?(?=$|  )))",
+    re.MULTILINE,
+)
+_WRONG_CHOICE: Final = re.compile(r"invalid choice: '(?P<given>.*?)' \(choose from (?P<known>.*)\)")
+_PAGER: Final = "less -RFX"
+_COMPLETING: Final = "_ARGCOMPLETE"  # set by a shell that asks for completions
+PERIOD: Final = 10.0  # s between lines of progress
+
+
+def has_colours(stream: IO[str]) -> bool:
+    """Return whether a stream gets colours: terminals do without ``NO_COLOR``; with ``FORCE_COLOR`` all streams do."""
+    if os.environ.get("NO_COLOR"):
+        return False
+    return bool(os.environ.get("FORCE_COLOR")) or (stream.isatty() and os.environ.get("TERM") != "dumb")
+
+
+def painted(text: str, pattern: re.Pattern[str], stream: IO[str]) -> str:
+    """Return a text whose matches are coloured as their named groups say, if a stream gets colours."""
+    if not has_colours(stream):
+        return text
+    return pattern.sub(lambda match: coloured(match[0], match.lastgroup or "bold"), text)
+
+
+def coloured(text: str, colour: str) -> str:
+    """Return a text in a colour."""
+    return f"\x1b[{_COLOURS[colour]}m{text}\x1b[0m"
+
+
+# --- a pager ----------------------------------------------------------------------------------------------------------
+
+
+class _Pager(io.TextIOBase):
+    """Output for a terminal: longer than the screen, it is shown in a pager; shorter output is printed at the end."""
+
+    def __init__(self, terminal: IO[str], command: str) -> None:
+        self._target: IO[str] = terminal
+        self._command = command
+        self._held: list[str] | None = []  # None: passed on
+        self._process: subprocess.Popen[str] | None = None
+        self._columns, self._lines = shutil.get_terminal_size()
+
+    def isatty(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        if self._held is None:
+            self._target.write(text)
+            return len(text)
+        self._held.append(text)
+        self._lines -= sum(1 + len(line) // self._columns for line in text.splitlines() or [""])
+        if self._lines < 1:
+            self._open()
+        return len(text)
+
+    def _open(self) -> None:
+        import shlex  # noqa: PLC0415  only long output needs a pager
+        import subprocess  # noqa: PLC0415  as above
+
+        with contextlib.suppress(OSError, ValueError):  # without the pager, the output is printed
+            self._process = subprocess.Popen(  # noqa: S603  the user's own command
+                shlex.split(self._command),
+                stdin=subprocess.PIPE,
+                text=True,
+                encoding="utf-8",
+                errors="backslashreplace",
+                env={"LESS": _PAGER.partition(" ")[2]} | os.environ,
+            )
+            assert self._process.stdin is not None  # noqa: S101  for mypy
+            self._target = self._process.stdin
+        self._print_held()
+
+    def _print_held(self) -> None:
+        held, self._held = self._held or [], None
+        self._target.write("".join(held))
+
+    def finish(self) -> None:
+        """Print what is still held, and wait until the user quits the pager."""
+        try:
+            self._print_held() if self._held is not None else None
+            self._target.flush()
+        finally:
+            while self._process is not None:
+                with contextlib.suppress(BrokenPipeError):  # the user has quit
+                    self._target.close()
+                with contextlib.suppress(KeyboardInterrupt):  # the pager handles Ctrl-C
+                    self._process.wait()
+                    self._process = None
+
+
+@contextlib.contextmanager
+def paged() -> Iterator[None]:
+    """In the block, show output that is longer than the screen in ``$PAGER``, by default less; only on a terminal."""
+    terminal, command = sys.stdout, os.environ.get("PAGER", _PAGER)
+    if not (terminal.isatty() and sys.stdin.isatty() and command.strip()) or os.environ.get("TERM") == "dumb":
+        yield
+        return
+    pager = _Pager(terminal, command)
+    sys.stdout = cast("TextIO", pager)  # it writes text, which is all that printing needs
+    try:
+        yield
+    finally:
+        sys.stdout = terminal
+        pager.finish()
+
+
+def messages() -> IO[str]:
+    """Return the stream for messages: stderr, or an open pager on the same terminal, whose page they would cover."""
+    return sys.stdout if isinstance(cast("object", sys.stdout), _Pager) and sys.stderr.isatty() else sys.stderr
+
+
+# --- help, progress and completion ------------------------------------------------------------------------------------
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose help has examples and colours, whose errors suggest similar names, and which shells complete."""
+
+    def __init__(
+        self,
+        *args: Any,
+        examples: Callable[[], Iterable[tuple[str, str]]] = lambda: (),
+        completers: Mapping[str, Callable[..., list[str]]] | None = None,
+        **options: Any,
+    ) -> None:
+        self._examples = examples  # commands, each with its result
+        self._completers = completers or {}  # functions by the names or the placeholders of arguments
+        super().__init__(*args, **options)
+
+    def add_argument(self, *args: Any, **options: Any) -> argparse.Action:
+        """Add an argument, with its completer."""
+        action = super().add_argument(*args, **options)
+        for name in (action.dest, action.metavar):
+            if isinstance(name, str) and name in self._completers:
+                vars(action)["completer"] = self._completers[name]  # where argcomplete looks for it
+        return action
+
+    def format_help(self) -> str:
+        """Return the help, with examples at its end."""
+        lines = list(self._examples())
+        width = max((len(command) for command, _ in lines), default=0)
+        shown = [f"  {command:{width}}  {result}\n" for command, result in lines]
+        return super().format_help() + ("\nexamples:\n" if shown else "") + "".join(shown)
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help, on a terminal in colours."""
+        stream = sys.stdout if file is None else file
+        stream.write(painted(self.format_help(), _HELP, stream))
+
+    def error(self, message: str) -> Any:
+        """Exit with a message about wrong usage."""
+        if wrong := _WRONG_CHOICE.search(message):
+            message += did_you_mean(wrong["given"], re.findall(r"[\w.-]+", wrong["known"]))
+        super().error(message)
+
+
+class ProgressLines:
+    """Tells when the next line of progress is due where no bar can be shown: every 10 s."""
+
+    def __init__(self) -> None:
+        self._next = time.monotonic() + PERIOD
+
+    def due(self) -> bool:
+        """Return whether a line is due, and start the next period if so."""
+        now = time.monotonic()
+        if now < self._next:
+            return False
+        self._next = now + PERIOD
+        return True
+
+
+def typed_words() -> list[str] | None:
+    """Return the complete words of the command line for which a shell wants completions; None if no shell asks."""
+    if _COMPLETING not in os.environ:
+        return None
+    line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
+    words = line.split()
+    return words[1:] if line.endswith(" ") else words[1:-1]
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """If a shell asks for completions, print them and exit."""
+    if _COMPLETING in os.environ:
+        import argcomplete  # noqa: PLC0415  only shells that complete need it
+
+        argcomplete.autocomplete(parser, always_complete_options=False)
+
+
+def files_ending(*suffixes: str) -> Callable[..., list[str]]:
+    """Return a completer of folders and of files with one of these suffixes."""
+
+    def complete_file(prefix: str, **_: object) -> list[str]:
+        folder, slash, start = prefix.rpartition("/")
+        with contextlib.suppress(OSError), os.scandir(os.path.expanduser(folder + slash) or ".") as entries:  # noqa: PTH111  keeps ./
+            return [
+                f"{folder}{slash}{entry.name}{'/' * entry.is_dir()}"
+                for entry in entries
+                if entry.name.startswith(start)
+                and (entry.name.endswith(suffixes) or (entry.is_dir() and not entry.name.startswith(".")))
+            ]
+        return []
+
+    return complete_file

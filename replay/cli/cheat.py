@@ -1,0 +1,145 @@
+"""``cheat``: what to type for which question, on one page. The help of each verb shows its examples."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from replay.cli.console import print_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+#: For each verb under its heading two examples: its arguments, and what they show or do.
+SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
+    "What happened": {
+        "info": (
+            ("run.mcap", "summary: plan, outcome, worlds, versions"),
+            ("runs/", "summary of a folder of recordings"),
+        ),
+        "tree": (
+            ("run.mcap", "the task tree, with the path to the failure"),
+            ("run.mcap --at failure", "the task tree when it failed"),
+        ),
+        "log": (
+            ("run.mcap --object milk --kind mutation", "all changes of the milk"),
+            ("run.mcap --from -20", "the last 20 records"),
+        ),
+        "show": (
+            ("run.mcap failure", "the whole record of the failure"),
+            ("run.mcap 12 --json", "the record of step 12 as JSON"),
+        ),
+        "source": (
+            ("run.mcap", "the recorded source files"),
+            ("run.mcap -o source/", "write them into a folder"),
+        ),
+        "view": (
+            ("run.mcap --at failure", "the scene in the Rerun viewer"),
+            ("run.mcap --web", "the same in the browser"),
+        ),
+    },
+    "Why": {
+        "why": (
+            ("run.mcap", "why the plan failed"),
+            ("run.mcap task:pick-up@end", "why this task failed"),
+        ),
+        "blame": (
+            ("run.mcap milk", "the last change of the milk, and its cause"),
+            ("run.mcap pr2.torso_lift_joint --at 100", "the last change of a joint until step 100"),
+        ),
+        "diff": (
+            ("run.mcap 10 failure", "what changed between two steps"),
+            ("run.mcap other.mcap", "the first difference of two runs"),
+        ),
+    },
+    "At a step": {
+        "state": (
+            ("run.mcap failure", "poses and attachments at the failure"),
+            ("run.mcap 12.5s pr2", "the robot's joints after 12.5 simulated seconds"),
+        ),
+        "ask": (
+            ("run.mcap failure", "the query of that step again"),
+            ("run.mcap 100 'stable(milk)'", "another query at step 100"),
+        ),
+        "render": (
+            ("run.mcap failure -o failure.png", "a picture of the failure"),
+            ("run.mcap last --from above", "the end, seen from above"),
+        ),
+        "restore": (
+            ("run.mcap failure --shell", "the live world in a Python shell"),
+            ("run.mcap 100 --script test.py", "a script that runs in the world of step 100"),
+        ),
+    },
+    "Run it again": {
+        "verify": (
+            ("run.mcap", "repeat every change, and compare the effects"),
+            ("run.mcap --static", "check only the file and its records"),
+        ),
+        "retrace": (
+            ("run.mcap", "run the plan again, and compare the records"),
+            ("run.mcap --plan new.py", "the same with an edited plan"),
+        ),
+        "fork": (
+            ("run.mcap --at 100 --set milk.position=1.3,0.9,0.95", "continue with the milk elsewhere"),
+            ("run.mcap --at 100 --plan new.py", "continue with an edited plan"),
+        ),
+        "debug": (
+            ("run.mcap", "a debugger at the failure that steps back"),
+            ("run.mcap task:pick-up@start", "a debugger at the start of a task"),
+        ),
+        "resume": (
+            ("run.mcap", "continue a plan whose process was killed"),
+            ("run.mcap -o rest.mcap", "the same, recorded into rest.mcap"),
+        ),
+    },
+    "Many runs": {
+        "stats": (
+            ("runs/", "success rates, causes of failures, slow parts"),
+            ("runs/ --html report.html", "a report with plots and pictures"),
+        ),
+        "separate": (
+            ("runs/", "facts that separate failed from successful runs"),
+            ("runs/ --cause 1", "the same for one cause of failures"),
+        ),
+        "sql": (
+            ("runs/ --schema", "the tables and their columns"),
+            ("runs/ 'select outcome, count(*) from runs group by 1'", "a query"),
+        ),
+        "export": (
+            ("run.mcap --trajectories -o motions.csv", "planned and driven positions as a table"),
+            ("runs/ --to lerobot dataset --succeeded", "successful runs as a data set"),
+        ),
+    },
+    "Files": {
+        "repair": (
+            ("run.mcap", "copy the readable parts of a damaged recording"),
+            ("run.mcap -o sound.mcap", "the same into sound.mcap"),
+        ),
+        "pack": (
+            ("runs/0001.mcap", "copy a sweep's recording with its models"),
+            ("runs/0001.mcap -o run.mcap", "the same into run.mcap"),
+        ),
+    },
+}
+_STEPS: Final = """
+Steps
+  120, -1, last     a number; negative numbers count from the end
+  failure           the step that why explains
+  12.5s             a simulated time
+  task:pick-up@end  start or end of a task; task:pick-up#2@start is the second one
+"""
+
+
+def examples(verb: str) -> Iterator[tuple[str, str]]:
+    """Yield a verb's examples: commands, and what they show or do."""
+    for verbs in SHEET.values():
+        for arguments, result in verbs.get(verb, ()):
+            yield f"pycram-replay {verb} {arguments}", result
+
+
+def print_sheet() -> None:
+    """Print the cheat sheet."""
+    width = max(len(command) for verbs in SHEET.values() for verb in verbs for command, _ in examples(verb))
+    for heading, verbs in SHEET.items():
+        lines = [f"  {command:{width}}  {result}" for verb in verbs for command, result in examples(verb)]
+        print_text("\n".join([heading, *lines, ""]))
+    print_text(_STEPS.strip())
