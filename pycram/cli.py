@@ -344,13 +344,13 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
 
 def _seed(text: str) -> int:
     if not text.isdecimal() or int(text) > MAX_SEED:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 0 to {MAX_SEED}")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to {MAX_SEED}")
     return int(text)
 
 
 def _count(text: str) -> int:
     if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 up")
     return int(text)
 
 
@@ -360,7 +360,7 @@ def _seconds(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 0 < value < threading.TIMEOUT_MAX:
-        raise argparse.ArgumentTypeError(f"{text!r} is no time in seconds, more than 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds greater than 0")
     return value
 
 
@@ -371,7 +371,7 @@ def _order(text: str) -> str:
     try:
         order_of(text, None)
     except BadArgument as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no order: expected {error.expected}") from error
+        raise argparse.ArgumentTypeError(f"{text!r} is not an order: expected {error.expected}") from error
     return text
 
 

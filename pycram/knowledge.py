@@ -1,9 +1,9 @@
 """A robot's beliefs: where it last saw objects, took them or put them down.
 
 A plan may act on ``believed("milk")`` without a new look: this is the result of the robot's latest look, a step of the
-recording. The robot doesn't notice what others move afterwards, until it looks again. It has no belief about objects
-that it never saw. The motions ``detecting`` and ``world-state-detecting`` update beliefs, and so do its own grasps and
-placements; process modules for other cameras call :func:`learn`.
+recording. If others move objects afterwards, the robot doesn't notice until it looks again. It has no belief about
+objects that it never saw. The motions ``detecting`` and ``world-state-detecting`` update beliefs, and so do its own
+grasps and placements; process modules for other cameras call :func:`learn`.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class Belief:
     """A robot's belief about the pose of an object."""
 
     object: Object
-    position: Vector  # of its base in the world, m; of a held object, where the hand has it now
-    orientation: Quaternion  # of its base, xyzw
-    sim_step: int  # when the robot learned it: simulated step of the world, 1/240 s
-    #: The step that taught it: a look, or a change that took or put down the object; -1 if no running recording has it.
+    position: Vector  # position of its base in the world, m; for a held object, its present position
+    orientation: Quaternion  # orientation of its base, xyzw
+    sim_step: int  # simulated step (1/240 s) of the world at which the robot learned it
+    #: The recorded step that taught it: a look, a grasp or a placing; -1 if no running recording has the step.
     step: int
     #: "seen"; "told" by the world's state, without being seen; "held"; "placed", where the robot released it.
     source: str
@@ -79,10 +79,10 @@ def beliefs(what: str | Object | None = None, *, robot: Object | None = None) ->
 def learn(poses: Mapping[Object, PoseLike], *, robot: Object | None = None) -> None:
     """Update a robot's beliefs with seen poses; for process modules with a camera of their own.
 
-    The recording has it as one query, ``seen``.
+    This is recorded as one query, ``seen``.
 
     Args:
-        poses: Of the objects in the world: xyz in m, xyzw.
+        poses: Poses of the objects in the world: xyz in m, xyzw.
         robot: By default the current world's robot.
 
     Raises:

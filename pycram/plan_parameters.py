@@ -44,9 +44,10 @@ class UnknownParameter(UsageError):
     """A run sets a parameter that the plan doesn't declare."""
 
     def __init__(self, plan: str, name: str, declared: list[str]) -> None:
-        hint = suggestion(name, declared) if declared else "it declares none: pycram.parameters(name=default)"
+        none = "it declares no parameters; declare them with pycram.parameters(name=default)"
+        hint = suggestion(name, declared) if declared else none
         super().__init__(f"{plan} has no parameter {name!r}; {hint}")
-        self.name = name  # of the parameter
+        self.name = name  # name of the parameter
         self.declared = declared  # names of the declared parameters
 
 
@@ -99,7 +100,7 @@ def declared_in(plan: Path) -> dict[str, Any] | None:
     Defaults that aren't literals are :data:`ANY`. Returns None if a call like ``parameters(**others)`` hides them.
 
     Raises:
-        SyntaxError: The file is no Python.
+        SyntaxError: The file isn't Python.
     """
     tree = ast.parse(plan.read_bytes(), str(plan))
     found = dict(_of_main(tree))
@@ -138,7 +139,7 @@ def arguments_of_main(plan: Path, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that are arguments of the plan's main function.
 
     Raises:
-        SyntaxError: The plan is no Python.
+        SyntaxError: The plan isn't Python.
     """
     if not values:
         return {}
@@ -228,7 +229,7 @@ class Variations:
             values[name] = self.listed[name][index]
         for name, text in self.sampled.items():
             kind, arguments = _distribution(name, str(text))
-            dice = random.Random(f"{seed}/{number}/{name}")  # a text's own hash, whatever PYTHONHASHSEED
+            dice = random.Random(f"{seed}/{number}/{name}")  # a text as seed doesn't depend on PYTHONHASHSEED
             values[name] = _DISTRIBUTIONS[kind][1](dice, *arguments)
         return values
 
@@ -268,7 +269,7 @@ def sampled(text: str) -> tuple[str, str]:
     return name, distribution
 
 
-@lru_cache  # each run's name has its values
+@lru_cache  # the name of each run contains its values
 def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
     call = _CALL.fullmatch(text.strip())
     if call is None:

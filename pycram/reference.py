@@ -1,7 +1,7 @@
 """Writes docs/reference.md, the reference of motions and actions, from their code: ``python -m pycram.reference``.
 
-Slots, values, units and defaults are those that check designators, failures are those that process modules declare, and
-texts are docstrings. So the page is always correct.
+The page has the slots, values, units and defaults by which designators are checked, the failures that process modules
+declare, and the texts of docstrings. So it is always correct.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def reference() -> str:
         module = modules[motion.cmd]
         failures |= {*module.failures, *module.failures_in_time}
         parts.append(_motion(motion, module))
-    # Failures are on record under their public module, which isn't the file that they stand in.
+    # Failures are recorded under their public module, which isn't the file that defines them.
     source = "".join(file.read_text(encoding="utf-8") for file in Path(__file__).parent.rglob("*.py"))
     parts += ["## Failures\n", *(_failure(kind, source) for kind in sorted(failures, key=lambda kind: kind.__name__))]
     return "\n".join(parts)
@@ -129,7 +129,7 @@ def _names(failures: Iterable[type[PlanFailure]]) -> str:
 
 
 def _failure(kind: type[PlanFailure], source: str) -> str:
-    """Return the entry of a failure: its docstring, and its own fields with the comments beside them."""
+    """Return the entry of a failure: its docstring, and its own fields with the comments after them."""
     text = re.sub(r":class:`(\w+)`", r"`\1`", _line(inspect.getdoc(kind) or ""))
     body = re.search(rf"^class {kind.__name__}\b.*?(?=^\S)", source, re.DOTALL | re.MULTILINE)
     fields = re.findall(r"^ {4}(?: {4}self\.)?([a-z]\w*)(?:: | = ).*?  # (.*)$", body[0] if body else "", re.MULTILINE)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
-MAX_SEED: Final = 2**32 - 1  # of PYTHONHASHSEED and of NumPy
+MAX_SEED: Final = 2**32 - 1  # largest seed of PYTHONHASHSEED and of NumPy
 _HASH: Final = "PYTHONHASHSEED"
 #: Set by :func:`restart`: the id of the restarted process, and its seed. A plan's own child processes have other ids.
 _RESTARTED: Final = "PYCRAM_SEEDED"
@@ -44,9 +44,9 @@ class RunSpec:
 
     plan: Path
     arguments: tuple[str, ...] = ()
-    seed: int | None = None  # of random numbers; None leaves them as they are
-    order: str = ""  # of branches; "" for the one that the seed draws
-    motion: str = ""  # execution environment where the plan names none; "" for "simulated"
+    seed: int | None = None  # seed of the random numbers; None leaves them unchanged
+    order: str = ""  # order of branches; "" for the order that the seed draws
+    motion: str = ""  # execution environment if the plan names none; "" for "simulated"
     parameters: Mapping[str, Any] = field(default_factory=dict)  # values; the plan's other parameters have defaults
     local_variables: bool = True  # whether recorded failures hold the plan's local variables
 
@@ -105,7 +105,7 @@ def run(
                 if arguments_for_main:
                     names["main"](**arguments_for_main)
             finally:
-                for thread in threading.enumerate():  # that the plan has left running are part of it, as in Python
+                for thread in threading.enumerate():  # the plan's threads are part of the run, as in Python
                     if thread is not threading.current_thread() and not thread.daemon:
                         thread.join()
     except BaseException as raised:  # noqa: BLE001  whatever the plan's own code raises
@@ -177,7 +177,7 @@ def chosen_seed(given: int | None) -> int:
         return given
     process, _, inherited = os.environ.get(_RESTARTED, "").partition(":")
     text = os.environ.get(_HASH, "")
-    chosen_by_run = text == inherited and process != str(os.getpid())  # by a plan that started this process
+    chosen_by_run = text == inherited and process != str(os.getpid())  # a plan that started this process has chosen it
     if text.isdecimal() and int(text) <= MAX_SEED and not chosen_by_run:
         return int(text)
     return random.SystemRandom().randrange(MAX_SEED + 1)

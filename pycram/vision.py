@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
 
 
-NEAR: Final = 0.02  # m
-FAR: Final = 20.0  # m
+NEAR: Final = 0.02  # m, nearest visible distance
+FAR: Final = 20.0  # m, farthest visible distance
 _SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background, at the top and at the bottom
 _HOUSING: Final = 0.005  # m by which a housing may end before the lens
-_LARGE: Final = 400  # pixels of a triangle's bounds from which on it is drawn alone
+_LARGE: Final = 400  # minimum number of pixels in the bounds of a triangle that is drawn alone
 _BAND: Final = 32  # rows of such a triangle that are drawn together; this skips most of the bounds of a slanted one
 _BATCH: Final = 1 << 16  # pixels of smaller triangles that are drawn together; more would only take memory
 
@@ -42,7 +42,7 @@ class Rendering:
     depth: NDArray[np.float64]  # (height, width) along the camera's axis in m; inf without an object
     bodies: NDArray[np.int64]  # (height, width) numbers of the rendered objects; -1 without an object
     triangles: NDArray[np.float64]  # (n, 3, 3) rendered triangles in the camera's frame, m
-    colors: NDArray[np.float64]  # (n, 3) of the triangles, RGB 0..1
+    colors: NDArray[np.float64]  # (n, 3) colours of the triangles, RGB 0..1
     seen: NDArray[np.int64]  # (height, width) number of the triangle at each pixel; -1 without a triangle
 
     def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
@@ -81,9 +81,9 @@ class Rendering:
 class Drawable:
     """A body to render, from a physics engine or from a recording. It has k links."""
 
-    shapes: Shapes  # of the links, in their frames
-    positions: NDArray[np.float64]  # (k, 3) of the links' frames in the world, m
-    orientations: NDArray[np.float64]  # (k, 4) of the links' frames in the world, xyzw
+    shapes: Shapes  # shapes of the links, in their frames
+    positions: NDArray[np.float64]  # (k, 3) positions of the links' frames in the world, m
+    orientations: NDArray[np.float64]  # (k, 4) orientations of the links' frames in the world, xyzw
     color: Sequence[float] | None  # RGBA 0..1 of the whole body; None for the model's colours
     is_robot: bool  # whether links around the camera are its housing
 
@@ -115,8 +115,8 @@ class _Boxes:
 
     low: NDArray[np.float64]  # (k, 3) lowest corners, m
     high: NDArray[np.float64]  # (k, 3) highest corners, m
-    positions: NDArray[np.float64]  # (k, 3) of the links' frames, m
-    turns: NDArray[np.float64]  # (k, 3, 3) of the links' frames
+    positions: NDArray[np.float64]  # (k, 3) positions of the links' frames, m
+    turns: NDArray[np.float64]  # (k, 3, 3) orientations of the links' frames
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,7 +79,7 @@ def _place_for_the_robot(name: str, value: Any) -> Any:
     wanted = _place(name, value)
     if isinstance(wanted, LocationDesignator) and wanted.for_objects:
         known = "a place where the robot can stand, as LocationDesignator(near=...) or (reachable_for=...)"
-        raise BadArgument(name, value, f"{known}; this is one for an object")
+        raise BadArgument(name, value, f"{known}; the given place is for an object")
     return wanted
 
 
@@ -141,8 +141,8 @@ _COMMON: Final = (
     Slot(
         "budget",
         _BUDGET,
-        text="how many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of "
-        "the budget around it",
+        text="number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries "
+        "of the action around it",
     ),
     Slot("projected", _FLAG, text="whether the best choices are imagined first; False by default"),
 )
@@ -322,7 +322,7 @@ def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
     """Prepare an action before its choices are found; after the ``with`` block, finish the preparation."""
     try:
         kind, given = _checked(designator)
-    except DesignatorError:  # a resolver of the plan may know it
+    except DesignatorError:  # a resolver of the plan may know its slots
         return nullcontext()
     if kind.prepare is None:
         return nullcontext()

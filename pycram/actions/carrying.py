@@ -101,7 +101,7 @@ def _fetching_choices(
     except NoPlace as failure:
         nowhere = failure
     if holder(body) is None and _crowded(body):
-        if not drives(BulletWorld.current_robot()):  # there is no other place
+        if not drives(BulletWorld.current_robot()):  # the robot can only stay where it is
             yield from ({"arm": each, "clear": True} for each in free)
         else:
             with suppress(NoPlace):
@@ -184,7 +184,7 @@ def _clear_away(body: Object, arm: str | None) -> None:
     for other in movable:
         if other in waiting:
             circle = " and ".join(each.name for each in waiting[waiting.index(other) :])
-            raise ReasoningError(f"{circle} block each other: none can go first")
+            raise ReasoningError(f"{circle} block each other, so none can be cleared away first")
         elsewhere = LocationDesignator(on=_surfaces_beside(body), away_from=body)
         with Binding(_waiting, waiting):
             perform(ActionDesignator(type="transporting", object=other, target=elsewhere))
@@ -311,7 +311,7 @@ def transporting(
     deliver = ActionDesignator(type="delivering", object=body, target=target)
     try:
         return perform(deliver)
-    except (NoPlace, ActionFailed):  # with the arm that holds it
+    except (NoPlace, ActionFailed):  # the holding arm doesn't reach the target
         if holder(body) is None or not any(held_by(other) is None for other in arms()):
             raise
         perform(ActionDesignator(type="handing-over", object=body))  # another arm may reach farther

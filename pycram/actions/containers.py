@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _PLACES: Final = 3  # places of the robot to try for each width
 _SAME: Final = (0.005, math.radians(0.5))  # m and rad, maximum distance of a robot that is at a place
-_CLOSED: Final = 0.1  # m or rad
+_CLOSED: Final = 0.1  # m or rad, maximum opening that counts as closed
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +154,7 @@ def _handle_choices(
         arm: The arm; None for any.
         values: Target positions of its joint, rad or m, the best first.
         place: Place of the robot, m; None to search places.
-        orientation: Of its base there; its present orientation by default.
+        orientation: Orientation of its base there; its present orientation by default.
 
     Raises:
         AccessFailed: No arm is free.
@@ -220,8 +220,8 @@ def _move(access: Access, arm: str, distance: float, place: Sequence[float], ori
         perform(MotionDesignator([("type", "move-arm-joints"), (f"{arm}-arm", "park")]))
 
 
-_WIDE: Final = {True: 0.4, False: 1.2}  # m of a drawer, so that its back can be reached; rad of a door
-_SHARES: Final = (1.0, 0.75, 0.5)  # of this width, to try
+_WIDE: Final = {True: 0.4, False: 1.2}  # opening of a drawer in m, so that its back can be reached, or of a door in rad
+_SHARES: Final = (1.0, 0.75, 0.5)  # shares of this width, which are tried in order
 
 
 def _opening_choices(

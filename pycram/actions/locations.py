@@ -32,7 +32,7 @@ def _surfaces(name: str, value: Any) -> Surfaces:
     values = value if isinstance(value, list | tuple) else [value]
     found = [each for one in values for each in _surfaces_of(name, one)]
     if not found:
-        raise BadArgument(name, value, "surfaces; this has none")
+        raise BadArgument(name, value, "an object with surfaces, or a list of surfaces")
     return found
 
 

@@ -63,7 +63,7 @@ def has_camera() -> bool:
 
 
 def detected(bodies: Sequence[Object]) -> Object:
-    """Return the object, of several of a type, that the robot's camera sees best in its present direction.
+    """Return the one of several objects that the robot's camera sees best in its present direction.
 
     Raises:
         PerceptionError: It sees none of these objects.
@@ -96,12 +96,12 @@ def looking(object: Any = None, target: Any = None) -> None:  # noqa: A002  the 
 
 
 class ObjectNotFound(PerceptionError):
-    """An object wasn't found where it was looked for.
+    """A search looked at all places, but didn't find the object.
 
     Attributes:
-        object_type: What was looked for.
-        looked: Where, in that order, and what came of it.
-        reasons: What came of it last, by where that was.
+        object_type: Type of the object.
+        looked: The places of the looks, in order, each with the failure of the look.
+        reasons: The message of the last failed look at each place, by place.
     """
 
     def __init__(self, object_type: str, looked: Sequence[tuple[str, BaseException]]) -> None:
@@ -109,8 +109,8 @@ class ObjectNotFound(PerceptionError):
         self.looked = list(looked)
         seen = dict.fromkeys(where for where, failure in looked if isinstance(failure, PerceptionError))
         vain = [where for where in dict.fromkeys(where for where, _ in looked) if where not in seen]
-        text = f"it was looked for {', '.join(seen)}" if seen else "there was nothing to look at"
-        rest = f"; no look was possible {', '.join(vain)}" if vain else ""
+        text = f"the robot looked {', '.join(seen)}" if seen else "there was no place to look at"
+        rest = f"; it couldn't look {', '.join(vain)}" if vain else ""
         self.args = (f"no {object_type} found: {text}{rest}",)
 
 

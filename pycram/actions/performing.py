@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 BUDGET: Final = 20
 """Default number of tries of an action, including those of its subactions, that may fail."""
 
-_ENDLESS: Final = 10**9  # retries
+_ENDLESS: Final = 10**9  # retries; only the budget limits them
 _MAX_REASONS: Final = 4  # kinds of failures in the message of an ActionFailed
 _MAX_IMAGINED: Final = 8  # choices of an action that are imagined by default
 #: Choices that are imagined in parallel: in the first batch, because the best choice mostly succeeds, and later.
@@ -262,7 +262,7 @@ class _Act:
             return _Tries(kind, slots, solutions, budget, ahead).carried_out()
 
     def _solutions(self) -> Iterator[Solution]:
-        """Yield its solutions; record how the first was found."""
+        """Yield its solutions; record the search for the first solution."""
         self.span.solution = first = self._designator.reference()
         found = self._designator.resolution()
         self.span.decision = Decision(

@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_POSES: Final = 40  # of the tool, for the check of reach
+_POSES: Final = 40  # number of tool poses in the check of reach
 _ENOUGH: Final = 0.9  # minimum share of reached poses
 _CENTRED: Final = 0.003  # m, maximum distance of the middle between fingers from the tool frame
 _APERTURE: Final = 0.005  # m, tolerance for measures of fingers
-_STILL_TIME: Final = 2.0  # s
-_STILL: Final = 1e-3  # rad or m
+_STILL_TIME: Final = 2.0  # s, duration of the simulation
+_STILL: Final = 1e-3  # rad or m, maximum motion of a still joint
 _TRIED: Final = 4000  # candidates for a parking posture
 _CHECKED: Final = 300  # best candidates, which are checked for self-collisions
-_SAMPLED: Final = 40  # postures in which links overlap that always overlap
+_SAMPLED: Final = 40  # number of postures; links that overlap in all of them always overlap
 _FLOOR: Final = 0.05  # m, minimum height of a parked arm above the root link
 _STRAIN: Final = 0.1  # m, penalty in size for a posture at joint limits
 

@@ -90,7 +90,7 @@ def _draw(body: Object, file: Path) -> None:
 
     try:
         draw(body, file)
-    except (OSError, ValueError) as error:  # ValueError: of a name that is no picture's
+    except (OSError, ValueError) as error:  # ValueError: the suffix isn't an image format's
         raise AssetError(file, str(error)) from error
     print(f"picture in {file}", file=sys.stderr)
 

@@ -1,6 +1,6 @@
 """A first description of a robot, guessed from its URDF, as TOML with comments for the person who reviews it.
 
-Values that no URDF contains, such as fields of view, are usual values, with a comment that says so.
+Values that a URDF can't contain, such as fields of view, are typical values; a comment marks each of them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 110  # characters per line
 _DIGITS: Final = 4
-_USUAL: Final = """horizontal_fov = 1.2  # usual values: URDFs have none
+_USUAL: Final = """horizontal_fov = 1.2  # typical values: a URDF has none
 vertical_fov = 0.96
 width = 640
 height = 480
@@ -39,7 +39,7 @@ class Guess:
     """The parts of a robot that were recognised in its URDF."""
 
     model: Model
-    arms: Sequence[tuple[ArmChain, HandGuess | str]]  # with the gripper, or why none was recognised
+    arms: Sequence[tuple[ArmChain, HandGuess | str]]  # each with its gripper, or the reason why there is none
     torso: UrdfJoint | None  # the joint that lifts the arms
     camera: str  # the link of a camera; "" for none
     head: Mapping[str, str]  # the joints "pan" and "tilt"

@@ -65,25 +65,25 @@ _Body: TypeAlias = "dict[str, list[float]]"  # "position", "orientation" and joi
 #: Kinds of endings.
 SUCCEEDED, FAILED, DEADLOCK, TIME_LIMIT, DIED = "succeeded", "failed", "deadlock", "time limit", "died"
 _WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK)  # kinds of endings whose runs return their order
-DEPTH: Final = 3  # of races: most known races need no more (Burckhardt et al.)
-LIMIT: Final = 60.0  # s
-_ROUND: Final = 16  # runs that draw over the same number of turns
-_EXPLAINED: Final = 8  # endings; there may be as many as runs
-_MAX_TRIES: Final = 200  # runs to reduce an order
+DEPTH: Final = 3  # default depth of races: most known races are no deeper (Burckhardt et al.)
+LIMIT: Final = 60.0  # s, default time limit of a run
+_ROUND: Final = 16  # runs of a round: their orders are drawn over the same number of turns
+_EXPLAINED: Final = 8  # maximum number of explained endings: each run may end differently
+_MAX_TRIES: Final = 200  # maximum number of runs that reduce an order
 # Smaller differences of states are ignored: physics computes each order a little differently.
 _DISTANCE: Final = 0.01  # m
 _ANGLE: Final = 0.1  # rad
 _JOINT: Final = 0.02  # rad or m
-_NUMBER: Final = 1e-3  # of fluents
+_NUMBER: Final = 1e-3  # difference of numbers in fluents
 _DECIMAL: Final = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
 
 
 class NotExplorable(UsageError):
-    """An action was to be explored where its process can't be copied."""
+    """An action can't be explored, because its process can't be copied."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(f"orders can't be explored here: {cause}")
-        self.cause = cause  # why not, and what to do
+        self.cause = cause  # why it can't be copied, and what to do
 
 
 export("pycram.exploration", NotExplorable)
@@ -93,13 +93,13 @@ export("pycram.exploration", NotExplorable)
 class EndingGroup:
     """Runs that end alike."""
 
-    ending: Ending  # of the first run
+    ending: Ending  # ending of the first of these runs
     count: int
     order: str  # the smallest known order with this ending, as text of :mod:`pycram.scheduling.order`
     #: The deciding precedences; without them, the plan ends as in the first run. Empty for the first ending, and if
     #: unknown.
     made: tuple[AppliedPrecedence, ...] = ()
-    recording: Path | None = None  # of a run in that order
+    recording: Path | None = None  # recording of a run in that order
 
 
 @dataclass(slots=True)
@@ -110,7 +110,7 @@ class Exploration:
     orders: int  # number of different orders among them
     found: list[EndingGroup]  # in the order of the runs
     deterministic: bool = True  # whether runs in the same order ended alike
-    interrupted: bool = False  # by Ctrl-C
+    interrupted: bool = False  # whether Ctrl-C ended the exploration
 
     @property
     def alike(self) -> bool:
@@ -132,10 +132,10 @@ def explore(
     Args:
         action: A function of the plan.
         runs: Number of orders.
-        seed: Of random numbers, the same in all runs, and of the orders.
-        depth: Maximum number of orderings of two steps that a race needs to be found.
+        seed: Seed of the random numbers, which are the same in all runs, and of the orders.
+        depth: Maximum depth of the races to find: the number of precedences between two steps that cause the race.
         limit: Seconds of wall-clock time for each run.
-        folder: For a recording of each ending, if there are several; None to keep none.
+        folder: Folder for a recording of each ending, if there are several endings; None to keep no recordings.
 
     Raises:
         NotExplorable: A world has a window or runs in real time, the plan has threads of its own, or the system can't
@@ -220,7 +220,7 @@ def _orders(count: int, depth: int, attempts: dict[int, OrderedRun]) -> Iterator
 
 def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
     """Find the different endings, in the order of the runs."""
-    if not result.runs:  # else it is done
+    if not result.runs:  # the endings aren't sorted yet
         for _, attempt in sorted(attempts.items()):
             like = next((each for each in result.found if each.ending.is_like(attempt.ending)), None)
             if like is None:
@@ -462,7 +462,7 @@ class EndingSink:
     def __init__(self, file: McapSink | None = None) -> None:
         self._file: Sink = file or NullSink()
         self.attach, self.flush, self.close = self._file.attach, self._file.flush, self._file.close
-        self._lines: dict[str, str] = {}  # of failures
+        self._lines: dict[str, str] = {}  # the plan's line of each failure
         self.ending = Ending(DIED, "its process ended")  # until the record of its end
         if file is not None:
             self.path = file.path  # projections are recorded next to it

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pycram.scheduling.order import BranchLine
 
 _MAX_TOLD: Final = 6  # printed differences of states, and printed precedences
-_WIDTH: Final = 200  # characters of a failure
+_WIDTH: Final = 200  # maximum number of characters of a printed failure
 
 
 def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
@@ -105,7 +105,7 @@ def _lines(result: Exploration, command: list[str], rest: list[str], depth: int)
     yield f"{rest[0]}: {result.runs} runs with seed {command[-1]} in {different}, for races of depth {depth}"
     if result.alike:
         never = (
-            " There is no other order: never were two branches ready at the same time." if result.orders == 1 else ""
+            " There is no other order: two branches were never ready at the same time." if result.orders == 1 else ""
         )
         yield f"all end alike: {_words(result.found[0].ending)}.{never}"
         return

@@ -75,7 +75,7 @@ class Expression(ABC):
     @property
     @abstractmethod
     def leaves(self) -> tuple[Leaf, ...]:
-        """The leaves among the operands, at any depth, each once; of a leaf, the leaf itself."""
+        """The leaves among the operands, at any depth, each once; for a leaf, the leaf itself."""
 
     @abstractmethod
     def value(self, state: State) -> Value:
@@ -354,7 +354,7 @@ _METHODS: Final[dict[object, str]] = {changes: "changed", rises: "rising", falls
 
 
 def _reachable(given: Iterable[Expression], next_to: Callable[[Expression], Iterable[Expression]]) -> list[Expression]:
-    """Return the given expressions, which are distinct, and all that are reachable from them, each once."""
+    """Return the given expressions, which are distinct, and all expressions reachable from them, each once."""
     queue = list(given)
     reached = set(queue)
     for expression in queue:

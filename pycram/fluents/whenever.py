@@ -32,8 +32,8 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
     """Run a body whenever a fluent's value is not None, again and again while it stays so.
 
     To run the body once each time that a condition becomes true, count its changes: :meth:`Fluent.rising`,
-    :meth:`Fluent.falling`, :meth:`Fluent.changed` and :meth:`Fluent.pulsed`. One run handles each of them, or several
-    if their behavior says so::
+    :meth:`Fluent.falling`, :meth:`Fluent.changed` and :meth:`Fluent.pulsed`. Each of them is handled by one run,
+    or several of them by one run, depending on their behavior::
 
         for _ in whenever(door.pulsed()):
             look_at(door)
@@ -42,8 +42,8 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
             s(whenever, (battery < 20).rising(), charge)
             s(plan)
 
-    Both forms run in the thread that calls them. They end when the branch is cancelled, as the block around is decided,
-    and when the body raises an error; a loop also ends by ``break``.
+    Both forms run in the thread that calls them. They end when the branch is cancelled because the block around it is
+    decided, and when the body raises an error. A loop also ends by ``break``.
 
     Args:
         body: The function to run; None for a ``for`` loop.
@@ -52,7 +52,7 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
         Without a body, an iterator that waits and yields each value that isn't None.
 
     Raises:
-        BadArgument: The fluent is none, or the body isn't callable.
+        BadArgument: ``fluent`` isn't a fluent, or the body isn't callable.
         Cancelled: The branch is cancelled.
     """
     watched = unwrap(fluent)

@@ -88,11 +88,11 @@ class UsageError(PycramError):
 
 def kept_as(convert: Callable[[Given], object], **default: Given | None) -> Given:
     """Return a field of a dataclass error that stores the result of ``convert`` (list, dict, ...); None stays None."""
-    return cast("Given", field(**default, metadata={"convert": convert}))  # type: ignore[call-overload]  # at most default
+    return cast("Given", field(**default, metadata={"convert": convert}))  # type: ignore[call-overload]  # default is the only keyword
 
 
 def floats(values: Sequence[float]) -> list[float]:
-    """Return numbers as Python floats; they may be an array."""
+    """Return numbers, which may be given as an array, as Python floats."""
     return [float(value) for value in values]
 
 
@@ -118,7 +118,7 @@ def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
         self._complete()
         super(PycramError, self).__init__(self._message())
 
-    kind.__init__ = init  # type: ignore[method-assign, assignment]  # of the same parameters
+    kind.__init__ = init  # type: ignore[method-assign, assignment]  # with the same parameters
     return kind
 
 
@@ -170,7 +170,7 @@ def _allow_python(kind: type[PycramError]) -> None:
         else:
             assign(error, name, value)
 
-    kind.__setattr__ = set_or_assign  # type: ignore[method-assign, assignment]  # wraps its own
+    kind.__setattr__ = set_or_assign  # type: ignore[method-assign, assignment]  # wraps the method of the class
 
 
 @dataclass_error
@@ -291,7 +291,7 @@ class FollowsTrajectory(UsageError):
 
     action: str
     body: str
-    number: int  # of the trajectory in its world
+    number: int  # number of the trajectory in its world
     joints: Sequence[str] = kept_as(tuple, default=())  # names of the joints that it moves; none for the base
 
     def _message(self) -> str:

@@ -82,7 +82,7 @@ __all__ = [
     "WorldClosed",
 ]
 
-_MAX_DIGITS: Final = 3  # of mm in messages
+_MAX_DIGITS: Final = 3  # maximum number of decimals of mm in messages
 _MAX_LISTED: Final = 3  # pairs that fit into a message
 
 
@@ -94,7 +94,7 @@ class CollisionPair:
     link: str  # the mover's link; "" if it has only one
     body: str  # name of the touched object; the robot itself, if it touches a link of its own
     body_link: str  # the touched link; "" if the object has only one
-    depth: float = 0.0  # of the overlap, m
+    depth: float = 0.0  # depth of the overlap, m
     gripper: str = ""  # name of the arm whose gripper holds the mover; "" for the robot's own links
 
     def __record__(self) -> Mapping[str, object]:
@@ -153,7 +153,7 @@ class Blocked(Unreachable):
 
     def __init__(self, arm: str, target: Sequence[float], pairs: Sequence[CollisionPair], reason: str = "") -> None:
         super().__init__(arm, target, None, f"{phrases(pairs)}{'; ' + reason if reason else ''}")
-        self.pairs = list(pairs)  # the links that would overlap most, one pair an object
+        self.pairs = list(pairs)  # the links that would overlap most, one pair for each object
         self.bodies = _bodies(pairs)
 
 
@@ -161,10 +161,10 @@ class Blocked(Unreachable):
 class InCollision(PlanFailure):
     """The robot, or an object that it holds, would touch other objects at the pose."""
 
-    position: Sequence[float] = kept_as(floats)  # of the refused base pose
+    position: Sequence[float] = kept_as(floats)  # position of the refused base pose
     orientation: Sequence[float] = kept_as(floats)
     bodies: Sequence[str] = kept_as(list)  # names of the objects that would be touched
-    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # the links that would overlap most, one pair an object
+    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # the most overlapping links, one pair for each object
 
     def _message(self) -> str:
         touched = phrases(self.pairs) if self.pairs else f"it would touch {', '.join(self.bodies)}"
@@ -175,7 +175,7 @@ class InCollision(PlanFailure):
 class NotDrivable(PlanFailure):
     """The pose is impossible for a base: it drives upright on its ground."""
 
-    position: Sequence[float] = kept_as(floats)  # of the refused base pose
+    position: Sequence[float] = kept_as(floats)  # position of the refused base pose
     orientation: Sequence[float] = kept_as(floats)
     reason: str
 
@@ -189,15 +189,15 @@ class PostureInCollision(PlanFailure):
 
     arms: Sequence[str] = kept_as(list)
     bodies: Sequence[str] = kept_as(list)  # names of the objects that they would touch; the robot's name for itself
-    # The links that would overlap most, one pair an object; of the robot itself all
+    # The links that would overlap most, one pair for each object; for the robot itself all pairs
     pairs: Sequence[CollisionPair] = kept_as(list, default=())
     _: KW_ONLY
-    # Joint of the torso, and the height in m at which the arms would touch nothing; None without such a height
+    # Joint of the torso, and its height in m at which the arms would touch nothing; None if there is no such height
     torso: tuple[str, float] | None = None
 
     def _message(self) -> str:
         touched = phrases(self.pairs) if self.pairs else f"it would touch {', '.join(self.bodies)}"
-        hint = f"; with {self.torso[0]} at {self.torso[1]:g} m it can take it" if self.torso else ""
+        hint = f"; with {self.torso[0]} at {self.torso[1]:g} m it can take the posture" if self.torso else ""
         return f"the {' and '.join(self.arms)} arm can't take that posture: {touched}; it stays where it is{hint}"
 
 
@@ -206,10 +206,10 @@ class NoPath(PlanFailure):
     """No collision-free path was found within a budget of checks; this doesn't prove that none exists."""
 
     mover: str  # the part that should move: "left arm", "base", ...
-    goal: Mapping[str, float] = kept_as(dict)  # joint values by name; of a base x, y and yaw in the world
+    goal: Mapping[str, float] = kept_as(dict)  # joint values by name; for a base, x, y and yaw in the world
     checks: int  # configurations that were checked for collisions
     nearest: Mapping[str, float] = kept_as(dict)  # the configuration nearest to the goal to which a path was found
-    distance: float  # of it to the goal: Euclidean, of joint values; of a base in m, with half a metre for a radian
+    distance: float  # from there to the goal: Euclidean, of joint values; for a base in m, and 0.5 m for a radian
     pairs: Sequence[CollisionPair] = kept_as(list)  # the links that were in the way most often
 
     def _message(self) -> str:
@@ -269,7 +269,7 @@ class DoesNotFit(GraspFailed):
     """The object is too big or too thin for the gripper, from every allowed side."""
 
     def __init__(self, arm: str, body: str, widths: Sequence[float], gap: float, widest: float, how: str = "") -> None:
-        self.widths = tuple(sorted(widths))  # of the object's sides and rims that were tried, between the fingers, m
+        self.widths = tuple(sorted(widths))  # widths of the tried sides and rims between the fingers, m
         self.gap = gap  # between the fingers when closed, m: thinner things slip through
         self.widest = widest  # between the fingers when open, m
         thin = any(width < gap for width in widths)
@@ -311,7 +311,7 @@ class PlaceFailed(PlanFailure):
     pairs: Sequence[CollisionPair] = kept_as(list, default=())  # links that would touch, if that is the cause
     wanted: PoseLike | None = None  # pose at the release; None if it wasn't released
     rest: PoseLike | None = None  # pose after the release; None if it wasn't released
-    touching: Sequence[CollisionPair] = kept_as(list, default=())  # at rest
+    touching: Sequence[CollisionPair] = kept_as(list, default=())  # links that touch at rest
 
     def _complete(self) -> None:
         self.reason = self.reason or phrases(self.pairs)
@@ -326,10 +326,10 @@ class TrackingLost(PlanFailure):
     """A body couldn't follow its trajectory; it was stopped, and stays at the point that it reached."""
 
     body: str
-    number: int  # of the trajectory in its world
+    number: int  # number of the trajectory in its world
     joint: str  # the first joint that deviated too far
     error: float  # deviation of that joint, rad or m
-    time: float  # reached on the trajectory, s
+    time: float  # time reached on the trajectory, s
     pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body and its load at that time, hardest first
 
     def _message(self) -> str:
@@ -343,9 +343,9 @@ class TrajectoryEnded(PlanFailure):
     """A trajectory ended before its time: it was stopped, or its world was reset or restored."""
 
     body: str
-    number: int  # of the trajectory in its world
-    time: float  # reached on the trajectory, s
-    duration: float  # of the whole trajectory, s
+    number: int  # number of the trajectory in its world
+    time: float  # time reached on the trajectory, s
+    duration: float  # duration of the whole trajectory, s
 
     _template = (
         "trajectory {number} of {body} ended after {time:.3f} of {duration:.3f} s: it was stopped, "
@@ -378,10 +378,10 @@ class AccessFailed(PlanFailure):
     handle: str = ""  # the link by which it should be moved
     arm: str = ""
     asked: float | None = None  # requested value of the joint, rad or m
-    value: float | None = None  # value of the joint from which on the path fails; None if the path isn't the cause
+    value: float | None = None  # value of the joint at which the path fails; None if the path isn't the cause
     reached: float | None = None  # value that the arm would reach from there; None if it can't begin
-    orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested of the gripper at that value
-    remedies: Sequence[str] = kept_as(list, default=())  # remedies in words
+    orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation of the gripper there
+    remedies: Sequence[str] = kept_as(list, default=())  # remedies, in words
 
     def _message(self) -> str:
         moved = "opened" if self.asked is None else f"moved to {self.asked:g}"
@@ -401,7 +401,7 @@ class HandleUnreachable(AccessFailed, Unreachable):
         self, joint: str, reason: str, *, target: Sequence[float], distance: float | None, turn: float, **details: Any
     ) -> None:
         AccessFailed.__init__(self, joint, reason, **details)
-        self.target = floats(target)  # of the tool
+        self.target = floats(target)  # target of the tool
         self.distance = distance  # between the target and the nearest posture's tool
         self.turn = turn  # angle between requested and reached orientation
 

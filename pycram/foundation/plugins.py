@@ -11,7 +11,7 @@ A package declares them in its pyproject.toml::
     [project.entry-points."pycram.actions"]
     tidying-up = "my_package.tidying"        # its import registers the action, by @action("tidying-up")
 
-What is loaded is on record as a line of the log, with the package's version.
+Each loaded entry point is recorded as a line of the log, with the version of its package.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pycram.foundation.errors import export
 from pycram.foundation.failures import UsageError
 
 _log = logging.getLogger("pycram.plugins")
-_log.setLevel(logging.INFO)  # it is on record whatever the plan's own level
+_log.setLevel(logging.INFO)  # recorded regardless of the plan's own level
 ROBOTS = "pycram.robots"
 PROCESS_MODULES = "pycram.process_modules"
 ACTIONS = "pycram.actions"
@@ -37,7 +37,7 @@ class PluginFailed(UsageError):
     def __init__(self, group: str, name: str, packages: list[str], problem: str) -> None:
         super().__init__(f"{name} of {' and '.join(packages)} (entry point of {group}) can't be used: {problem}")
         self.group = group  # "pycram.robots", ...
-        self.name = name  # of the entry point
+        self.name = name  # name of the entry point
         self.packages = packages  # names and versions of the packages that declare it
         self.problem = problem
 
@@ -47,10 +47,10 @@ export("pycram.failures", PluginFailed)
 
 @cache
 def load(group: str, name: str) -> Any:
-    """Return the object of an entry point; None if no installed package has one of that name.
+    """Return the object of an entry point; None if no installed package has an entry point of that name.
 
     Raises:
-        PluginFailed: Several packages have one, or it can't be imported.
+        PluginFailed: Several packages have such an entry point, or it can't be imported.
     """
     found = list(entry_points(group=group, name=name))
     if not found:

@@ -1,7 +1,7 @@
 """Refusals: calls that PyCRAM rejects are recorded with their error, even if the plan catches the error.
 
-A refusal is recorded once, as the call that the plan made: for nested PyCRAM calls the outermost is recorded; for a
-call inside a plan's handler, resolver or query, that call.
+A refusal is recorded once, as the call that the plan made: for nested PyCRAM calls the outermost is recorded; a call
+inside a plan's handler, resolver or query is recorded itself.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def _arguments(
 def _where(arguments: Iterable[object]) -> tuple[str, int]:
     """Return name and simulated steps of the first argument's world, or of the current world if there is none."""
     for argument in arguments:
-        envelope = getattr(type(argument), "_envelope", None)  # of its real type: a future imitates another
+        envelope = getattr(type(argument), "_envelope", None)  # its real type: a future imitates another type
         if envelope is not None:
             with suppress(AttributeError):  # its constructor is still running
                 name, sim_step = envelope(argument)

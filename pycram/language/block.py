@@ -100,10 +100,10 @@ class Block:
         self._changed = Condition()  # notified when a branch ends, and when a body that is read progresses
         self._closing = threading.Lock()  # the plan's own threads may add branches while the block ends
         self._scheduler = scheduler()
-        self._own: Branch | None = None  # the host's branch that runs this block, if one does
+        self._own: Branch | None = None  # the host's branch that runs this block; None without such a branch
         self._taken = 0  # number of branches so far, for their names
         self._joined = 0  # number of leading branches known to have ended
-        self._decided = False  # by its decider, or by a failure of the body
+        self._decided = False  # whether its decider or a failure of the body has decided it
         self._body_failures: list[PlanFailure] = []
         self._entered = ExitStack()  # the contexts of its body
         self._span = Span("block", policy.name)
@@ -421,7 +421,7 @@ class ReadBlock(Block):
             self.scope.cancel()  # the program is wrong, or the user interrupts it
         self._body_error = error if isinstance(error, Exception) else None
         self._entered.close()
-        if isinstance(error, Cancelled):  # by its own block, which is decided: the body around it continues
+        if isinstance(error, Cancelled):  # its own block cancelled it when it was decided: the code around continues
             return self._around is None or not self._around.is_cancelled
         return error is None or isinstance(error, PlanFailure)
 

@@ -187,7 +187,7 @@ def _unwrapped(action: Callable[..., Result]) -> object:
             function = function.func
         elif isinstance(function, MethodType):
             function = function.__func__
-        elif hasattr(function, "__wrapped__"):  # by a decorator
+        elif hasattr(function, "__wrapped__"):  # set by a decorator
             function = function.__wrapped__
         elif isinstance(function, FunctionType) or not isinstance(type(function).__call__, FunctionType):
             return function

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MAX_LEVELS: Final = 8
 #: Failures that are shown for deeper nesting; the rest are counted.
 MAX_LEAVES: Final = 8
-_MAX_FRAMES: Final = 1000  # of each of several failures in a traceback
+_MAX_FRAMES: Final = 1000  # maximum number of frames of each failure, if a traceback shows several failures
 
 
 class BlockClosed(UsageError):
@@ -49,17 +49,16 @@ class RunsEarly(UsageError):
 
 
 class OutlivesTimeout(UsageError):
-    """A branch was added, in the body of a timeout, to a block around that: the deadline wouldn't apply to it."""
+    """In a timeout, a branch was added to a block outside the timeout: the deadline wouldn't apply to the branch."""
 
     def __init__(self, block: str, branch: str) -> None:
         self.block = block  # kind of the block
         self.branch = branch  # name of the branch
         self.file, self.line = call_site()  # the plan's file and its line, from 1
         super().__init__(
-            f"{notebook.place(self.file, self.line)} adds {branch}, in a timeout, to the {block} block around it, "
-            "which ends later: "
-            f"the deadline wouldn't apply to {branch}; open the block within the timeout, as in "
-            f"`with timeout(...), {block} as s:`, or open the timeout in {branch}"
+            f"{notebook.place(self.file, self.line)} adds {branch} inside a timeout to the {block} block outside "
+            f"it. That block ends after the timeout, so the deadline wouldn't apply to {branch}. Open the block inside "
+            f"the timeout, as in `with timeout(...), {block} as s:`, or open the timeout inside {branch}"
         )
 
 
@@ -96,7 +95,7 @@ class BranchesFailed(PlanFailure):
         self.__cause__ = causes[0] if len(causes) == 1 else Tracebacks(causes)
 
     _leaves: tuple[PlanFailure, ...]
-    _causes: tuple[PlanFailure, ...]  # in its message: its failures; or its leaves, if blocks are nested too deeply
+    _causes: tuple[PlanFailure, ...]  # shown in its message: its failures, or its leaves if nested too deeply
     _levels: int  # number of nested blocks in its message
     _left_out: int  # number of leaves that its message doesn't show
 
@@ -118,7 +117,7 @@ class BranchesFailed(PlanFailure):
 
     @property
     def data(self) -> Mapping[str, object]:
-        """Its fields by name; those failures that its message shows, as type, message and fields."""
+        """Its fields by name, with the failures that its message shows as type, message and fields."""
         failures = [{"type": type(f).__name__, "message": str(f), "data": f.data} for f in self._causes]
         return {**super().data, "failures": failures}
 
@@ -139,7 +138,7 @@ class NotCleanedUp(PlanFailure):
     def __init__(self, action: str, failure: PlanFailure) -> None:
         super().__init__(f"{action}, the cleanup of a cancelled branch, failed: {format_error(failure)}")
         self.action = action  # name of the cleanup
-        self.failure = failure  # of the cleanup
+        self.failure = failure  # the failure of the cleanup
         self.__cause__ = failure
 
 

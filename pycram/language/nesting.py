@@ -42,16 +42,16 @@ class Misnested(UsageError):
 
     def __init__(self, block: str) -> None:
         super().__init__(
-            f"a {block} block ends while a block that was opened after it is open, or in another branch than it began; "
-            "a generator that yields in the body of a block has to reach the block's end before others continue"
+            f"a {block} block ends before a block that was opened after it, or not in the branch where it began; "
+            "if a generator yields inside a block, it must leave the block before other code continues"
         )
         self.block = block  # its kind; here timeouts, attempts and cleanups are blocks too
 
 
 class _Open(NamedTuple):
-    scope: object  # of the ``with`` statement
+    scope: object  # the object of the ``with`` statement
     generator: int  # id of the generator whose code opened it; 0 for code that isn't resumable
-    body: AbstractContextManager[object]  # that does the work
+    body: AbstractContextManager[object]  # the context manager that does the work
     defers: bool  # whether it defers Ctrl-C
 
     def end(self, error: BaseException | None, trace: TracebackType | None = None) -> bool | None:
@@ -148,7 +148,7 @@ def in_block(host: BlockBody | None) -> Binding[BlockBody | None]:
 
 
 def leave_body() -> None:
-    """Make this context that of a branch, permanently: actions run in order, and it ends only scopes that it opens."""
+    """Make this the context of a branch, permanently: actions run in order, and it ends only scopes that it opens."""
     body_context.set(None)
     nothing_open()
 

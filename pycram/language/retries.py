@@ -81,7 +81,7 @@ class FailureHandling:
         parameters: Parameters of the attempts, until a recovery or ``retry`` changes them.
 
     Raises:
-        BadArgument: Retries below 0, or a type that is no plan failure.
+        BadArgument: ``retries`` is below 0, or a type isn't a type of plan failures.
     """
 
     def __init__(self, retries: int, *kinds: type[PlanFailure], **parameters: object) -> None:
@@ -201,9 +201,9 @@ class Attempt(Scope["Attempt"]):
 
     def __init__(self, attempts: Attempts, number: int, parameters: Parameters, failures: list[BaseException]) -> None:
         super().__init__("failure_handling")
-        self.number = number  # from 1
+        self.number = number  # number of the attempt, from 1
         self.parameters = parameters
-        self.failures = tuple(failures)  # of earlier attempts
+        self.failures = tuple(failures)  # failures of the earlier attempts
         self.used = False  # whether its body has run
         self._attempts = attempts
 
@@ -220,7 +220,7 @@ class Attempt(Scope["Attempt"]):
     @contextmanager
     def _run(self) -> Iterator[Attempt]:
         raised: BaseException | None = None
-        handled: BaseException | None = None  # its failure: another error than ``raised`` after ``retry``
+        handled: BaseException | None = None  # its failure; after ``retry``, not the error ``raised``
         changed: Parameters | None = None
         try:
             with self._attempts.entered():

@@ -2,7 +2,7 @@
 
 At the deadline, the part is cancelled. It stops at its next checkpoint (:mod:`pycram.scheduling`), or at its end if no
 checkpoint comes before. Then it fails with :class:`TimedOut`, which a plan may handle or retry after. A part that ended
-by the deadline has succeeded.
+before the deadline has succeeded.
 
 In its body, no branch can be added to a block around the timeout: it would outlive the timeout (OutlivesTimeout).
 """

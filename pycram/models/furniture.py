@@ -134,7 +134,7 @@ class _Search:
     def furniture(self) -> Furniture:
 
         drawers = {joint.name for face in self._offered if (joint := self._drawer(face.link)) is not None}
-        kept: list[tuple[Face, str]] = []  # with the joint that gives access; "" if access is always free
+        kept: list[tuple[Face, str]] = []  # faces, each with the joint that gives access; "" if access is always free
         for face in self._offered:
             drawer = self._drawer(face.link)
             opened = drawer.name if drawer is not None else self._opened_by(face, drawers)

@@ -128,7 +128,7 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array) -> I
 def _free(
     tops: Sequence[Piece], above: Sequence[Piece], height: float, points: Array
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Return at which points (n, m, 2) the top is, and the free height above them in m."""
+    """Return which of the points (n, m, 2) are on the top, and the free height above them in m."""
     flat, shape = points.reshape(-1, 2), points.shape[:2]
     standing: NDArray[np.bool_] = np.any(vertical_extents(tops, flat)[1] >= height - _THICK, axis=1)
     if not above:
@@ -148,7 +148,7 @@ def _rectangles(free: NDArray[np.bool_], rows: Array, columns: Array) -> Iterato
 
 
 def _yaw(piece: Piece) -> float:
-    """Return the direction of the grid, which the sides of a piece give: rad, from -pi/4 to pi/4."""
+    """Return the direction of the grid, along the sides of a piece: rad, from -pi/4 to pi/4."""
     x, y = piece.planes[np.abs(piece.planes[:, 2]) < _ALONG, :2].T
     if not len(x):
         return 0.0

@@ -40,7 +40,7 @@ _START: Final = b"<robot "  # start of a canonical URDF: no declarations, no ent
 _MATERIALS: Final = re.compile(rb"^[ \t]*(?:mtllib|usemtl)\b", re.MULTILINE)
 _MAX_NAME: Final = 230  # bytes of a file's name; file systems take 255, and a partial file has a longer name
 _MAX_LINE: Final = 8000  # bytes of a line of a URDF: PyBullet breaks longer lines and then reads something else
-_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # of a byte that isn't UTF-8, as recordings spell it
+_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # a byte that isn't UTF-8, as recordings spell it
 _RESERVED: Final = ("", ".", "..")
 
 
@@ -116,7 +116,7 @@ def _file_names(source: Path, content: bytes) -> tuple[tuple[str, ...], tuple[st
 
 class _FileVersion(NamedTuple):
     file: Path
-    modified: int  # ns
+    modified: int  # time of the last modification, ns
     size: int
 
 

@@ -53,7 +53,7 @@ class ColoredPart(NamedTuple):
     rgba: Rgba | None  # 0..1; None if the file has no colour
 
 
-@lru_cache(maxsize=2)  # most models have the same mesh for collision and, read next, for visuals
+@lru_cache(maxsize=2)  # most models use the same mesh first for collision, then for visuals
 def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[ColoredPart, ...]:
     """Return the triangles of a .dae or .obj file by colour.
 

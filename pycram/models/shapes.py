@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"
 """Lowest and highest corner of a bounding box, m."""
-_SMALL: Final = 300  # numbers
+_SMALL: Final = 300  # numbers in a small array
 _SECTIONS: Final = 32  # sides of cylinders and spheres
 _NO_AREA: Final = 1e-12  # m^2, for a solid of 1 m: a triangle with two corners on the axis
 _CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners; edges are 1 m long
 _SIDES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 """Indices of the corners of each side of the cube, counter-clockwise as seen from outside."""
 _CUBE_TRIANGLES: Final = np.array([_CUBE[[a, *ends]] for a, b, c, d in _SIDES for ends in ((b, c), (c, d))])
-_PLANE_DECIMALS: Final = 9  # in which planes of triangles on one face agree
+_PLANE_DECIMALS: Final = 9  # decimals in which planes of triangles on one face agree
 _MAX_CHOSEN: Final = 40  # corners; with more, trying every choice of three takes longer than 3 ms
 _SHARED: Final = 6  # approximate number of triangles at a corner, and of its repetitions in a list of triangles
 _FLAT: Final = 1e-9  # m, tolerance for corners in front of a plane, and minimum thickness of a solid

@@ -106,9 +106,9 @@ class Resolution:
     """How a solution was found."""
 
     resolver: str = ""  # qualified name of the function that found it; "" for none
-    index: int = 0  # among the designator's solutions
+    index: int = 0  # index among the designator's solutions
     known: int = 1  # number of solutions found so far; others are found on request
-    complete: bool = False  # whether there are no others
+    complete: bool = False  # whether all solutions are known
 
 
 class Solutions:
@@ -159,7 +159,7 @@ _performed: ContextVar[tuple[Designator, ...]] = ContextVar("pycram_performed", 
 
 
 def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
-    """Make requests of a designator in the ``with`` block part of carrying it out: they aren't on record."""
+    """Treat requests of a designator in the ``with`` block as parts of performing it: they aren't recorded."""
     return Binding(_performed, (*_performed.get(), designator))
 
 
@@ -172,7 +172,7 @@ def _recorded(name: str, designator: Designator, index: int | None = None) -> It
     Args:
         name: "reference" or "next_solution".
         designator: The designator.
-        index: Of the solution; the designator's own by default.
+        index: Index of the solution; by default the index of the designator's own solution.
     """
     request = Question(name, {"designator": designator})
     if any(each is designator for each in _performed.get()) or not journal.recording():
@@ -256,7 +256,7 @@ class Designator(ABC):
         """Check its slots as far as possible without a search.
 
         Raises:
-            UsageError: One is missing, unknown or wrong.
+            UsageError: A slot is missing, unknown or wrong.
         """
 
     def values_for(self, slot: str, given: Mapping[str, Value]) -> Iterator[Mapping[str, Value]]:  # noqa: ARG002  for subclasses
@@ -267,7 +267,7 @@ class Designator(ABC):
             given: All slots of the other designator.
 
         Yields:
-            Values by slot: of that slot, and of others that follow from it.
+            Values by slot: for that slot, and for other slots that follow from it.
 
         Raises:
             DesignatorError: It can't be the value of a slot.
@@ -364,7 +364,7 @@ class Designator(ABC):
         return None
 
     def resolution(self, index: int | None = None) -> Resolution:
-        """Return how its solution, or that of an index, was found; the resolver is "" if it wasn't."""
+        """Return how its solution, or the solution of an index, was found; the resolver is "" if it wasn't."""
         resolver = qualified_name(type(self)._solution) if self._data is None else ""  # noqa: SLF001  same class
         return Resolution(resolver, index or 0)
 
@@ -376,7 +376,7 @@ class Designator(ABC):
         """Yield this and all further solutions, each found when needed; raise DesignatorError if there is none.
 
         Args:
-            from_root: Anything but None or False starts with the first of the chain.
+            from_root: Anything but None or False starts with the first designator of the chain.
         """
         start = self if from_root is None or from_root is False else self.first()
         return start._all_solutions()  # noqa: SLF001  same class
@@ -408,7 +408,7 @@ class Designator(ABC):
         """Return a new effective designator, equated with this one, that stands for something found.
 
         Args:
-            properties: Its slots; this one's by default.
+            properties: Its slots; by default the slots of this designator.
             data: Its reference.
             timestamp: In seconds since the Unix epoch; now by default.
         """
@@ -420,7 +420,7 @@ class Designator(ABC):
         return designator
 
     def __reduce__(self) -> tuple[type[Designator], tuple[list[tuple[str, Value]]]]:
-        """Return the means to make one with the same slots, also in another process; it is equated with nothing."""
+        """Return the means to make a designator with the same slots, in any process; it is equated with nothing."""
         return type(self), (list(self._slots),)
 
     def __record__(self) -> object:
@@ -461,7 +461,7 @@ class ResolvedDesignator(Designator):
 
     @classmethod
     def add_resolver(cls, resolver: Resolver) -> Resolver:
-        """Add a resolver for this class and its subclasses, after those added before, once; return it."""
+        """Add a resolver for this class and its subclasses, once, after the earlier resolvers; return it."""
         return cls.resolvers.append(resolver)
 
     @classmethod
@@ -469,7 +469,7 @@ class ResolvedDesignator(Designator):
         """Remove a resolver that was added to this class.
 
         Raises:
-            UnknownName: It wasn't.
+            UnknownName: The resolver wasn't added to this class.
         """
         cls.resolvers.remove(resolver)
 
@@ -489,7 +489,7 @@ class ResolvedDesignator(Designator):
         return following
 
     def resolution(self, index: int | None = None) -> Resolution:
-        """Return how its solution, or that of an index, was found."""
+        """Return how its solution, or the solution of an index, was found."""
         if self._data is not None:
             return super().resolution(index)
         return self._solutions.resolution(self._index if index is None else index)
@@ -550,7 +550,7 @@ class MotionDesignator(ResolvedDesignator):
     def resources(self) -> Resources | None:
         """Return its needs of the robot: by its type, and once it is effective, by the ``cmd`` of its solution.
 
-        Other motions than PyCRAM's get the whole robot, unless their process module or a subclass says less.
+        Other motions than PyCRAM's get the whole robot, unless their process module or a subclass returns less.
         """
         if self._effective and isinstance(solution := self._referenced(), Mapping):
             return motion_types.resources_of(solution)

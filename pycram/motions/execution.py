@@ -42,9 +42,9 @@ TIMEOUT: Final = 5
 """Seconds of simulated time within which everything has to come to rest."""
 
 _STRAIGHT: Final = (0.1, 0.06, 0.03)  # m, lengths of straight lines to try
-_BACK: Final = (-1.0, 0.0, 0.0)  # in the tool's frame
-_UP: Final = (0.0, 0.0, 1.0)  # in the world
-_SAMPLES: Final = 15  # a second, at which two moving parts of a robot are checked for contact
+_BACK: Final = (-1.0, 0.0, 0.0)  # direction in the tool's frame
+_UP: Final = (0.0, 0.0, 1.0)  # direction in the world
+_SAMPLES: Final = 15  # samples per second at which two moving parts of a robot are checked for contact
 _SAME: Final = 1e-4  # rad or m between equal positions of a joint
 
 
@@ -55,7 +55,7 @@ class Execution(ABC):
     """
 
     takes_time: bool
-    """Whether simulated time passes meanwhile, so other motions go on."""
+    """Whether simulated time passes meanwhile, so that other motions continue."""
 
     @abstractmethod
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:
@@ -233,7 +233,7 @@ INSTANT: Final = InstantExecution()
 
 
 class ContinuousExecution(Execution):
-    """Motors follow collision-free trajectories while simulated time passes; other motions go on meanwhile.
+    """Motors follow collision-free trajectories while simulated time passes; other motions continue meanwhile.
 
     The tool moves straight on the last centimetres to an object, a place or a handle. Only there may the hand touch
     the object or handle.
@@ -242,7 +242,7 @@ class ContinuousExecution(Execution):
     takes_time = True
 
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:  # noqa: ARG002
-        """Return a context without effect: other motions go on meanwhile."""
+        """Return a context without effect: other motions continue meanwhile."""
         return nullcontext()
 
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
@@ -342,7 +342,7 @@ class ContinuousExecution(Execution):
         return None if line is None else partial(_along, (robot, line))
 
     def settle(self, world: BulletWorld) -> Sequence[Object]:
-        """Wait until everything is at rest, while other motions go on."""
+        """Wait until everything is at rest, while other motions continue."""
         with world.lock:
             detector, end = RestDetector(world), world.sim_step + TIMEOUT * STEPS_PER_SECOND
         simulation.wait(world, lambda: detector.sample() or world.sim_step >= end)

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 class MotionType(SlotTable):
     """A type of motion designators."""
 
-    cmd: str  # of its solutions; selects the process module
+    cmd: str  # ``cmd`` of its solutions; selects the process module
     resources: Callable[[dict[str, Value]], Resources]  # returns its needs, given its slots or its solution
     fixed: tuple[tuple[str, str], ...] = ()  # further parameters of its solutions
     per_arm: bool = False  # whether its only slot stands for one slot for each arm, ``NAME-arm``
 
     def for_robot(self) -> MotionType:
-        """Return it with the slots that it has for the current robot."""
+        """Return the type with its slots for the current robot."""
         if not self.per_arm:
             return self
         (slot,) = self.slots
@@ -61,7 +61,7 @@ def _holding_arm(given: dict[str, Value]) -> Value:
 
 def _arms(given: dict[str, Value], slot: str) -> tuple[str, ...]:
     arm = given.get(slot)
-    return (arm,) if isinstance(arm, str) else arm_names()  # not known yet: it may be any
+    return (arm,) if isinstance(arm, str) else arm_names()  # a future: it may be any arm
 
 
 def _arm_resources(given: dict[str, Value]) -> Resources:
@@ -105,8 +105,8 @@ TYPES: Final = {
             (
                 Slot("object", slots.BODY, required=True),
                 _ARM,
-                Slot("grasp", slots.GRASP, otherwise="the side that is freest"),
-                Slot("from", slots.ARM, text="name of the arm that holds it, and lets go of it then"),
+                Slot("grasp", slots.GRASP, otherwise="the freest side"),
+                Slot("from", slots.ARM, text="name of the arm that holds it and then releases it"),
             ),
             cmd="pick",
             resources=_arm_resources,
@@ -116,7 +116,7 @@ TYPES: Final = {
             (
                 Slot("object", slots.BODY, required=True),
                 Slot("target", slots.POSITION, required=True),
-                Slot("orientation", slots.ORIENTATION, otherwise="upright, turned as the arm does it best"),
+                Slot("orientation", slots.ORIENTATION, otherwise="upright, in the best orientation for the arm"),
                 Slot(
                     "arm",
                     slots.ARM,
@@ -174,7 +174,7 @@ TYPES: Final = {
         ),
         MotionType(
             "move-arm-joints",
-            (Slot("NAME-arm", slots.POSTURE, otherwise="that arm stays as it is"),),
+            (Slot("NAME-arm", slots.POSTURE, otherwise="that arm doesn't move"),),
             one_of=("NAME-arm",),
             cmd="move-joints",
             resources=lambda given: Resources({f"{arm}-arm" for arm in arm_names() if f"{arm}-arm" in given}),

@@ -56,7 +56,7 @@ class Module(Protocol):
     """The part of a process module that environments and motions use."""
 
     def resources(self, designator: Designator) -> Resources | None:
-        """Return what carrying a designator out needs of the robot."""
+        """Return what the robot needs in order to perform a designator."""
 
     def execute(self, designator: Designator) -> Any:
         """Carry a designator out."""
@@ -67,7 +67,7 @@ Result: TypeAlias = Any
 Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
 
 AS_ASKED: Final = "as asked"
-"""The only candidate, where a plan leaves nothing to choose."""
+"""The only candidate, if a plan leaves nothing to choose."""
 
 FOLLOWING: Final = (TrackingLost, Displaced, TrajectoryEnded)
 """Failures of motions that follow a trajectory."""
@@ -81,7 +81,7 @@ _ONE_AT_A_TIME: Final = Resources(moves=frozenset({"module"}))
 _TOGETHER: Final = Resources()
 
 _environment: ContextVar[str] = ContextVar("pycram_environment", default="")
-_of_run = SIMULATED  # the environment for plans that name none, in all threads
+_of_run = SIMULATED  # the environment of plans that name no environment, in all threads
 _modules_lock = threading.Lock()
 #: Registered modules, and whether these replace the environment's default modules.
 _registered: dict[tuple[str, str], tuple[Modules, bool]] = {}
@@ -110,8 +110,8 @@ class NoProcessModule(UsageError):
             f"it has modules for {', '.join(known) or 'nothing'}; {undescribed}"
             "add one with register() or ProcessModule.resolvers"
         )
-        self.cmd = cmd  # of the solution
-        self.robot = robot  # its name
+        self.cmd = cmd  # ``cmd`` of the solution
+        self.robot = robot  # name of the robot
         self.environment = environment
         self.known = known  # the ``cmd`` of each module in the environment
         self.undescribed = undescribed  # why the robot has no description; "" if it has one
@@ -169,7 +169,7 @@ def register(robot: str, environment: str, modules: Modules, *, replace: bool = 
     Args:
         robot: The robot's name in its URDF.
         environment: The execution environment.
-        modules: By the ``cmd`` of the solutions that they take.
+        modules: Process modules by the ``cmd`` of the solutions that they take.
         replace: Whether the robot has only these modules in the environment, without PyCRAM's own and those that were
             registered before.
 
@@ -366,7 +366,7 @@ class ProcessModule(ABC):
     _queue: ResourceQueue
 
     def __new__(cls, *_: object, **__: object) -> Self:
-        """Make one; not in ``__init__``, as subclasses may not call it."""
+        """Make a process module; not in ``__init__``, because subclasses may not call that."""
         made = super().__new__(cls)
         made._queue = ResourceQueue()
         return made
@@ -376,11 +376,11 @@ class ProcessModule(ABC):
         """Carry a designator out, with the parameters of its ``reference()``; return the result for the plan.
 
         Raises:
-            PlanFailure: The world said no; the world is consistent then.
+            PlanFailure: The world prevents the motion; the world is consistent then.
         """
 
     def resources(self, designator: Designator) -> Resources | None:
-        """Return what carrying a designator out needs of the robot; None for the whole robot.
+        """Return what the robot needs in order to perform a designator; None for the whole robot.
 
         Called when it is resolved, before anything moves. The resources of PyCRAM's own motions are known by the
         solution's ``cmd``. A module for another ``cmd`` gets the whole robot, unless it returns its needs here, for
@@ -411,12 +411,12 @@ class ProcessModule(ABC):
     def perform(designator: Designator) -> Result:
         """Perform a motion (thesis 4.9); return its process module's result.
 
-        In the body of a block whose branches are concurrent, or are tried in order, return a future of that.
+        In the body of a block whose branches are concurrent, or are tried in order, return a future of the result.
 
         Raises:
             DesignatorError: It isn't a designator, or can't be resolved.
             NoProcessModule: No process module takes it.
-            PlanFailure: The world said no.
+            PlanFailure: The world prevents the motion.
         """
         motion = _motion(designator)
         block = current_block()

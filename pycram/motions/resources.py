@@ -137,7 +137,7 @@ class ResourceQueue:
         if resources is None:
             return self._outer
         if not isinstance(resources, Resources):
-            raise BadArgument(f"resources of {motion}", resources, "Resources, or None for all that there is")
+            raise BadArgument(f"resources of {motion}", resources, "Resources, or None for all resources")
         if WHOLE_ROBOT not in self._outer.moves and (excess := resources.beyond(self._outer)):
             raise ResourceError(motion, excess, self._outer)
         return resources

@@ -37,7 +37,7 @@ class DesignatorError(UsageError):
 
     def __init__(self, problem: str, *, type: str = "", slot: str = "", value: object = None, takes: str = "") -> None:  # noqa: A002  the slot's name
         super().__init__(f"{problem}\n{takes}" if takes else problem)
-        self.type = type  # of the designator, "" if it has none
+        self.type = type  # type of the designator, "" if it has none
         self.slot = slot  # name of the slot, "" for none
         self.value = value
         self.takes = takes  # description of the slots of that type
@@ -223,7 +223,7 @@ def given_slots(
     Args:
         designator: The designator.
         types: The known types, by name.
-        kind: Of the types, for messages: "action ", or "".
+        kind: Kind of the types, for messages: "action ", or "".
 
     Raises:
         DesignatorError: Its type is unknown, or a slot is given twice.
@@ -339,7 +339,7 @@ OBJECT_TYPE: Final = ValueKind(
 ARM: Final = ValueKind('An arm\'s name: "left" or "right" on the PR2', _arm, "str")
 GRASP: Final = ValueKind('The side from which the gripper comes: "front", "top", "left" or "right"', _grasp, "str")
 DISTANCE: Final = ValueKind(
-    "A distance in m, or an angle in rad for what turns, from 0 up",
+    "A distance in m, or an angle in rad for a door that turns, from 0 up",
     lambda name, value: checks.in_range(name, value, 0.0),
     "float",
 )

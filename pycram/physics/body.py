@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from recorder.geometry import Pose, Vector
 
-_SUPPORT_SLOPE: Final = 0.5  # of a unit normal that points up: contacts steeper than 60 degrees support nothing
+_SUPPORT_SLOPE: Final = 0.5  # least upward part of a unit normal: contacts steeper than 60 degrees support nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +32,8 @@ class LoadedBody:
     id: int  # PyBullet's id; reused after removal
     links: Mapping[str, int]  # index by name; the base link is -1
     joints: Mapping[str, MovableJoint]  # movable joints by name
-    offset: Pose | None  # of the base's centre of mass in the base link's frame; None if they coincide
-    indices: tuple[int, ...]  # of the movable joints, in order
+    offset: Pose | None  # pose of the base's centre of mass in the base link's frame; None if they coincide
+    indices: tuple[int, ...]  # indices of the movable joints, in order
     gain: float  # share of a joint's error that its motor corrects in a step
     forces: Mapping[str, float]  # largest forces of the motors, N m or N, by joint
     targets: dict[str, float] = field(default_factory=dict)  # positions that the motors hold, by joint
@@ -42,18 +42,18 @@ class LoadedBody:
 class Snapshot(NamedTuple):
     """State of a body at one moment."""
 
-    pose: Pose  # of the base link in the world: position in m, orientation xyzw
+    pose: Pose  # pose of the base link in the world: position in m, orientation xyzw
     velocity: tuple[float, ...]  # linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers
-    positions: tuple[float, ...]  # of the movable joints in order, rad or m
-    velocities: tuple[float, ...]  # of the movable joints in order, rad/s or m/s
+    positions: tuple[float, ...]  # positions of the movable joints in order, rad or m
+    velocities: tuple[float, ...]  # velocities of the movable joints in order, rad/s or m/s
 
 
 class ClosestPoint(NamedTuple):
     """The point at which two links are nearest to each other."""
 
-    link_a: str  # of the first body
-    link_b: str  # of the second body
-    position: Vector  # on the second body, world frame, m
+    link_a: str  # link of the first body
+    link_b: str  # link of the second body
+    position: Vector  # position on the second body, world frame, m
     normal: Vector  # unit vector from b to a
     distance: float  # m, negative inside
     force: float  # N along the normal in the last step; 0 without a step
@@ -70,6 +70,6 @@ class Contact(NamedTuple):
     link: int  # index of the body's link
     other: int  # id of the other body
     other_link: int  # index of the other body's link
-    position: Vector  # on the other body, world frame, m
+    position: Vector  # position on the other body, world frame, m
     normal: Vector  # unit vector from the other body to this one
     force: float  # N along the normal

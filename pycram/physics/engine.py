@@ -57,7 +57,7 @@ _BUTTON: Final = 2  # a mouse event's kind: a button was pressed or released
 
 _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
 
-_NEXT_TO_NOTHING: Final = 1e-9  # m
+_NEXT_TO_NOTHING: Final = 1e-9  # m, replaces a distance of exactly 0
 _FAR: Final = 1e4  # m, where PyBullet's vectors of the picture reach
 
 
@@ -74,7 +74,7 @@ class Engine:
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
         self._grip: tuple[int, int] | None = None  # body and link that the mouse drags
-        self._known: dict[int, Snapshot] = {}  # by id; replaced, not changed, as other threads may read it
+        self._known: dict[int, Snapshot] = {}  # states by id; replaced, not changed, as other threads may read them
         if window:
             with silenced(1):
                 self._client: int = bullet.connect(bullet.GUI)
@@ -272,7 +272,8 @@ class Engine:
     ) -> None:
         """Let motors move joints in one step from their planned positions to the next ones (rad or m).
 
-        The difference is commanded as a velocity, which acts in full; of a remaining error, motors correct their gain.
+        The difference is commanded as a velocity, which acts in full. A remaining error is corrected by the motor's
+        gain.
         """
         bullet.setJointMotorControlArray(  # keeps the velocity limit that _hold has set
             body.id,

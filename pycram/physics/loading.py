@@ -24,7 +24,7 @@ MOTOR_GAIN: Final = 0.1
 """Share of a joint's error that its motor corrects in a step, for bodies that aren't robots: PyBullet's default."""
 #: Least forces (N, N m) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
 _LEAST: Final = {"revolute": 500.0, "prismatic": 1e4}
-_GRAVITY: Final = 9.81  # m/s^2, that motors of robots have to bear
+_GRAVITY: Final = 9.81  # m/s^2, the gravity that motors of robots have to bear
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +87,8 @@ class Load(NamedTuple):
     """A link that hangs on a joint."""
 
     parent: int  # index of the parent joint, -1 for none; parents come first
-    place: Vector  # of the joint in the world, with all joints at 0, m
-    mass: float  # of the link, kg
+    place: Vector  # position of the joint in the world, with all joints at 0, m
+    mass: float  # mass of the link, kg
     lever: float  # distance of the link's centre of mass from the joint, m
 
 
@@ -107,7 +107,7 @@ def holding_forces(joints: Collection[MovableJoint], loads: Sequence[Load], stre
     """
     slides = [joint for joint in joints if joint.kind == "prismatic" and math.isfinite(joint.upper - joint.lower)]
     travels = {joint.index: max(abs(joint.lower), abs(joint.upper)) for joint in slides}
-    weights = [_GRAVITY * load.mass for load in loads]  # of all links that hang on each joint
+    weights = [_GRAVITY * load.mass for load in loads]  # weights of all links that hang on each joint
     torques = [_GRAVITY * load.mass * load.lever for load in loads]
     for index in reversed(range(len(loads))):
         load = loads[index]

@@ -69,7 +69,7 @@ def joint_motion(
         start: joint values at the start that differ from the present ones.
         ignored: objects that aren't obstacles.
         ignored_links: objects with links that aren't obstacles.
-        seed: of the search; the run's by default.
+        seed: seed of the search; the run's seed by default.
 
     Raises:
         UnknownName: The robot has no such joint.
@@ -135,7 +135,7 @@ class _Moved:
         self._followers = [name for name in followers if mimics[name].leader in self.searched]
         self.joints = (*self.searched, *self._followers)  # names of all moving joints
         self._robot = robot
-        # by name values of other joints that matter
+        # values of the other relevant joints, by name
         self.kept = {name: wanted[name] for name in wanted if name not in self.joints}
         # (d, n) factors of joints that mimic, for each searched joint
         self.slopes = np.zeros((len(self.searched), len(self._followers)))
@@ -296,7 +296,7 @@ def base_motion(
         position: xyz of the goal, m.
         orientation: xyzw of the goal.
         start: position and orientation at the start; the present ones by default.
-        seed: of the search; the run's by default.
+        seed: seed of the search; the run's seed by default.
 
     Raises:
         BadArgument: The goal isn't a pose.

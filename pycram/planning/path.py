@@ -39,16 +39,16 @@ _MAX_PAIRS: Final = 3  # pairs in a failure that were in the way most often
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """A question for a path."""
+    """A query for a path."""
 
     mover: str  # name of the moving part, for messages
-    names: tuple[str, ...]  # of the coordinates
-    space: Space  # of the first search
+    names: tuple[str, ...]  # names of the coordinates
+    space: Space  # space of the first search
     start: Array  # (d,) the first configuration
     goal: Array  # (d,) the last configuration
     rates: Rates  # limits of the motion
-    seed: int | None  # of the search; None for the run's
-    wider: Space | None = None  # of the second search; None for the same space
+    seed: int | None  # seed of the search; None for the run's seed
+    wider: Space | None = None  # space of the second search; None for the same space
 
     def drawn_seed(self, attempt: int) -> int:
         """Return the seed of an attempt, from 1 to 2**31; it depends only on the run's seed and on the query."""
@@ -66,10 +66,10 @@ class Path:
     """A path without new collisions, and its times."""
 
     planner: str  # STRAIGHT or RRT_CONNECT
-    seed: int  # of the successful search; 0 without a search
+    seed: int  # seed of the successful search; 0 without a search
     attempts: int  # number of searches
-    way_points: Array  # (n, d) of the path before its timing
-    knots: Knots  # of the timed path
+    way_points: Array  # (n, d) configurations of the path before its timing
+    knots: Knots  # knots of the timed path
 
 
 def find_path(query: Query, clearance: Clearance, choice: Choice) -> Path:

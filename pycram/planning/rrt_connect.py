@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_RANGE: Final = 1.0  # distance by which a tree grows at most
-_SHORTCUTS: Final = 60  # number of tries
+_RANGE: Final = 1.0  # maximum distance by which a tree grows in a step
+_SHORTCUTS: Final = 60  # number of tries to shorten a path
 _EMPTY_SHORTCUTS: Final = 25  # number of useless tries in a row after which shortening ends
 _START_TREE: Final = 1  # OMPL's tag of the start tree's vertices
 

@@ -33,7 +33,7 @@ class Space:
 
     lower: Array  # (d,) lower limits
     upper: Array  # (d,) upper limits
-    weights: Array  # (d,) in distances: a weighted unit of any coordinate moves the robot about as far
+    weights: Array  # (d,) weights in distances: a weighted unit of any coordinate moves the robot about as far
     step: float  # weighted distance of any coordinate between checked configurations in a search
 
     def along(self, path: Array, step: float) -> Array:
@@ -80,7 +80,7 @@ class Clearance:
     ) -> None:
         self._checker = checker
         self._predict = predict
-        self._allowed: dict[Pair, float] = {}  # overlap in m
+        self._allowed: dict[Pair, float] = {}  # allowed overlap of each pair in m
         self._last: Pair | None = None
         self._deepest: dict[Pair, float] = {}
         # whether the robot keeps its distance; if not, it may be as near as possible, and hulls of its own links may

@@ -119,7 +119,7 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
 
 
 def slowed(knots: Knots, rates: Rates) -> Knots:
-    """Return knots within the limits, also in between: all is slower if toppra or the cubic exceeds a limit."""
+    """Return knots within the limits, also in between: they are slowed down if toppra or the cubic exceeds a limit."""
     inside = np.clip(knots.positions, rates.lower, rates.upper)  # the spline may exceed a limit where it turns
     knots = Knots(knots.times, inside, np.where(inside == knots.positions, knots.velocities, 0.0))
     spans = np.diff(knots.times)[:, None]

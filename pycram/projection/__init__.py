@@ -51,7 +51,7 @@ Candidate: TypeAlias = "Action | tuple[Any, ...]"
 
 
 class NotProjectable(UsageError):
-    """A projection was asked for where the process can't be copied."""
+    """An action can't be projected, because the process can't be copied."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(f"an action can't be projected here: {cause}")
@@ -174,7 +174,7 @@ def project_all(
 
 def _name(action: object) -> str:
     if not callable(action):
-        raise BadArgument("action", action, "a function of the plan, or a tuple of one and its arguments")
+        raise BadArgument("action", action, "a function of the plan, or a tuple of a function and its arguments")
     return name_of(action.func if isinstance(action, partial) else action)
 
 
@@ -197,7 +197,7 @@ def _project_all(
     if cause := obstacle():
         raise NotProjectable(cause)
     projections: dict[int, _Projection] = {}
-    outcomes: dict[int, Outcome] = {}  # of candidates that have ended
+    outcomes: dict[int, Outcome] = {}  # outcomes of candidates that have ended
     recorded: list[Outcome] = []
     needed = len(actions)
     waiting = deque(range(needed))

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 Job = TypeVar("Job")
 
-GRACE: Final = 5.0  # s that an interrupted run of a plan has to end
+GRACE: Final = 5.0  # seconds that an interrupted run of a plan is given to end
 _PR_SET_PDEATHSIG: Final = 1
 _BLOCK: Final = 1 << 20  # bytes of one read
-_CRASHED: Final = 70  # exit code
+_CRASHED: Final = 70  # exit code of a child that has an error of its own
 _prctl: Any = None  # looked up once: in each child, the lookup would change half a megabyte of memory
 with contextlib.suppress(OSError, AttributeError, TypeError):  # only Linux has it
     _prctl = ctypes.CDLL(None).prctl
@@ -184,7 +184,7 @@ def limit_memory(memory: int) -> None:
 class ChildResult:
     """The result of a child."""
 
-    answer: bytes  # b"" if it sent none
+    answer: bytes  # the answer of the child; b"" if it sent none
     late: bool  # whether it exceeded the time limit
     how: str  # how its process ended, in words
     seconds: float  # its duration

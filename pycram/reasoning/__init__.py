@@ -1,1 +1,1 @@
-"""Reasoning about worlds (thesis 4.4); :mod:`pycram.bullet_world_reasoning` hands the queries on."""
+"""Reasoning about worlds (thesis 4.4); :mod:`pycram.bullet_world_reasoning` exports the queries."""

@@ -1,4 +1,4 @@
-"""Questions to a world on record, with their answers and, for choices, the candidates that were rejected.
+"""Recorded questions to a world, with their answers and, for choices, the rejected candidates.
 
 Queries are questions (:mod:`pycram.reasoning.queries`), and so are the choices of process modules: of a grasp, of a
 posture, of a place for an object. While a question is answered, its world is locked and refuses changes.
@@ -30,13 +30,13 @@ _MAX_NAMES: Final = 4  # names of candidates in a group
 class Question:
     """A question while it is answered."""
 
-    name: str  # of the query or of the choice
-    arguments: Mapping[str, object]  # by name
+    name: str  # name of the query or of the choice
+    arguments: Mapping[str, object]  # arguments by name
     answer: object = None
     evidence: Mapping[str, object] = field(default_factory=dict)  # facts behind the answer
     picture: records.Picture | None = None  # the picture of the camera, if the query renders one
     considered: Choice | None = None  # the candidates, if the question is a choice
-    steps: Mapping[Journal, int] = field(default_factory=dict)  # of the record in each recording
+    steps: Mapping[Journal, int] = field(default_factory=dict)  # step of the record in each recording
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
@@ -70,7 +70,7 @@ class Question:
         error: BaseException | None = None
         try:
             yield
-        except BaseException as raised:  # the record has any reason, also Ctrl-C
+        except BaseException as raised:  # every reason is recorded, also Ctrl-C
             error = raised
             raise
         finally:
@@ -110,7 +110,7 @@ class Choice(Question):
 
         Args:
             candidate: its name, as "front".
-            count: of similar candidates that it stands for, as postures for one grasp.
+            count: number of similar candidates that it stands for, as postures for one grasp.
         """
         if self.wanted:
             self._rejected[candidate] = reason, count
@@ -187,9 +187,9 @@ def choosing(name: str, world: BulletWorld, /, **arguments: object) -> Iterator[
     are left out.
 
     Args:
-        name: of the choice.
-        world: is locked, and refuses changes.
-        arguments: of the choice.
+        name: name of the choice.
+        world: the world, which is locked and refuses changes.
+        arguments: arguments of the choice.
     """
     given = {key: value for key, value in arguments.items() if value is not None}
     choice = Choice(name, given, wanted=journal.recording())

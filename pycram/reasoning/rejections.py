@@ -68,9 +68,9 @@ class Touching(Rejection):
 class Misfit(Rejection):
     """The object doesn't fit between the fingers."""
 
-    width: float | None  # m of the object between the fingers; None if there is nothing to grasp
-    least: float  # m of the narrowest object that the fingers hold
-    most: float  # m of the widest object that the fingers hold
+    width: float | None  # width of the object between the fingers, m; None if there is nothing to grasp
+    least: float  # width of the narrowest object that the fingers hold, m
+    most: float  # width of the widest object that the fingers hold, m
 
     def miss(self) -> float:
         """Return the difference between the width and the limits, m."""
@@ -114,7 +114,7 @@ class Slips(Rejection):
 class Contorted(Rejection):
     """The arm would have to change its posture during the motion."""
 
-    value: float  # of the moving joint where the posture would change, rad or m
+    value: float  # value of the moving joint at which the posture would change, rad or m
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +134,7 @@ class Unreached(Rejection):
 class Unseen(Rejection):
     """Too little of the object is seen."""
 
-    share: float  # of the object that is seen
+    share: float  # share of the object that is seen
     hidden_by: Sequence[str] = ()  # names of the objects before it
 
     def alike(self) -> Hashable:
@@ -151,7 +151,7 @@ class Inferior(Rejection):
     """The candidate is good, but another one is better."""
 
     by: str  # name of the quantity
-    value: float  # of the quantity
+    value: float  # value of the quantity
 
     def alike(self) -> Hashable:
         """Return the name of the quantity."""

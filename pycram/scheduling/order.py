@@ -63,7 +63,7 @@ class Precedence(NamedTuple):
 class BranchLine(NamedTuple):
     """The plan's line at which a branch waits or is ready."""
 
-    branch: str  # name of the branch; of the thread for code outside of branches
+    branch: str  # name of the branch, or of the thread for code outside of branches
     file: str  # "" if unknown
     line: int  # the line with which the branch continues, or that added it if it hasn't begun
 
@@ -72,8 +72,8 @@ class AppliedPrecedence(NamedTuple):
     """A precedence that changed the order of a run."""
 
     precedence: Precedence
-    first: BranchLine  # of the branch that ran first
-    second: BranchLine  # of the other branch
+    first: BranchLine  # line of the branch that ran first
+    second: BranchLine  # line of the other branch
     #: Smaller precedences: the branch before each other ready branch that it passed, the nearest in rank first.
     passed: list[Precedence]
 
@@ -209,7 +209,7 @@ def order_of(text: str, seed: int | None) -> Order | None:
         seed: The run's seed.
 
     Raises:
-        BadArgument: The text is no order.
+        BadArgument: The text isn't an order.
     """
     if not text:
         return None

@@ -170,7 +170,7 @@ def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine
 
 
 def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None, order: Order | None = None) -> Ready:
-    """Remove and return the branch or wait that runs next: by an order, drawn at random, or the one ready longest.
+    """Remove and return the branch or wait that runs next: by an order, at random, or the longest ready.
 
     Only this function decides the order of a plan's branches.
     """
@@ -198,9 +198,9 @@ def seed_order(seed: int | None, order: str = "") -> None:
 
     Args:
         seed: None for the order in which branches became ready.
-        order: Another order, as text of :mod:`pycram.scheduling.order`; raises BadArgument if it is none.
+        order: Another order, as text of :mod:`pycram.scheduling.order`; raises BadArgument if it isn't an order.
     """
-    global _seed, _order  # of the run, which is the process's
+    global _seed, _order  # of the run: a process has one run
     order_of(order, seed)
     _seed, _order = seed, order
     scheduler().draw_from(seed, order)
@@ -559,7 +559,7 @@ class StrikeSource(Condition):
         return self.end <= time.monotonic()
 
     def await_due(self) -> None:
-        """Block the thread until it can strike, as the recording says that it struck now; a deadline always can."""
+        """Block the thread until the strike that the recording has here can come; a deadline can always strike."""
 
     @property
     def has_come(self) -> bool:

@@ -40,13 +40,13 @@ if TYPE_CHECKING:
 
 __all__ = ["LIMIT", "RunLost", "RunOutcome", "Sweep", "SweepRefused", "sweep"]
 
-LIMIT: Final = 300.0  # s
-FORMAT: Final = 1  # of sweep.json
+LIMIT: Final = 300.0  # s, default time limit of a run
+FORMAT: Final = 1  # version of the format of sweep.json
 SWEEP: Final = "sweep.json"
 _LOCK: Final = "sweep.lock"
 _PART: Final = re.compile(r"\.(\d{5,}.*\.mcap|models-.*\.mcap|sweep\.json)\.part")
-_MAY_CHANGE: Final = frozenset({"runs", "plan"})  # when a sweep is restarted
-_KEPT: Final = 100  # outcomes of failures, and remarks: memory doesn't grow with the runs
+_MAY_CHANGE: Final = frozenset({"runs", "plan"})  # entries that may change when a sweep is restarted
+_KEPT: Final = 100  # maximum number of failures and of remarks, so that memory doesn't grow with the runs
 _held: Final[set[Path]] = set()  # folders that this process sweeps into
 
 
@@ -65,14 +65,14 @@ export("pycram.sweeping", SweepRefused)
 class Sweep:
     """The progress and result of a sweep."""
 
-    folder: str  # of the recordings
+    folder: str  # folder of the recordings
     runs: int  # requested number of runs
     before: int = 0  # number of runs that existed before
     done: int = 0  # number of runs that were made now
     failed: int = 0  # number of these that failed
     failures: list[RunOutcome] = field(default_factory=list)  # the first failed runs
     stopped: str = ""  # why it ended before all runs were made; "" if it didn't
-    interrupted: bool = False  # by Ctrl-C
+    interrupted: bool = False  # whether Ctrl-C interrupted it
     remarks: list[str] = field(default_factory=list)  # errors of hooks
 
     def take(self, outcome: RunOutcome) -> bool:
@@ -126,18 +126,18 @@ def sweep(
     If this process has threads, like a notebook, or worlds, the runs are forks of another process.
 
     Args:
-        plan: Its file.
+        plan: File of the plan.
         runs: Number of runs; they are numbered from 0.
-        folder: For the recordings; if it has a part of this sweep, only the rest is made. With ``ray``, a folder that
-            all nodes share, or any URL that fsspec supports.
+        folder: Folder for the recordings; if it has some runs of this sweep, only the missing runs are made. With
+            ``ray``, a folder that all nodes share, or any URL that fsspec supports.
         seed: Run N has the seed ``seed + N``; its parameters are drawn from this seed.
         set: Values of parameters; the runs take all combinations in turn.
         sample: Distributions of parameters, as ``"uniform(0,1)"``; also normal, integers, choice.
         cores: Maximum number of parallel runs; 0 for one per core.
         limit: Seconds of wall-clock time for each run.
         memory: Bytes of additional memory for each run; 0 for no limit.
-        arguments: Of the plan.
-        motion: The execution environment where the plan names none.
+        arguments: Arguments of the plan.
+        motion: The execution environment if the plan names none.
         locals: Whether failures hold the local variables of the plan's functions.
         ray: The address of a Ray cluster, or "" for one on this machine; None to use none.
         progress: Called at the start and after each run.
@@ -257,7 +257,7 @@ def locked(folder: Path) -> Iterator[None]:
         raise SweepRefused(f"{folder}: {error.strerror or error}") from error
     with os.fdopen(lock, "r+", encoding="utf-8", errors="replace") as file:
         try:
-            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # of this process only: forks may outlive it for a moment
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # forks, which may outlive this process, don't hold it
         except (BlockingIOError, PermissionError):
             raise _in_use(folder, file.read(200).strip() or "another process") from None
         except OSError:  # a file system without locks
@@ -267,7 +267,7 @@ def locked(folder: Path) -> Iterator[None]:
         file.flush()
         _held.add(held)
         for part in folder.iterdir():
-            if _PART.fullmatch(part.name):  # of a sweep that was killed
+            if _PART.fullmatch(part.name):  # left by a killed sweep
                 part.unlink(missing_ok=True)
         try:
             yield

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from pycram.sweeping import RunOutcome, Sweep
 
-_SHOWN: Final = 5  # failures
-_WIDTH: Final = 160  # characters of a failure
+_SHOWN: Final = 5  # maximum number of printed failures
+_WIDTH: Final = 160  # maximum number of characters of a printed failure
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # failures that differ only in numbers have one cause
 
 

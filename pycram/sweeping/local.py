@@ -57,8 +57,8 @@ They aren't called for a first run that fails before the plan did anything, beca
 """
 _ATTEMPTS: Final = 2
 _TIME_LIMIT: Final = "TimeLimit"
-_UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # in names of files, on any system
-_MAX_LETTERS: Final = 120  # characters of a name
+_UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # characters that names of files must not have on some system
+_MAX_LETTERS: Final = 120  # maximum number of characters of the parameters in a name
 
 
 class RunLost(PlanFailure):
@@ -72,8 +72,8 @@ export("pycram.sweeping", RunLost)
 class SweepSpec:
     """A sweep: its plan with the settings that all runs share, and the settings that vary."""
 
-    shared: RunSpec  # without seed and parameters
-    folder: str  # for recordings, absolute
+    shared: RunSpec  # settings without seed and parameters
+    folder: str  # absolute path of the folder for recordings
     seed: int = 0  # determines the seeds and sampled parameters of the runs
     listed: Mapping[str, list[Any]] = field(default_factory=dict)  # values of parameters
     sampled: Mapping[str, str] = field(default_factory=dict)  # distributions of parameters
@@ -118,9 +118,9 @@ class RunOutcome:
     """The result of a run."""
 
     number: int
-    name: str  # of its recording
+    name: str  # name of its recording
     succeeded: bool
-    failure: str = ""  # in words
+    failure: str = ""  # its failure, in words
     seconds: float = 0.0  # its duration
     started: bool = True  # whether it had a task or a query
     lost: bool = False  # whether its process ended before the plan did
@@ -282,7 +282,7 @@ class Local:
         return None if self._models is None else {"file": self._models.file, "sha256": self._models.sha256}
 
     def close(self) -> None:
-        """Release nothing; a :class:`Worker` has a process to end."""
+        """Do nothing; only a :class:`Worker` has a process to end."""
 
     def run(self, numbers: Iterable[int]) -> Generator[RunOutcome, None, None]:
         """Make runs; yield each outcome when the run ends. Closing the generator kills the remaining runs."""
@@ -348,7 +348,7 @@ class Worker:
     """Makes runs like :class:`Local`, with the same arguments, in forks of another process."""
 
     def __init__(self, spec: SweepSpec, cores: int = 0, shared: str | None = None) -> None:
-        self.spec = spec  # of the next batch
+        self.spec = spec  # the sweep of the next batch
         self.shared = shared  # name of the file of models, for the next batch
         self.models: dict[str, str] | None = None  # name and hash of that file after the last batch
         self._cores = cores

@@ -165,7 +165,7 @@ class _Store:
         return {"file": name, "sha256": hashlib.sha256(self._files.cat_file(f"{self.root}/{name}")).hexdigest()}
 
 
-_worker: Worker | None = None  # of this Ray process
+_worker: Worker | None = None  # the worker of this Ray process
 
 
 def _warm(spec: SweepSpec, models: str | None) -> Worker:
@@ -187,13 +187,13 @@ def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str 
     if models is not None:
         store.fetch(models, folder)
     missing = [number for number in numbers if not store.has(spec.name(number))]
-    # existing runs are of a lost node's batch, whose outcomes were lost
+    # a lost node has made the existing runs, and their outcomes were lost
     outcomes = [_known(store, spec, number, folder) for number in numbers if number not in missing]
     finished = False
     try:
         for outcome in worker.run(missing):
             if not outcome.unrecorded:
-                for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # and files beside it
+                for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # and the files next to it
                     within = made.parent.relative_to(folder).as_posix().removeprefix(".")
                     if store.is_local or not within:  # rows don't match a file with another time
                         store.put(made, within)

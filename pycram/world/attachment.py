@@ -36,7 +36,7 @@ class BodyAttachment:
     carrier_link: str
     body: Object
     body_link: str  # the link by which the body is held
-    pose: Pose  # of the body's base link in the carrier's link: position in m, orientation xyzw
+    pose: Pose  # pose of the body's base link in the carrier's link: position in m, orientation xyzw
     constraint: int  # the engine's id of the constraint that holds the body in simulation
 
     def other(self, side: Object) -> Object:

@@ -30,7 +30,7 @@ class WorldBeliefs:
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
         self._beliefs: dict[Key, Belief] = {}
-        self._steps: dict[Key, Steps] = {}  # of the records by which the beliefs were learned
+        self._steps: dict[Key, Steps] = {}  # steps of the records by which the beliefs were learned
 
     def of(self, robot: str) -> list[tuple[Belief, int]]:
         """Return a robot's beliefs, the latest first, each with the step of the record from which it was learned.

@@ -46,7 +46,7 @@ class Followed:
 
     Raises:
         UnknownName: The body lacks one of its joints.
-        BadArgument: The record is no trajectory, or positions of joints that mimic others contradict each other.
+        BadArgument: The record isn't a trajectory, or positions of joints that mimic others contradict each other.
         JointLimitError: A position is outside of its joint's limits.
     """
 
@@ -75,7 +75,7 @@ class Followed:
         self.worst = ""  # the joint that deviated most; "" for the base
 
     def drive(self, sim_step: int, transaction: Transaction) -> None:
-        """Have the engine move the body to its target at the next simulated step."""
+        """Let the engine move the body to its target at the next simulated step."""
         self.time = min(time_of(self.following, sim_step), self.trajectory.duration)
         before, self._targets = self._targets, self.trajectory.at(self.time)[0]
         engine = self.body.world.engine
@@ -98,7 +98,7 @@ class Followed:
                 self.lost = joint.name, error
 
     def hold(self) -> None:
-        """Have the motors hold the joints at their targets, or at their positions if the track is lost."""
+        """Let the motors hold the joints at their targets, or at their positions if the track is lost."""
         if self.joints and self.body.alive:
             engine, handle = self.body.world.engine, self.body.handle
             targets = engine.positions(handle, self.joints) if self.lost else self._targets

@@ -20,7 +20,7 @@ class Overlapping(UserWarning):
 
 
 def overlaps(body: Object) -> list[records.Overlap]:
-    """Return the deepest overlap of an object with each other one; two fixed objects may be built into each other."""
+    """Return the deepest overlap of an object with each other object; fixed objects may be built into each other."""
     found = []
     for other in body.world.objects:
         if other is body or (body.fixed and other.fixed):

@@ -37,16 +37,16 @@ SLOW_TURN: Final = 2e-2
 """Angular speed in rad/s below which an object may be at rest."""
 INTERVALS: Final = 4
 """Number of consecutive intervals in which an object at rest is slow."""
-_GAIN: Final = 1.15  # from the first to the last interval: a 2 m high shelf that begins to tip gains more, creep less
+_GAIN: Final = 1.15  # gain of speed over the intervals: a 2 m high shelf that begins to tip gains more, creep less
 _NOISE: Final = 0.1  # share of the slow speed: the speeds of solver noise go up and down
 
 _SAMPLE_STEPS: Final = records.STEPS_PER_SECOND // 30
 _SAMPLE_TOLERANCE: Final = 1e-5  # m, rad: smaller movements between two samples aren't visible
 _MANIPULATION_TOLERANCE: Final = 1e-4  # rad or m by which a joint of the environment has to move to fire the event
-_MAX_WAIT_STEPS: Final = 10 * records.STEPS_PER_SECOND  # of one record
+_MAX_WAIT_STEPS: Final = 10 * records.STEPS_PER_SECOND  # maximum number of steps in one record
 
 _PERIOD: Final = 1 / 30  # s of real time in one record
-_MAX_LAG: Final = 0.1  # s that real time catches up; a slow machine could never catch up more
+_MAX_LAG: Final = 0.1  # s, maximum lag that real time catches up; a slow machine could never catch up more
 
 
 # --- steps -----------------------------------------------------------------------------------------------------------
@@ -277,7 +277,7 @@ def settle(world: BulletWorld, steps: int) -> tuple[list[Object], bool]:
 
 
 def separate(world: BulletWorld) -> None:
-    """Lift free objects out of each other, the one that was loaded later: the engine would jam or throw them."""
+    """Lift the later loaded of two overlapping free objects out of the other: the engine would jam or throw them."""
     free = [body for body in world.objects if not body.fixed and not body.attachments]
 
     def overlap(pair: tuple[Object, Object]) -> bool:

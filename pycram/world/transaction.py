@@ -55,7 +55,7 @@ class Transaction:
     detached: list[BodyAttachment] = field(default_factory=list)  # attachments that ended
     samples: list[records.Sample] = field(default_factory=list)  # states within a simulation
     number: Callable[[Journal], None] | None = None  # sets step numbers in the command, for each recording
-    #: Called with the lock held when the transaction is recorded; the calls that they return are made after that.
+    #: Called with the lock held when the transaction is recorded; the returned calls are made after that.
     callbacks: list[Callable[[], Callable[[], None]]] = field(default_factory=list)
 
     def mark_modified(self, *bodies: Object) -> None:
@@ -331,7 +331,7 @@ class ReadOnlyAttributes:
     _sealed: frozenset[str] = frozenset()
 
     def _seal(self, kind: type) -> None:
-        """Make the present attributes read-only, and those that the class defines."""
+        """Make the present attributes read-only, and the attributes that the class defines."""
         settable = {name for name, member in vars(kind).items() if isinstance(member, property) and member.fset}
         self._sealed = frozenset(name for name in (vars(self).keys() | vars(kind).keys()) - settable if name[0] != "_")
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BulletWorld", "Object"]
 
-_MAX_SECONDS: Final = 366 * 86400.0  # of one simulation; longer ones are mistakes
+_MAX_SECONDS: Final = 366 * 86400.0  # maximum s of one simulation; a longer simulation is a mistake
 
 _lock = threading.Lock()
 _numbers = itertools.count(1)

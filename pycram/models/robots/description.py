@@ -404,7 +404,7 @@ class Gripper:
             yield "its fingers all close from one side"
 
     def jaws(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> list[str]:
-        """Return the fingers on either side; in a hand with four fingers around a centre, some are on neither."""
+        """Return the fingers on either side; in a hand with four fingers around a centre, some are on neither side."""
         ways = self._ways(urdf, tool_frame, tool_offset)
         return [finger for finger, way in ways.items() if math.hypot(*way) < _STILL or not _is_across(way)]
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from recorder.geometry import PoseLike
 
 _MAX_SEARCHED: Final = 3  # grasps without a path, after which the search ends
-_MOVING: Final = (0.3, 3.0)  # m/s, rad/s of falling or rolling; objects still rocking after placement can be grasped
+_MOVING: Final = (0.3, 3.0)  # m/s and rad/s, speeds of a falling or rolling object; a rocking object is slower
 _STILL: Final = (0.005, math.radians(5))  # m and rad, maximum motion of the object while the hand approaches
 _BEHIND: Final = (-1.0, 0.0, 0.0)  # direction from which the gripper approaches, in the tool frame
 
@@ -101,9 +101,8 @@ class PickUp(SimulatedModule):
         if body.fixed:
             raise GraspFailed(arm.name, body.name, "it is fixed")
         if giver is not None and (giver.name == arm.name or self.held(robot, giver) is not body):
-            reason = (
-                f"it takes it from the {giver.name} one, which {'is itself' if giver is arm else 'does not hold it'}"
-            )
+            which = "is the same gripper" if giver is arm else "doesn't hold it"
+            reason = f"it can't take it from the {giver.name} gripper, which {which}"
             raise GraspFailed(arm.name, body.name, reason)
         if giver is None and body.carrier is not None:
             raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
@@ -194,7 +193,7 @@ def _plan(
         else:
             choice.take(str(grasp), position=short(grasp.position), orientation=short(grasp.orientation))
             return reach, closing.positions
-    raise failures[0]  # of the best grasp
+    raise failures[0]  # the failure of the best grasp
 
 
 def _check_sides(robot: Object, arm: Arm, body: Object) -> None:

@@ -49,7 +49,7 @@ class _Plan:
     """A plan for putting an object down."""
 
     lower: Step  # moves the arm to the place
-    pose: Pose  # of the object at its release
+    pose: Pose  # pose of the object at its release
     opened: Mapping[str, float]  # joint values of the open gripper, by name
 
 

@@ -94,7 +94,7 @@ class Boxes:
 
         Args:
             path: the model's canonical URDF.
-            poses: by link its poses in the frame; between two poses it must stay within a millimetre.
+            poses: poses of each link in the frame; between two poses the link must stay within a millimetre.
         """
         names, low, high = _bounds(path)
         kept = [number for number, name in enumerate(names) if name in poses]
@@ -166,9 +166,9 @@ def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) ->
     """Return the overlaps between two sets of boxes, for many postures together.
 
     Args:
-        centers: (n, k, 3) of the moving boxes in each posture, in the world, m.
-        axes: (n, k, 3, 3) of the moving boxes.
-        half_extents: (k, 3) of the moving boxes, m.
+        centers: (n, k, 3) centers of the moving boxes in each posture, in the world, m.
+        axes: (n, k, 3, 3) axes of the moving boxes.
+        half_extents: (k, 3) half extents of the moving boxes, m.
         others: the boxes that don't move.
 
     Returns:
@@ -201,9 +201,9 @@ def overlapping_pairs(
     """Return the overlaps among pairs of boxes, for many postures together.
 
     Args:
-        centers: (n, k, 3) of the boxes in each posture, in the world, m.
-        axes: (n, k, 3, 3) of the boxes.
-        half_extents: (k, 3) of the boxes, m.
+        centers: (n, k, 3) centers of the boxes in each posture, in the world, m.
+        axes: (n, k, 3, 3) axes of the boxes.
+        half_extents: (k, 3) half extents of the boxes, m.
         a: (m,) numbers of the first boxes of pairs.
         b: (m,) numbers of the second boxes of pairs.
 
@@ -255,12 +255,12 @@ class MovingLinks:
     """Links that joints move, with the objects that they hold, and the other links of the same robot.
 
     Args:
-        engine: has the robot.
+        engine: the engine with the robot.
         body: the robot in the engine.
-        boxes: around all pieces of the robot in the engine.
-        held: for each held object the object, the robot's link, and the boxes around the object's pieces.
+        boxes: boxes around all pieces of the robot in the engine.
+        held: for each held object: the object, the robot's link, and the boxes around the object's pieces.
         joints: names of the joints that will be moved.
-        all_links: check all links, not only the moved ones.
+        all_links: whether to check all links, not only the moved links.
 
     """
 
@@ -282,7 +282,7 @@ class MovingLinks:
         self.joint_counts = joint_counts(robot.model.path, joints)  # moving joints above each link
         positions = dict(zip(robot.joints, engine.joints(body)[0], strict=True))
         self.positions = {name: positions[name] for name in joints}  # present values of the joints, rad or m
-        self.base_pose = engine.pose(body)  # of the robot
+        self.base_pose = engine.pose(body)  # pose of the robot's base
         # transforms of the links by the joints
         self.articulation = Articulation(engine, body, drivers(robot.model.path, joints))
         swung = [each for other, link, each in held if link in fixed.moving]
@@ -358,7 +358,7 @@ def _structure(
     Args:
         robot_links: links of the boxes.
         joints: names of the joints that will be moved.
-        all_links: check all links, not only the moved ones.
+        all_links: whether to check all links, not only the moved links.
         held: for each held object its name, the robot's link, and the links of its boxes.
         may_touch: pairs of the robot's links that may overlap.
     """

@@ -42,7 +42,7 @@ class Collision(TypedDict):
 
     links: list[str]  # links of the robot, or of held objects, that touch the object
     by: list[str]  # links of the object that are touched
-    depth: float  # of the deepest touch, m
+    depth: float  # depth of the deepest touch, m
     pair: CollisionPair  # the links of the deepest touch
 
 
@@ -54,10 +54,10 @@ class PostureCandidate:
     base: Pose | None  # pose of the robot's base; None for its present pose
     # (n,) numbers of moving boxes, and of the other boxes that overlap them
     overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]
-    transforms: NDArray[np.float64]  # (joints + 1, 4, 4) of the links by the joints
+    transforms: NDArray[np.float64]  # (joints + 1, 4, 4) transforms of the links by the joints
     # the links in these boxes in the order of the checks; empty until they are needed
     pairs: list[Pair] = field(default_factory=list)
-    touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # of the pairs that the engine has checked
+    touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # by checked pair
 
 
 class CollisionChecker:
@@ -66,9 +66,9 @@ class CollisionChecker:
     Args:
         joints: names of the moving joints; links that they don't move aren't checked.
         ignored: objects that may be touched.
-        all_links: check all links of the robot, not only the moved ones.
+        all_links: whether to check all links of the robot, not only the moved links.
         ignored_links: objects with links that may be touched, as links that move along.
-        margin: m of distance up to which other objects are checked as well.
+        margin: distance in m up to which other objects are checked as well.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class CollisionChecker:
         self._other_boxes = every.widened(margin) if margin else every
         self._other_owners = list(itertools.compress(owners, counted))
         self._copies: dict[tuple[Object, str], LoadedBody] = {}  # checked bodies by object and link
-        self._base = links.base_pose  # of the clone's robot, as it was placed last
+        self._base = links.base_pose  # the latest pose of the clone's robot
         self._placed: PostureCandidate | None = None
 
     def __enter__(self) -> Self:
@@ -286,7 +286,7 @@ class CollisionChecker:
         return max((-touch.distance for touch in touches), default=-self._margin)
 
     def least(self, pair: Pair) -> float:
-        """Return the overlap in m from which on two links collide; it is greater for the robot's own links.
+        """Return the least overlap in m at which two links collide; it is greater for the robot's own links.
 
         Held objects come near the trunk and the arm's own shoulder, whose hulls are wide.
         """
@@ -357,7 +357,7 @@ class CollisionChecker:
         """Return the robot's links that the moving joints don't move.
 
         Args:
-            link: also counts as fixed, as the hand in all postures for a grasp.
+            link: a further link that counts as fixed, such as the hand in all postures for a grasp.
         """
         counts = self._links.joint_counts
         constant = {0} if link is None else {0, counts[link]}
@@ -378,7 +378,7 @@ def touched(
         robot: its world is locked.
         positions: joint values in rad or m by name; other joints keep their values.
         base: pose of the robot's base; the present one by default.
-        all_links: check all links of the robot, not only the moved ones.
+        all_links: whether to check all links of the robot, not only the moved links.
     """
     with CollisionChecker(robot, positions, all_links=all_links) as checker:
         (candidate,) = checker.predict([positions], base)
@@ -399,7 +399,7 @@ def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None 
 
 
 def newly_touched(robot: Object, positions: Mapping[str, float], base: Pose | None = None) -> list[CollisionPair]:
-    """Return the collisions of a robot in a posture, without those that it has already, as on purpose.
+    """Return the collisions of a robot in a posture, without its present collisions, which may be intended.
 
     Args:
         robot: its world is locked.

@@ -1,7 +1,7 @@
 """Ray casts: the points at which straight lines enter and leave an object's collision shapes.
 
-A gripper must know the width of an object between its fingers. The object's bounds don't tell it: they grow with a
-rotation, and ignore hollows. All lines are intersected with the model's convex pieces together, without the engine.
+A gripper must know the width of an object between its fingers. The object's bounds don't give it: they grow with
+a rotation, and ignore hollows. All lines are intersected with the model's convex pieces together, without the engine.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def half_extent(low: Sequence[float], high: Sequence[float], direction: Sequence
 class Scan:
     """Parallel lines at equal distances."""
 
-    frame: Pose  # in the world; the lines are along one of its axes
+    frame: Pose  # a frame in the world; the lines are along one of its axes
     first: float  # first coordinate of a line along another axis, m
     step: float  # m between lines
 
@@ -71,7 +71,7 @@ class RayCaster:
 
     def __init__(self, body: Object, lean: Quaternion | None = None) -> None:
         self.low, self.high = body.get_AABB()
-        self.center = _center(self.low, self.high)  # of its bounds in the world, m
+        self.center = _center(self.low, self.high)  # center of its bounds in the world, m
         solids = solids_of(body.model.path)
         positions, orientations = body.world.engine.link_frames(body.handle, solids.links)
         turns = geometry.to_matrices(orientations)
@@ -95,8 +95,8 @@ class RayCaster:
 
         Args:
             scans: lines along the y axes, at coordinates along the x axes.
-            count: of lines in each scan.
-            zs: of the lines, m; the extreme points of all z are returned.
+            count: number of lines in each scan.
+            zs: z of the lines, m; the extreme points of all z are returned.
 
         Returns:
             (len(scans), greatest count, 2), m: lowest and highest y in the frame at each x; nan outside of the object.
@@ -112,8 +112,8 @@ class RayCaster:
 
         Args:
             scans: lines along the x axes, at coordinates along the z axes; these points are in the hollow.
-            count: of lines in each scan.
-            ys: of the lines, m; the extreme points of all y are returned.
+            count: number of lines in each scan.
+            ys: y of the lines, m; the extreme points of all y are returned.
 
         Returns:
             (len(scans), count, 2), m: x of the inside and the outside of the wall at each z. The inside is nan if a
@@ -131,8 +131,8 @@ class RayCaster:
         """Intersect parallel lines with the object's pieces, all together, because each call of numpy takes its time.
 
         Args:
-            order: of the frames' axes: u and v across the lines, w along the lines.
-            count: of lines along u in each scan.
+            order: order of the frames' axes: u and v across the lines, w along the lines.
+            count: number of lines along u in each scan.
             vs: coordinates of lines along v, lowest first, m.
         """
         last = np.broadcast_to(count, len(scans)) - 1

@@ -54,7 +54,7 @@ class SimulationClone:
     def __init__(self, world: BulletWorld) -> None:
         self.world = weakref.proxy(world)
         self._engine: Engine | None = None
-        self._copies: dict[tuple[str, str], _Copy] = {}  # by object and link; "" for the whole object
+        self._copies: dict[tuple[str, str], _Copy] = {}  # copies by object and link; "" for the whole object
         self._values: weakref.WeakKeyDictionary[Object, dict[Hashable, tuple[Snapshot, object]]]
         self._values = weakref.WeakKeyDictionary()
 
@@ -85,7 +85,7 @@ class SimulationClone:
         """Mark copies as changed: they are restored before their next use.
 
         Args:
-            names: of the objects; all by default.
+            names: names of the objects; all by default.
         """
         for (name, _), copy in self._copies.items():
             if not names or name in names:
@@ -300,7 +300,7 @@ def clone_of(world: BulletWorld, purpose: str) -> SimulationClone:
     """Return the world's clone for a purpose, made at its first use and ended with the world.
 
     Args:
-        world: is locked.
+        world: the world, which is locked.
         purpose: "reach" for postures; "physics" and "physics with robots" for simulated time.
     """
     with _registry:

@@ -39,7 +39,7 @@ _FREE: Final = (False, 0, 0, 0.0)  # cost of a posture that touches nothing
 _INFINITE: Final = (True, math.inf, math.inf, math.inf)  # higher than the cost of any posture
 _HAND: Final = -1  # stands for the hand alone, which is checked before the postures for a grasp
 _MAX_GRASPS: Final = 6  # grasps that are tried, one after the other
-_LEANING: Final = math.radians(5)  # rad from which on a message mentions that the object leans
+_LEANING: Final = math.radians(5)  # rad, minimum lean of an object that a message mentions
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class GraspPlan:
 
     grasp: Grasp | None  # None if no grasp is reached
     posture: Posture | None  # the nearest miss if no grasp is reached
-    # by link and object what the arm would touch there, deepest first
+    # touches of the arm there by link and object, deepest first
     obstacles: Mapping[Object, Collision] = field(default_factory=dict)
     # pairs of the robot's own links that would touch, if they are why no grasp is reached
     self_collisions: Sequence[CollisionPair] = ()
@@ -75,7 +75,7 @@ def best_grasp(
     choice: Choice = UNRECORDED,
     base: Pose | None = None,
 ) -> GraspPlan:
-    """Return the grasp that touches least. Grasps off the center are tried if only they are free.
+    """Return the grasp that touches least. A grasp off the center is chosen only if no other grasp is free.
 
     Args:
         link: an arm's tool frame; or any other link, which then only has to reach the target's center.
@@ -105,7 +105,7 @@ class _Grasping:
 
     body: Object  # the target
     robot: Object
-    solver: Solver  # of the arm's inverse kinematics
+    solver: Solver  # solver of the arm's inverse kinematics
     arm: Arm | None  # None if the link has no gripper
     choice: Choice  # receives the reasons against grasps
     base: Pose | None  # assumed pose of the robot's base; None for its present pose
@@ -140,7 +140,7 @@ class _Grasping:
                 options.append((grasp, reaching))
             elif quick:
                 self.choice.reject(str(grasp), Untried())
-            else:  # the closed form doesn't tell the distance
+            else:  # the closed form doesn't give the distance
                 nearest = postures[0] if postures else None
                 miss = (nearest.position_error, nearest.turn_error) if nearest else (None, 0.0)
                 self.choice.reject(str(grasp), OutOfReach(*miss))
@@ -155,7 +155,7 @@ class _Grasping:
 
 
 class _Choice:
-    """A best-first search for the posture that touches least; of equal ones the first.
+    """A best-first search for the posture that touches least; the first of several equal postures.
 
     The search continues with the posture of least known cost, and checks its next pair of links, until that posture is
     checked completely: no other posture can cost less. For one grasp, all postures bring the hand to the same pose. So
@@ -198,7 +198,7 @@ class _Choice:
         return plan
 
     def _record(self, plan: GraspPlan) -> None:
-        """Record the results: for the best grasp all, for the others those that were found before they became worse."""
+        """Record all results for the best grasp; for each other grasp, the results until it became worse."""
         for (grasp, postures), tried in zip(self._options, self._candidates, strict=True):
             known = [self._checker.known(candidate) for candidate in tried]
             by_hand = [pair for pair in known[0] if pair.link in self._hand]
@@ -241,8 +241,8 @@ class _Choice:
 
         Args:
             touches: an iterator, which continues where the last check stopped.
-            depths: m by object; found touches are added.
-            cost: of the touches so far.
+            depths: depths in m by object; found touches are added.
+            cost: cost of the touches so far.
             enough: cost above which the other touches don't matter yet.
         """
         for (_, _, body, _), points in touches:

@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     Depths: TypeAlias = Mapping[tuple[str, Object, str], float]
 
 CLEAR: Final = 0.002  # m of air around a released object; the engine pads shapes by less
-_SLACK: Final = 5e-4  # m of overlap from which on it is a touch
+_SLACK: Final = 5e-4  # m, minimum overlap that counts as a touch
 _STEPS: Final = 16  # steps between open and closed; no finger of the PR2 moves by more than 3 mm in a step
 _HALVINGS: Final = 6  # bisections of a step
 _AT_CUP: Final = 0.004  # m from a suction cup that its lip bridges
 _CLOSING_STEPS: Final = 8  # steps from open to closed, each less than the thickness of a finger
 _CLOSING_HALVINGS: Final = 5  # bisections of a closing step, down to 0.4 mm of the PR2's aperture
-_MANY: Final = 3  # moving parts from which on each closes on its own; two jaws are one mechanism
+_MANY: Final = 3  # minimum number of moving parts that close one by one; two jaws are one mechanism
 _ALONE: Final = 64  # steps between open and closed for a part that closes on its own
 _REACH: Final = 0.005  # m to a finger on the other side; hand and object each give way by half of that
 _ACROSS: Final = 0.5  # component of a unit normal along the jaws' direction
@@ -83,7 +83,7 @@ def finger_motion(
         goal: how far the gripper should be open: 0 is closed, 1 is open.
         posture: joint values of the arm by name; the present ones by default.
         release: the object that is released; it doesn't stop the fingers.
-        pose: of the released object; its present pose by default.
+        pose: pose of the released object; its present pose by default.
         base: assumed pose of the robot's base; its present pose by default.
     """
     gripper = arm.gripper
@@ -142,7 +142,7 @@ def close_around(
     Args:
         robot: its world is locked.
         posture: joint values by name that bring the gripper to the object.
-        body: stays in its place.
+        body: the object, which stays in its place.
         base: assumed pose of the robot's base; its present pose by default.
     """
     gripper = arm.gripper
@@ -269,7 +269,7 @@ def _near(
     """Return the copies of objects that fingers could touch between open and closed.
 
     Args:
-        clone: has the copies.
+        clone: the clone with the copies.
         palm: pose of the gripper's palm in the world.
         there: the robot's joint values by name.
         bodies: the objects to check.

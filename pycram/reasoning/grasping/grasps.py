@@ -41,12 +41,12 @@ _PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, at which rays are
 _STEP: Final = 0.004  # m between rays along the fingers
 _LEVELS: Final = 6  # levels below a rim at which its wall is measured
 _EDGE: Final = 0.004  # m below a rim at which its wall begins
-_UPRIGHT: Final = 0.7  # of a unit axis along the vertical, for an upright axis
+_UPRIGHT: Final = 0.7  # minimum vertical part of a unit axis that counts as upright
 _FLAT: Final = 0.002  # m by which the surface below a suction cup may be uneven
 _SKEW: Final = math.radians(2)  # rad between object and gripper that are ignored
 _LONG: Final = 2.0  # ratio of length and width of a long object
 _BESIDE: Final = 0.01  # m from the middle of a long object, seen from the top, that count as another place
-_LEANING: Final = math.radians(5)  # rad from which on the gripper leans with the object
+_LEANING: Final = math.radians(5)  # rad, minimum lean of an object with which the gripper leans
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
 _biases: WeakKeyDictionary[Object, dict[str, float]] = WeakKeyDictionary()

@@ -58,7 +58,7 @@ _TURNING: Final = 1.0  # cost of a square rad about the bar between neighbouring
 _APPROACH: Final = 0.01  # cost of a square rad of a joint from the present posture to the first
 _MAX_PATHS: Final = 40  # paths that are checked
 _MAX_QUICK_PATHS: Final = 8
-_SAME_HEIGHT: Final = 0.02  # m
+_SAME_HEIGHT: Final = 0.02  # m, maximum difference of equal heights
 _STEP: Final = 0.15  # m between places of the robot that are tried
 _STEPS: Final = 5  # places to each side
 _MAX_PLACES: Final = 4  # places for which a path is searched
@@ -174,10 +174,10 @@ class HandlePath:
 class DeadEnd:
     """The reason why there is no path."""
 
-    value: float  # of the joint, that the arm doesn't reach
+    value: float  # value of the joint that the arm doesn't reach
     reached: float | None  # the last value that the arm reaches; None if it doesn't reach the first
-    position: Vector  # of the tool at the value, in the world, m
-    orientation: Quaternion  # of the tool at the value when it comes from the front, xyzw
+    position: Vector  # position of the tool at the value, in the world, m
+    orientation: Quaternion  # orientation of the tool at the value when it comes from the front, xyzw
     distance: float | None = None  # m between the tool and its goal at the nearest posture; None if the arm reaches it
     turn: float = 0.0  # rad between the tool and its goal at the nearest posture
     pairs: Sequence[CollisionPair] = ()  # links that would touch where the arm reaches the value
@@ -193,8 +193,8 @@ class DeadEnd:
 class _Layer:
     """Postures for one value of the joint, the nodes of a layer in the graph of the search."""
 
-    joints: Array  # (n, joints) of the arm, rad or m
-    angles: Array  # (n,) of the gripper about the bar, rad
+    joints: Array  # (n, joints) joint values of the arm, rad or m
+    angles: Array  # (n,) angles of the gripper about the bar, rad
 
 
 def plan_path(
@@ -212,8 +212,8 @@ def plan_path(
 
     Args:
         robot: its world is locked.
-        values: of the handle's joint, rad or m, beginning with the present value.
-        base: where the robot's base is taken to stand; where it does by default.
+        values: values of the handle's joint, rad or m, beginning with the present value.
+        base: assumed pose of the robot's base; its present pose by default.
         others: assumed values of other joints, of other arms or the torso, rad or m; their present values by default.
         quick: search for a short time; a dead end then proves nothing.
         choice: receives the results for the grips.
@@ -506,7 +506,7 @@ def arms_in_the_way(
     Args:
         robot: its world is locked.
         arm: the arm that has no path.
-        values: of the handle's joint, rad or m, beginning with the present value.
+        values: values of the handle's joint, rad or m, beginning with the present value.
         pairs: links that would touch.
     """
     found: list[Remedy | InTheWay] = []
@@ -529,12 +529,12 @@ def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
 def remedies(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> list[Remedy]:
-    """Return remedies for an arm without a path, nearest first; an empty list says that there are none nearby.
+    """Return remedies for an arm without a path, nearest first; an empty list means that there are none nearby.
 
     Args:
         robot: its world is locked.
         arm: the arm that has no path.
-        values: of the handle's joint, rad or m, beginning with the present value.
+        values: values of the handle's joint, rad or m, beginning with the present value.
         choice: receives the results for the remedies.
     """
     description = robot.description

@@ -33,9 +33,9 @@ _STEP: Final = 0.005  # m between heights that are tried; a gripper stops at thi
 _ACCURACY: Final = 2e-4  # m of the resting height
 _BACK: Final = (0.1, 0.15, 0.2)  # m by which a hand is drawn back; fingers are shorter
 _OVERLAP: Final = 2e-4  # m that shapes at rest overlap anyway
-_LIFTS: Final = (0.005, 0.01, 0.015)  # m from which an object may be dropped
-_MAX_LIFTED: Final = 4  # poses from which an object may be dropped, at most
-_FROM_BELOW: Final = 0.5  # component of a unit vector pointing up, from which on the hand comes from below
+_LIFTS: Final = (0.005, 0.01, 0.015)  # m, heights from which an object may be dropped
+_MAX_LIFTED: Final = 4  # maximum number of poses from which an object may be dropped
+_FROM_BELOW: Final = 0.5  # minimum upward part of a unit vector if the hand comes from below
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
 _YAWS: Final = 12  # orientations about the vertical that are tried
 
@@ -132,7 +132,6 @@ def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | No
 
     Args:
         choice: receives the ways back, with the reasons against them.
-        choice: takes the other ways, and why they won't do.
     """
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
     for back in _BACK:
@@ -161,8 +160,8 @@ class Placement:
     """A way to put an object down."""
 
     name: str  # unique among the placements
-    pose: Pose  # of the object when it is released
-    tool: Pose  # of the tool when the object is released
+    pose: Pose  # pose of the object when it is released
+    tool: Pose  # pose of the tool when the object is released
     posture: Mapping[str, float]  # joint values of the arm by name
     opened: Mapping[str, float]  # joint values of the open gripper by name
 

@@ -112,7 +112,7 @@ class ClosedForm:
         """Return postures for targets, including misses.
 
         Args:
-            positions: (m, 3) of the tool in the base link, m.
+            positions: (m, 3) positions of the tool in the base link, m.
             turns: (m, 3, 3) orientations of the tool; None for any.
             home: (7,) a posture; its values are samples too, so that solutions near it are found.
 
@@ -130,7 +130,7 @@ class ClosedForm:
         It doesn't continue with branches that have failed.
 
         Args:
-            positions: (m, 3) of the tool in the base link, m.
+            positions: (m, 3) positions of the tool in the base link, m.
             turns: (m, 3, 3) orientations of the tool.
             home: (7,) a posture; its values are samples too.
 
@@ -161,7 +161,7 @@ class ClosedForm:
         """Return postures for values of joint 1 between the samples of :meth:`postures`.
 
         Args:
-            position: (3,) of the tool in the base link, m.
+            position: (3,) position of the tool in the base link, m.
             turn: (3, 3) orientation of the tool.
             misses: (k, 7) postures near a possible narrow range of solutions.
 
@@ -191,7 +191,7 @@ class ClosedForm:
         For targets with an orientation, the bound is for the wrist, with the exact orientation.
 
         Args:
-            positions: (m, 3) of the tool in the base link, m.
+            positions: (m, 3) positions of the tool in the base link, m.
             turns: (m, 3, 3) orientations of the tool; None for any.
 
         Returns:

@@ -188,7 +188,7 @@ def constant_parts(axes: Array, points: Array, slides: Flags) -> Array:
 
     Args:
         axes: (joints, 3) unit vectors.
-        points: (joints, 3) on the axes, m.
+        points: (joints, 3) points on the axes, m.
         slides: (joints,) whether a joint is prismatic.
 
     Returns:

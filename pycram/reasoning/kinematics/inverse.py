@@ -204,7 +204,7 @@ class ArmKinematics:
             seeds: the first starting postures.
             thorough: use all starting postures, even if some reach the target.
             quick: use only a few starting postures; a miss then proves nothing.
-            enough: m between a miss and the target from which on the miss is useless.
+            enough: distance in m between a miss and the target above which the miss is useless.
 
         Returns:
             For each target at least one posture; if the first doesn't reach, none does.

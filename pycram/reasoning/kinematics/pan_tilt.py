@@ -32,7 +32,7 @@ def aim_camera(
 
     Args:
         joints: names of the pan and the tilt joint, of one of them, or empty.
-        point: in the robot's root link, m.
+        point: a point in the robot's root link, m.
         now: present values of all joints, rad or m.
 
     Returns:

@@ -60,7 +60,7 @@ _FINEST: Final = 0.005  # m between cells, at least, on a surface that is hardly
 _CELLS: Final = 3  # cells across the strip of a surface in which the object's middle can be
 _ABOVE: Final = 0.003  # m above a surface at which obstacles begin: the surface's own boxes are a little too high
 _NEAR: Final = 0.15  # m from a point, at which a score is halved
-_FAR: Final = 1.0  # m from a point or an object, from which on a place isn't near it
+_FAR: Final = 1.0  # m from a point or an object, above which a place isn't near it
 _AWAY: Final = 0.4  # m from a point that a place must be away from
 _APART: Final = 0.04  # m from places that were offered or tried
 _EASY: Final = 0.5  # m from the nearest place of the robot, at which a score is halved
@@ -95,7 +95,7 @@ def free_places(
         reachable_for: a robot that must reach the place: from its present pose if it can't drive, else from any pose.
         arms: names of its arms that may reach the place; all by default.
         away: xyz or xy in m of a point, at least 0.4 m away.
-        seed: of the draws; the run's by default.
+        seed: seed of the draws; the run's seed by default.
 
     Raises:
         BadArgument: A value is impossible.

@@ -50,9 +50,9 @@ _STEP: Final = 0.1  # m or rad of a drawer or door between values at which its h
 class PutDown:
     """A goal to put down an object that an arm holds."""
 
-    position: Vector  # of the object, m
+    position: Vector  # position of the object, m
     orientation: Quaternion | None = None  # xyzw of the object; None for upright with a natural heading
-    body: Object | None = None  # None for any object that the arm holds
+    body: Object | None = None  # the object; None for any object that the arm holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ Target: TypeAlias = Object | PutDown | Pull | Sequence[float] | tuple[Sequence[f
 
 
 class Goal(Protocol):
-    """Something for an arm to reach."""
+    """A goal that an arm must reach."""
 
     @property
     def position(self) -> Vector:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-_UPRIGHT: Final = 0.999  # of a unit axis along the vertical, for an upright box
+_UPRIGHT: Final = 0.999  # minimum vertical part of a unit axis of an upright box
 _LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the horizontal axes of a box by its vertical axis
 _DIRECTIONS: Final = 36
 _BEHIND: Final = 1e-4  # factor of the score behind an obstacle; if all places are behind obstacles, none is preferred
@@ -43,10 +43,10 @@ _FLOOR: Final = 0.03  # m above the ground; the base drives over lower obstacles
 _LAYERS: Final = (0.35, 0.7, 1.0, 1.4)  # m: heights between which a robot has one outline
 _POSTURES: Final = 60_000
 _PARTS: Final = 30  # parts of the postures, so that each fits into the processor's cache
-_LEVEL: Final = math.sin(math.radians(30))  # of the tool's axis along the vertical, if the hand is level
+_LEVEL: Final = math.sin(math.radians(30))  # maximum vertical part of the tool's axis if the hand is level
 _DOWN: Final = -math.cos(math.radians(30))
-_CELL: Final = 0.08  # m of distance and height
-_SECTORS: Final = 24  # of the bearing in a full turn
+_CELL: Final = 0.08  # m, size of a cell in distance and in height
+_SECTORS: Final = 24  # number of sectors of the bearing in a full turn
 _FULL: Final = 0.9  # quantile of the counts that gets the full score
 
 
@@ -211,8 +211,8 @@ def random_generator(seed: int | None, name: str, *about: object) -> np.random.G
     """Return a generator that depends only on the seed and the question, not on earlier draws.
 
     Args:
-        seed: None for the run's.
-        about: the arguments of the question.
+        seed: the seed; None for the run's seed.
+        about: the question's arguments.
     """
     text = f"{name} {run_seed() if seed is None else seed} {about}"
     return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
@@ -225,7 +225,7 @@ def draw_cells(
 
     Args:
         scores: (cells,), not negative.
-        count: of cells at most.
+        count: maximum number of cells.
 
     Returns:
         For each cell its number, and x and y of a random point in it, m.
@@ -314,9 +314,9 @@ class ArmReach:
         """Return how well the hand reaches points.
 
         Args:
-            height: of the points above the arm's base link, m.
-            distance: (...) of the points from the robot's axis, m.
-            bearing: (...) of the points from the robot's heading, counterclockwise, rad.
+            height: height of the points above the arm's base link, m.
+            distance: (...) distance of the points from the robot's axis, m.
+            bearing: (...) bearing of the points from the robot's heading, counterclockwise, rad.
         """
         every = np.full(distance.shape, height)
         found: Array = self._scores[self._cells(every, distance, bearing, self._scores.shape)]

@@ -42,10 +42,10 @@ _TILT: Final = math.radians(2)
 class FoundPlace:
     """A place where a robot can stand, or where an object can be put down."""
 
-    position: Vector  # of the robot's base or of the object, in the world, m
-    orientation: Quaternion  # of the robot's base or of the object, xyzw
+    position: Vector  # position of the robot's base or of the object, in the world, m
+    orientation: Quaternion  # orientation of the robot's base or of the object, xyzw
     arms: tuple[str, ...] = ()  # arms that reach the target from there, or reach the place; empty if not asked for
-    score: float = 1.0  # of the maps, 0 to 1
+    score: float = 1.0  # score of the maps, 0 to 1
     surface: str = ""  # name of the surface below; "" for the ground
     grasps: Mapping[str, str] = field(default_factory=dict)  # by arm the side from which it takes the target object
 
@@ -55,7 +55,7 @@ class Spot:
     """A place that is considered."""
 
     name: str  # unique in its batch
-    pose: Pose  # of the base or of the object in the world
+    pose: Pose  # pose of the base or of the object in the world
     yaw: float  # rad about the vertical
     score: float  # 0 to 1
 
@@ -110,7 +110,7 @@ class Search(ABC):
 
     Args:
         wanted: the purpose of a place, in words.
-        arguments: of the queries; arguments that are None are left out.
+        arguments: arguments of the queries; arguments that are None are left out.
     """
 
     query: ClassVar[str]  # name of the queries
@@ -119,7 +119,7 @@ class Search(ABC):
         self._world, self._wanted = world, wanted
         self._arguments = {name: value for name, value in arguments.items() if value is not None}
         self._over = False  # whether the search has ended
-        self._counts: dict[str, int] = {}  # of the places that each constraint excluded
+        self._counts: dict[str, int] = {}  # number of places that each constraint excluded
         self._last = ""  # the constraint that excluded the last place
 
     def places(self) -> Iterator[FoundPlace]:

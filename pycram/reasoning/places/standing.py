@@ -50,7 +50,7 @@ _POOR: Final = 1e-3  # share of the best score, below which a place isn't drawn
 _HERE: Final = "where it stands"
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # rad of the heading from the target
 _FACING: Final = 0.5  # part of the score that is lost if the target is at a right angle
-_SIGHT: Final = (0.6, 2.5)  # m of distance at which the camera sees well, and of the farthest place
+_SIGHT: Final = (0.6, 2.5)  # distances in m: up to which the camera sees well, and of the farthest place
 _ROOM: Final = 1.5  # m around a point that the robot must be near
 _NEAR: Final = 0.7  # m from a point, at which a score is halved
 _SHORT_WAY: Final = 8.0  # m from the robot, at which a score is halved
@@ -71,9 +71,9 @@ def standing_places(
 ) -> Iterator[FoundPlace]:
     """Return places where a robot can stand, with its arms as they are, best first.
 
-    A place is where `moving` would put the robot; an arm reaches there the targets of `pick-up`, `place` or
-    `accessing`. Each place is checked when it is asked for. Each request is one query on record, with the map and the
-    reasons against other places. A robot that can't drive has one place. The world may change between requests.
+    A place is where `moving` would put the robot; from there, an arm reaches the targets of `pick-up`, `place`
+    or `accessing`. Each place is checked when it is asked for. Each request is recorded as one query, with the map and
+    the reasons against other places. A robot that can't drive has one place. The world may change between requests.
 
     Args:
         reach: targets; all of them must be reached.
@@ -83,7 +83,7 @@ def standing_places(
         near: xyz or xy in m of a point, at most 1.5 m away.
         avoid: xyz or xy in m of places that are left out, with their surroundings.
         grasp: the side from which objects are taken: "front", "top", "left" or "right"; any by default.
-        seed: of the draws; the run's by default.
+        seed: seed of the draws; the run's seed by default.
 
     Raises:
         BadArgument: A value is impossible.

@@ -240,9 +240,9 @@ def _judge(
     Args:
         found: at least one posture; if the first doesn't reach, none does.
         threshold: m between the link and the target that counts as reached.
-        checker: for collisions; None to ignore collisions.
+        checker: checker of collisions; None to ignore collisions.
         oriented: the link, if all postures bring it to one orientation.
-        base: pose of the robot's base; None where it stands.
+        base: pose of the robot's base; None: its present pose.
 
     Returns:
         The answer. The evidence has the good posture, or the first bad posture with its collisions.

@@ -51,13 +51,13 @@ if TYPE_CHECKING:
     Points = NDArray[np.float64]
 
 
-HORIZON: Final = 2 * STEPS_PER_SECOND  # steps
-MOVED: Final = 0.01  # m
+HORIZON: Final = 2 * STEPS_PER_SECOND  # number of steps in 2 s
+MOVED: Final = 0.01  # m, maximum motion of a stable object
 TURNED: Final = math.radians(5)
 _PERIOD: Final = 6  # steps between samples of the speeds
 _DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which a slow check for firm standing is made
 _LEANING: Final = 0.005  # m to a robot that count as leaning: half a millimetre of air, and some settling
-_CARRYING: Final = 0.3  # vertical component of a normal from which on a contact carries
+_CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact that carries
 _FLAT: Final = 0.002  # m of height between corners of one level
 _FRICTION: Final = 0.8  # share of the friction angle up to which a contact may slope
 _TILT: Final = math.radians(3)  # rad by which a firm body can be tilted before it falls
@@ -303,7 +303,7 @@ def _support(
     """Return points (n, 3) of a body's supports in the levelled frame; their hull is the support polygon.
 
     Args:
-        engine: has the body.
+        engine: the engine with the body.
         underside: (n, 3) the body's corners in the levelled frame, m.
         tops: for each support its corners (n, 3), and the contacts with it.
         level: (3, 3) axes of the levelled frame in the world.

@@ -45,7 +45,7 @@ _FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of v
 _MAX_NAMES: Final = 250  # names in a picture; objects with higher numbers aren't shown
 _MARGIN: Final = 0.05  # share of the part's size around the object
 _RAY: Final = 1e-3  # half the width of a ray, at 1 m
-_AT: Final = 0.05  # m before a point that count as the point, as the board below it
+_AT: Final = 0.05  # m before a point within which an object doesn't hide the point, such as the board below it
 
 
 @query

@@ -101,7 +101,7 @@ def test_what_lies_in_a_drawer_is_found_by_opening_it(room: Room) -> None:
 def test_what_is_nowhere_fails_with_where_it_was_looked_for(room: Room) -> None:
     learn({room.cup: room.cup.get_position_and_orientation()})
     room.cup.set_position([20, 20, 0.1])
-    with pytest.raises(ObjectNotFound, match="no cup found: it was looked for where cup was seen, ") as failed:
+    with pytest.raises(ObjectNotFound, match="no cup found: the robot looked where cup was seen, ") as failed:
         do("searching", object=room.cup)
     where = [place for place, _ in failed.value.looked]
     assert where[0] == "where cup was seen"
@@ -164,7 +164,7 @@ def test_what_is_not_held_is_not_handed_over(room: Room) -> None:
     before = room.robot.get_joint_positions()
     with pytest.raises(ReasoningError, match="no hand of pr2 holds it"):
         do("handing-over", object=room.cup)
-    with pytest.raises(GraspFailed, match="takes it from the left one, which does not hold it"):
+    with pytest.raises(GraspFailed, match="can't take it from the left gripper, which doesn't hold it"):
         perform(MotionDesignator([("type", "pick-up"), ("object", room.cup), ("arm", "right"), ("from", "left")]))
     assert room.robot.get_joint_positions() == before
 

@@ -94,7 +94,7 @@ def test_machines_get_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--explore", "5", "--debug-on-failure"], "--debug-on-failure is for one run"),
         (["--explore", "5", "--limit", "0"], "no time in seconds"),
         (["--json"], "--json goes with --explore"),
-        (["--order", "first"], "'first' is no order: expected"),
+        (["--order", "first"], "'first' is not an order: expected"),
     ],
 )
 def test_wrong_usage_is_said_before_anything_runs(
