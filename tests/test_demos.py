@@ -167,7 +167,7 @@ def test_things_that_block_each_other_end_the_plan(
     monkeypatch.setitem(names, "go", lambda _: None)  # what is in whose way is the point, not where it lies
     monkeypatch.setitem(names, "find", lambda known: known)
     monkeypatch.setattr(names["btr"], "blocking", blocking)
-    with pytest.raises(ReasoningError, match=f"^{circle} block each other: none can go first$"):
+    with pytest.raises(ReasoningError, match=f"^{circle} block each other, so none can be cleared away first$"):
         names["move_object"]("milk", scene.get_object("kitchen"))
 
 

@@ -89,7 +89,7 @@ def test_machines_get_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (["--explore", "0"], "no whole number from 1"),
+        (["--explore", "0"], "not a whole number from 1 up"),
         (["--explore", "5", "--order", "added"], "--explore makes many"),
         (["--explore", "5", "--debug-on-failure"], "--debug-on-failure is for one run"),
         (["--explore", "5", "--limit", "0"], "no time in seconds"),
