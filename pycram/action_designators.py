@@ -38,8 +38,8 @@ def closing(
         arm: Name of the arm; by default any arm that reaches.
         place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
         orientation: A quaternion [x, y, z, w] of the robot's base there.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(
@@ -73,8 +73,8 @@ def delivering(
         target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
         put: The exact place, a LocationDesignator with a position; by default the places of the target.
         place: Place of the robot, a LocationDesignator; by default places from which it reaches the target.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(
@@ -108,8 +108,8 @@ def fetching(
         grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
         place: Place of the robot, a LocationDesignator; by default places from which it reaches the object.
         clear: Whether to clear obstacles away first; by default only after they caused a failure.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(
@@ -148,8 +148,8 @@ def handing_over(
         orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
         place: Place of the robot, a LocationDesignator; by default its present place, turned away from obstacles if
             need be.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(
@@ -178,8 +178,8 @@ def looking(
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         target: A LocationDesignator, the name of a surface (to its middle), or [x, y, z] in m, world frame.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(filled("looking", object=object, target=target, budget=budget, projected=projected))
@@ -197,8 +197,8 @@ def navigating(
     Args:
         target: A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame.
         orientation: A quaternion [x, y, z, w] of its base, world frame; that of the place, else the present one.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(
@@ -234,8 +234,8 @@ def opening(
         distance: Width in m, or angle in rad of a door; by default up to 0.4 m or 1.2 rad, or down to half of this.
         place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
         orientation: A quaternion [x, y, z, w] of the robot's base there.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(
@@ -264,8 +264,8 @@ def parking_arms(
 
     Args:
         arm: Name of the arm; all by default.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(filled("parking-arms", arm=arm, budget=budget, projected=projected))
@@ -284,8 +284,8 @@ def perceiving(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(filled("perceiving", object=object, budget=budget, projected=projected))
@@ -305,8 +305,8 @@ def picking_up(
         object: An Object, an ObjectDesignator, or a type of objects.
         arm: Name of the arm; by default all free arms are tried.
         grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(
@@ -335,8 +335,8 @@ def placing(
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
         orientation: A quaternion [x, y, z, w] of the object there, world frame; upright by default.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(
@@ -366,8 +366,8 @@ def searching(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(filled("searching", object=object, budget=budget, projected=projected))
@@ -395,8 +395,8 @@ def transporting(
         place: Place of the robot when it takes the object, a LocationDesignator; by default places within reach.
         clear: Whether to clear obstacles away first.
         close: Whether to close opened drawers and doors finally, if possible.
-        budget: How many tries may fail, with those of the actions that it is made of; 20 by default, or what is left of
-            the budget around it.
+        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
+            of the action around it.
         projected: Whether the best choices are imagined first; False by default.
     """
     return ActionDesignator(

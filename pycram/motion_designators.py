@@ -43,9 +43,8 @@ def pick_up(
     Args:
         object: An Object of a world.
         arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the side that is
-            freest.
-        from_: Name of the arm that holds it, and lets go of it then.
+        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
+        from_: Name of the arm that holds it and then releases it.
     """
     return MotionDesignator(filled("pick-up", object=object, arm=arm, grasp=grasp, from_=from_))
 
@@ -62,7 +61,7 @@ def place(
     Args:
         object: An Object of a world.
         target: [x, y, z] in m, world frame.
-        orientation: A quaternion [x, y, z, w], world frame; by default upright, turned as the arm does it best.
+        orientation: A quaternion [x, y, z, w], world frame; by default upright, in the best orientation for the arm.
         arm: An arm's name: "left" or "right" on the PR2; by default the arm that holds the object; the only one, or
             "left", if none does.
     """
@@ -84,7 +83,7 @@ def accessing(
         drawer_handle: A name.
         part_of: An Object of a world.
         arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
-        distance: A distance in m, or an angle in rad for what turns, from 0 up; by default 0.3.
+        distance: A distance in m, or an angle in rad for a door that turns, from 0 up; by default 0.3.
     """
     return MotionDesignator(
         filled(

@@ -68,7 +68,7 @@ def test_what_is_done_as_a_whole_and_ends_after_the_deadline_has_missed_it(world
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_branch_that_would_outlive_a_timeout_is_refused(kind: str) -> None:
     gate = Gate()
-    message = rf"test_timeouts.py:\d+ adds Gate.pass_through, .*`with timeout.*{kind} as s"
+    message = rf"test_timeouts.py:\d+ adds Gate.pass_through inside a timeout.*`with timeout.*{kind} as s"
     with pytest.raises(OutlivesTimeout, match=message) as raised, KINDS[kind] as s, timeout(0.02):
         s(gate.pass_through)  # nothing would ever end it
     assert (raised.value.block, raised.value.branch) == (kind, "Gate.pass_through")
