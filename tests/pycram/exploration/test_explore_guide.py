@@ -92,7 +92,7 @@ def test_machines_get_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--explore", "0"], "not a whole number from 1 up"),
         (["--explore", "5", "--order", "added"], "--explore makes many"),
         (["--explore", "5", "--debug-on-failure"], "--debug-on-failure is for one run"),
-        (["--explore", "5", "--limit", "0"], "no time in seconds"),
+        (["--explore", "5", "--limit", "0"], "not a time in seconds greater than 0"),
         (["--json"], "--json goes with --explore"),
         (["--order", "first"], "'first' is not an order: expected"),
     ],
