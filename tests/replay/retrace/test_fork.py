@@ -118,7 +118,9 @@ def test_what_is_printed_before_the_fork_is_held_back(tmp_path: Path, capfd: pyt
     log = record(file)
     assert main(["fork", str(log), "--at", "4"]) == 0
     printed = capfd.readouterr()
-    assert printed.out == f"{log.with_suffix('.fork.mcap')}: 7 records, the first 5 equal to {log}; the plan succeeded\n"
+    assert (
+        printed.out == f"{log.with_suffix('.fork.mcap')}: 7 records, the first 5 equal to {log}; the plan succeeded\n"
+    )
     assert "after\n" in printed.err
     assert "before\n" not in printed.err
     assert main(["info", str(log.with_suffix(".fork.mcap"))]) == 0
