@@ -1,4 +1,4 @@
-"""Opens recordings: any past step, from the file alone.
+"""Open recordings, and read any past step; only the file is needed.
 
 ``replay.open(path)`` returns a :class:`Recording`: its records by step, and with ``log.state_at(step)`` the state of
 every world after a step. It needs neither the plan nor the physics engine. ``replay.open_runs(folder)`` opens a folder

@@ -5,8 +5,8 @@ branches may be scheduled differently in each run. Clocks, durations, ids and th
 are streamed.
 
 A process numbers the worlds and fluents that a plan doesn't name (``world_3``), across all of its runs. Worlds are
-paired by name; numbered worlds and remaining worlds in the order of opening. Fluents are paired by their offset
-from the first numbered fluent.
+paired by name; numbered worlds and remaining worlds are paired in the order of opening. Fluents are paired by their
+offset from the first numbered fluent.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, Body, State, World
 
 
-#: Smaller changes are physics settling.
+#: Smaller changes in m and rad mean that objects settle in simulation.
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
-_MAX_LISTED: Final = 8  # joints or fields that are listed
-_MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
-#: Number of records after the divergence in which missing records are searched, as they may be in another order.
+_MAX_LISTED: Final = 8  # largest number of listed joints or fields
+_MIN_TURN: Final = math.radians(0.05)  # the text doesn't mention smaller turns
+#: Number of records after the divergence that are searched for missing records, because the order may differ.
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
@@ -59,7 +59,7 @@ _GIVEN: Final = (
 )  # fmt: skip
 _REQUESTS: Final = ("reference", "next_solution")
 
-_Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's
+_Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the record's number among the records of the task
 _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]"
 
 
@@ -71,31 +71,31 @@ class BodyChange:
     body: str
     before: Pose
     after: Pose
-    distance: float  # between the positions of its base, m
-    angle: float  # of its turn, rad
-    joints: Mapping[str, tuple[float, float]]  # differing values, before and after
-    carrier: tuple[Attachment | None, Attachment | None]  # its attachment to a carrier, before and after
+    distance: float  # distance in m between the positions of its base
+    angle: float  # angle of its turn in rad
+    joints: Mapping[str, tuple[float, float]]  # joints with different positions, before and after
+    carrier: tuple[Attachment | None, Attachment | None]  # its attachments to a carrier, before and after
     details: tuple[str, ...] = ()  # further fields that differ: color, type, fixed_base, models
 
     @property
     def moved(self) -> bool:
-        """Whether its base moved by more than settling."""
+        """Whether its base moved farther than objects settle."""
         return self.distance >= NOTABLE_METRES or self.angle >= NOTABLE_RADIANS
 
     @property
     def moved_joints(self) -> dict[str, tuple[float, float]]:
-        """The joints that moved by more than settling."""
+        """The joints that moved farther than objects settle."""
         return {name: pair for name, pair in self.joints.items() if abs(pair[1] - pair[0]) >= NOTABLE_METRES}
 
     @property
     def carrier_changed(self) -> bool:
-        """Whether another body carries it, or another link."""
+        """Whether another body, or another link of the same body, carries it."""
         before, after = self.carrier
         return (before and (before.carrier, before.carrier_link)) != (after and (after.carrier, after.carrier_link))
 
     @property
     def notable(self) -> bool:
-        """Whether it changed by more than settling."""
+        """Whether it changed by more than objects settle."""
         return bool(self.moved or self.moved_joints or self.carrier_changed or self.details)
 
 
@@ -106,7 +106,7 @@ class Difference:
     opened: tuple[str, ...] = ()  # titles of worlds that are open only in the second state
     closed: tuple[str, ...] = ()  # titles of worlds that are open only in the first state
     added: tuple[tuple[str, str], ...] = ()  # bodies only in the second state, as pairs of world and body
-    removed: tuple[tuple[str, str], ...] = ()  # bodies only in the first state
+    removed: tuple[tuple[str, str], ...] = ()  # bodies only in the first state, as pairs of world and body
     changed: tuple[BodyChange, ...] = ()  # all other bodies that differ in any bit
     #: Differing values of worlds, before and after, by world and name: gravity, robot, realtime, seconds, and the
     #: position (or None) where a robot believes an object.
@@ -117,12 +117,12 @@ class Difference:
 
     @property
     def notable(self) -> tuple[BodyChange, ...]:
-        """The bodies that changed by more than settling."""
+        """The bodies that changed by more than objects settle."""
         return tuple(change for change in self.changed if change.notable)
 
 
 def difference(before: State, after: State, names: Mapping[str, str] = MappingProxyType({})) -> Difference:
-    """Compare two states, which may be of two recordings.
+    """Compare two states, also states of two recordings.
 
     ``names`` maps names of worlds in the second state to different names of the same worlds in the first.
     """
@@ -206,7 +206,7 @@ def _body_change_data(change: BodyChange) -> dict[str, object]:
 
 
 def difference_lines(delta: Difference, *, whole: bool = False) -> Iterator[str]:
-    """Yield a difference as text; ``whole`` includes settling of physics and every joint."""
+    """Yield a difference as text; ``whole`` includes the settling of objects, and every joint."""
     yield from (f"{world} was opened" for world in delta.opened)
     yield from (f"{world} was closed" for world in delta.closed)
     yield from (f"{body} is new" for _, body in delta.added)
@@ -272,10 +272,10 @@ def _carrier(held: Attachment | None) -> str:
 class Divergence:
     """The first record that differs between two runs."""
 
-    first: Record | None  # None: only the second run has the record
-    second: Record | None  # None: only the first run has the record
-    task: str  # the path of their task; "" for the plan itself
-    fields: dict[str, tuple[Plain, Plain]]  # differing values, by the path of the field
+    first: Record | None  # the record of the first run; None if only the second run has the record
+    second: Record | None  # the record of the second run; None if only the first run has the record
+    task: str  # path of their task; "" for the plan itself
+    fields: dict[str, tuple[Plain, Plain]]  # differing values by path of the field
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +284,7 @@ class Comparison:
 
     equal: int  # number of equal records before the divergence
     divergence: Divergence | None
-    difference: Difference  # of the final states, before worlds were closed
+    difference: Difference  # difference of the final states, before worlds were closed
     outcomes: tuple[Summary, Summary]
 
 
@@ -350,16 +350,16 @@ def _first_divergence(
 
 
 def _steps(diverged: _Diverged) -> list[int]:
-    """Return the sorted steps of a pair; of a single record its step twice."""
+    """Return the sorted steps of a pair; for a single record, its step twice."""
     steps = sorted(record.seq for record in diverged[:2] if record is not None)
     return [steps[0], steps[-1]]
 
 
 def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_Key, Record]]:
     """Yield records with their alignment keys; only running tasks are kept in memory."""
-    paths: dict[int, int] = {}  # by id of the task
-    counts: dict[int, int] = {}  # records by path
-    parts: dict[int, dict[tuple[str, str], int]] = {}  # by path: how many tasks of each kind and name are in it
+    paths: dict[int, int] = {}  # hashes of paths by id of the task
+    counts: dict[int, int] = {}  # number of records by path
+    parts: dict[int, dict[tuple[str, str], int]] = {}  # number of tasks of each kind and name, by path of their parent
     for record in log:
         names.note(run, record)
         if isinstance(record, Task) and record.phase == Task.STARTED:
@@ -369,7 +369,7 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
             siblings[name] = siblings.get(name, 0) + 1
             paths[record.task] = hash((outer, *name, siblings[name]))
         path = paths.get(record.task, 0)
-        if _explains_choice(record):  # numbered separately, as early recordings lack explanations
+        if _explains_choice(record):  # these records are numbered separately, as early recordings lack them
             path = _path_of_explanations(path)
         elif (
             isinstance(record, Mutation | Fluent) and record.by_fork
@@ -389,7 +389,7 @@ def _path_of_explanations(path: int) -> int:
 
 
 def _explains_choice(record: Record) -> bool:
-    """Return whether a record explains a choice, or is a request of a designator."""
+    """Return whether a record explains a choice, or is a request to resolve a designator."""
     return isinstance(record, Query) and (is_choice(record) or record.name in _REQUESTS)
 
 
@@ -460,7 +460,7 @@ def _leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[s
 
 
 _NUMBERED: Final = re.compile(r"\b(world|fluent)_([1-9]\d*)\b")
-_WAITS: Final = frozenset({"wait", "whenever"})  # kinds of tasks that are named after a fluent
+_WAITS: Final = frozenset({"wait", "whenever"})  # kinds of tasks whose names are names of fluents
 
 
 class PairedNames:
@@ -468,11 +468,11 @@ class PairedNames:
 
     def __init__(self, first: RecordReader, second: RecordReader) -> None:
         opened = (list(dict.fromkeys(lifetime.world for lifetime in log.lifetimes)) for log in (first, second))
-        self.worlds = dict(_paired_worlds(*opened))  # differing names: second run's to first run's
+        self.worlds = dict(_paired_worlds(*opened))  # names in the first run, by different names in the second run
         self._offsets: list[int | None] = [None, None]  # number of the first numbered fluent, by run
 
     def note(self, run: int, record: Record) -> None:
-        """Read a record of run 0 or 1 before its comparison: the first numbered fluent sets the offset."""
+        """Read a record of run 0 or 1 before its comparison; a run's first numbered fluent determines the offset."""
         if self._offsets[run] is None and (
             isinstance(record, Fluent) or (isinstance(record, Task) and record.kind in _WAITS)
         ):
@@ -481,7 +481,7 @@ class PairedNames:
 
     @property
     def any(self) -> bool:
-        """Whether a name is known to differ so far."""
+        """Whether a different name is known so far."""
         return bool(self.worlds) or self._shift != 0
 
     @property
@@ -536,7 +536,7 @@ def _(compared: Comparison) -> dict[str, object]:
 
 
 def comparison_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
-    """Yield a comparison as text; ``whole`` includes settling of physics and every joint."""
+    """Yield a comparison as text; ``whole`` includes the settling of objects, and every joint."""
     first, second = compared.outcomes
     if compared.divergence is None:
         yield f"the runs are equal: {compared.equal} records"

@@ -29,21 +29,21 @@ class Unreadable(NotALog):
 
 
 class Damaged(ReplayError):
-    """A part of a recording can't be read; the rest can."""
+    """A part of a recording can't be read, but the rest can be read."""
 
     def __init__(self, path: str | Path, where: str, cause: str) -> None:
         super().__init__(f"{path}: {where} is damaged: {cause}")
         self.path = str(path)
-        self.where = where  # the damaged part: a step, an attached file
+        self.where = where  # the damaged part, such as a step or an attached file
         self.cause = cause
 
 
 class MissingModels(Damaged):
-    """The file of models that recordings of a sweep share is missing beside a recording, or has changed."""
+    """The file of models that recordings of a sweep share is missing in the folder of a recording, or has changed."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
         super().__init__(path, "its models", cause)
-        hint = "put that file beside the recording, or pack recordings before you move them"
+        hint = "copy that file into the folder of the recording, or pack recordings before you move them"
         self.args = (f"{path}: its models are missing: {cause}; {hint}",)
 
 

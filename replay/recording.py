@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from replay.state.state import RecordedBelief, State
 
 
-_SMALL: Final = (320, 240)  # px of a picture in a notebook
+_SMALL: Final = (320, 240)  # pixels of a picture in a notebook
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +60,12 @@ class _Moment:
 
 
 class Recording(RecordReader):
-    """A recording; ``replay.open(path)`` opens it. Not for several threads.
+    """A recording; ``replay.open(path)`` opens it. It may be used by one thread only.
 
     Steps are numbers, or names as for :meth:`step`.
 
     Raises:
-        NotALog: the file is no recording, or completely unreadable.
+        NotALog: the file isn't a recording, or is completely unreadable.
     """
 
     def _repr_html_(self) -> str:

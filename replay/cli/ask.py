@@ -30,7 +30,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="OBJECT=X,Y,Z[,QX,QY,QZ,QW]",
         action="append",
         default=[],
-        help="first move an object to a position (m) and an orientation (quaternion); repeatable",
+        help="before the query, move an object to a position (m) and an orientation (quaternion); repeatable",
     )
     parser.add_argument("--world", metavar="NAME", help="in this world (default: the last opened world)")
 
@@ -50,7 +50,7 @@ def _move(text: str) -> Move:
     from replay.restore.ask import Move  # noqa: PLC0415  imports the engine
 
     body, _, pose = text.rpartition("=")
-    expected = "OBJECT=X,Y,Z in m, or these and a quaternion x,y,z,w"
+    expected = "OBJECT=X,Y,Z in m, or OBJECT=X,Y,Z,x,y,z,w with a quaternion"
     if not body:
         raise ReplayError(f"{text!r}: expected {expected}")
     x, y, z, *turn = numbers(pose, expected, 3, 7)

@@ -55,7 +55,7 @@ def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
 
 
 def print_json(value: object, *, flush: bool = False) -> None:
-    """Print a result as a line of JSON; numbers that JSON lacks become strings ("nan"), bytes in names escapes."""
+    """Print a result as a line of JSON. Numbers that JSON lacks become strings ("nan"), invalid bytes escapes."""
     print(_json(value), flush=flush)
 
 
@@ -73,7 +73,7 @@ def _json(value: object) -> str:
         text = json.dumps(value, allow_nan=False)
     except ValueError:  # only inconsistent recordings have such numbers
         text = json.dumps(_sound(value), allow_nan=False)
-    if "\\udc" in text:  # or part of a valid surrogate pair
+    if "\\udc" in text:  # invalid bytes, or parts of valid surrogate pairs
         text = json.dumps(_sound(value), allow_nan=False)
     return text.replace("\x7f", "\\u007f")
 
@@ -139,10 +139,10 @@ def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
 def numbers(
     text: str, expected: str, *counts: int, separator: str = ",", kind: Callable[[str], float] = float
 ) -> list[float]:
-    """Parse finite numbers, such as "0.5,1,0"; their number is one of ``counts``.
+    """Parse finite numbers, such as "0.5,1,0"; ``counts`` are the allowed numbers of numbers.
 
     Raises:
-        ReplayError: the text has other contents; the message says what was ``expected``.
+        ReplayError: the text is invalid; ``expected`` is part of the message.
     """
     try:
         values = [kind(part) for part in text.split(separator)]

@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-_HISTORY: Final = 1000  # lines
+_HISTORY: Final = 1000  # largest number of lines in the history of commands
 _MAIN_THREAD: Final = "MainThread"
-_AROUND: Final = 5  # lines that are listed before and after the current line, as in pdb
-#: Verbs of ``pycram-replay`` as commands: arguments before and after the typed arguments; "STEP" is the current step.
+_AROUND: Final = 5  # number of lines that are listed before and after the current line, as in pdb
+#: Verbs of ``pycram-replay`` as commands: the words before and after the user's words; "STEP" is the current step.
 _VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "ask": (("STEP",), ()),
     "blame": ((), ("--at", "STEP")),
@@ -71,9 +71,11 @@ help (h) [COMMAND]  quit (q)"""
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the plan and the checkpoints."""
-    parser.epilog = "Commands are pdb's; help lists them. A script on stdin may hold commands, too."
-    parser.add_argument("step", metavar="STEP", nargs="?", help=f"first step (default: the failure, or 0): {HINT}")
-    parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it has moved since the recording")
+    parser.epilog = "The commands are those of pdb; help lists them. A script on stdin may contain commands, too."
+    parser.add_argument(
+        "step", metavar="STEP", nargs="?", help=f"begin at this step (default: the failure, or 0): {HINT}"
+    )
+    parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it was moved after the recording")
     parser.add_argument(
         "--no-checkpoints", action="store_true", help="keep no copies of the process: stepping back runs the plan again"
     )
@@ -81,7 +83,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Run the plan to the step, and take commands until the end of the input."""
+    """Run the plan to the step, and execute commands until the end of the input."""
     from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415  needs the executor
     from replay.debug.session import Session  # noqa: PLC0415
     from replay.retrace.plan_process import PlanProcess, last_own_step  # noqa: PLC0415
@@ -110,23 +112,24 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 class Prompt(cmd.Cmd):
-    """A prompt in the plan's frames, for a terminal, or for lines on stdin, which are echoed."""
+    """A prompt in the plan's frames. Commands come from a terminal or from stdin; lines from stdin are echoed."""
 
     prompt = "(debug) "
 
     def __init__(self, session: Session) -> None:
         super().__init__()
         self.session = session
-        self.log = session.log  # its recording
+        self.log = session.log  # the recording
         self.stack: list[dict[str, Any]] = []  # the plan's frames, innermost first
-        self.frame = 0  # index of the chosen frame; 0: the innermost
+        self.frame = 0  # index of the chosen frame; 0 is the innermost frame
         self._listed = 0  # the line after the last listed line; 0: no line was listed
-        self.follow: Callable[[int], None] | None = None  # moves the viewer to a step; None without a viewer
+        # function that moves the viewer to a step; None without a viewer
+        self.follow: Callable[[int], None] | None = None
         self._asks = self.use_rawinput = sys.stdin.isatty()
         self._coloured = has_colours(sys.stdout)
 
     def run(self) -> None:
-        """Take commands until the end of the input, or ``quit``."""
+        """Execute commands until the end of the input, or ``quit``."""
         with self._history():
             while True:
                 try:
@@ -170,12 +173,12 @@ class Prompt(cmd.Cmd):
         return "" if first.lstrip().startswith("#") else first.strip()
 
     def onecmd(self, line: str) -> bool:
-        """Execute a command; print errors of the user."""
+        """Execute a command; print the user's mistakes."""
         try:
             return bool(super().onecmd(line))
         except ReplayError as error:
             self.print_error(str(error))
-        except SystemExit:  # after a message about wrong arguments
+        except SystemExit:  # the parser has printed a message about wrong arguments
             pass
         except KeyboardInterrupt:
             print("--KeyboardInterrupt--")
@@ -190,7 +193,7 @@ class Prompt(cmd.Cmd):
     # --- output ------------------------------------------------------------------------------------------------------
 
     def print_error(self, text: str) -> None:
-        """Print an error of the user."""
+        """Print a mistake of the user."""
         print(self.painted(f"*** {text}", "31"))
 
     def print_lines(self, lines: Iterable[str]) -> None:
@@ -301,7 +304,7 @@ class Prompt(cmd.Cmd):
         self._print_frame()
 
     def do_list(self, text: str) -> None:
-        """``list`` (l) [. | FIRST[, LAST]]: the source around the current line; again: the lines that follow."""
+        """``list`` (l) [. | FIRST[, LAST]]: the source around the current line; if repeated, the next lines."""
         frame = self._selected()
         given = [int(each) for each in re.findall(r"\d+", text)]
         first = given[0] if given else self._listed if self._listed and text != "." else frame["line"] - _AROUND
@@ -366,7 +369,7 @@ class Prompt(cmd.Cmd):
             print(visible(answer["value"]))
 
     def do_shell(self, text: str) -> None:
-        """! EXPR: its value, also if it looks like a command; a statement can't be executed.
+        """``!`` EXPR: the value of an expression that looks like a command; a statement can't be executed.
 
         A statement would make the plan differ from the recording that guides it.
         """
@@ -439,7 +442,7 @@ class Prompt(cmd.Cmd):
     # --- breakpoints ------------------------------------------------------------------------------------------------
 
     def do_break(self, place: str) -> None:
-        """``break`` (b) [STEP | TASK | KIND | FILE:LINE | failure | event [NAME]]: stop there; by default list all.
+        """``break`` (b) [STEP | TASK | KIND | FILE:LINE | failure | event [NAME]]: stop there, or list all.
 
         A task is a path of names, such as par/moving or pick-up. Kinds are motion, attempt, block and so on.
         """
@@ -464,7 +467,7 @@ class Prompt(cmd.Cmd):
         self.print_lines([f"Watch {made.number}: {expression}: {made.counted}"])
 
     def do_rwatch(self, expression: str) -> None:
-        """``rwatch`` EXPR: back to the last change of its value."""
+        """``rwatch`` EXPR: go back to the last change of an expression's value."""
         halt = self.session.back_to_change(expression, self.frame)
         self.halted(halt, halt.arrival.step)
 

@@ -21,12 +21,16 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add two steps, or another recording or folder."""
-    parser.epilog = "Exit code 0: fine. 1: the two recordings, or folders, differ. 3: a recording is incomplete."
+    parser.epilog = "Exit code 0: success. 1: the two recordings, or folders, differ. 3: a recording is incomplete."
     parser.add_argument("first", metavar="STEP|LOG", help=f"the first step ({HINT}), or the other recording or folder")
     parser.add_argument("second", metavar="STEP", nargs="?", help="the second step")
-    parser.add_argument("--all", action="store_true", help="also print settling in simulation, and every joint")
     parser.add_argument(
-        "--tolerance", type=_tolerance, default=0.0, metavar="X", help="numbers that differ by at most X are equal"
+        "--all",
+        action="store_true",
+        help="also print small moves by which objects settle in simulation, and every joint",
+    )
+    parser.add_argument(
+        "--tolerance", type=_tolerance, default=0.0, metavar="X", help="treat numbers that differ by at most X as equal"
     )
 
 
@@ -47,7 +51,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError(f"{options.first}: no such recording; to compare two steps of this recording, give both")
     with Recording(options.first) as other:
         compared = compare_recordings(log, other, options.tolerance)
-        problems = other.problems  # known after reading to the end
+        problems = other.problems  # known after the recording was read to the end
     print_result(lambda: report.data(compared), comparison_lines(compared, whole=options.all), as_json=options.json)
     if problems:
         print_message(f"{other.path} is incomplete: {problems}")

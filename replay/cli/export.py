@@ -41,15 +41,17 @@ _DATA_SETS: Final = ("lerobot",)
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the selection and the target."""
-    parser.add_argument("--trajectories", action="store_true", help="recording: planned and driven positions over time")
+    parser.add_argument(
+        "--trajectories", action="store_true", help="for a recording: write planned and driven positions over time"
+    )
     parser.add_argument(
         "--to",
         nargs=2,
         metavar=("FORMAT", "OUT"),
-        help="for a folder of recordings: write a data set for training policies; FORMAT is lerobot, OUT a new folder",
+        help="for a folder: write a data set for training policies; FORMAT is lerobot, OUT is a new folder",
     )
     parser.add_argument(
-        "--plan", metavar="NAME", help="folder: only runs of this plan (default: the most frequent plan)"
+        "--plan", metavar="NAME", help="for a folder: only runs of this plan (default: the most frequent plan)"
     )
     parser.add_argument("--succeeded", action="store_true", help="for a folder: only successful runs")
     parser.add_argument(
@@ -111,7 +113,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def _camera(frame: str) -> Draw:
-    """Return a function that draws the view of a frame of the robot, by default of its camera."""
+    """Return a function that draws the view from a frame of the robot, by default from its camera."""
     import numpy as np  # noqa: PLC0415  slow to import
 
     from replay.restore.render import DrawnWorld  # noqa: PLC0415  needs an extra
@@ -148,12 +150,12 @@ class MotionRow(NamedTuple):
     """A planned or driven position of a joint, or of a coordinate of a base."""
 
     world: str
-    trajectory: int  # its number in the world
+    trajectory: int  # number of the trajectory in the world
     body: str
-    joint: str  # a joint, or x, y or yaw of the base in the world frame
+    joint: str  # name of a joint, or x, y or yaw of the base in the world frame
     source: str  # "planned" or "driven"
-    time: float  # s of the trajectory's own time, which slows down when the trajectory is stopped
-    seconds: float  # s of the world's simulated time; for a planned position, without a stop
+    time: float  # the trajectory's own time in s, which slows down when the trajectory is stopped
+    seconds: float  # simulated time of the world in s; for a planned position, the time if the trajectory isn't stopped
     position: float  # rad or m
     velocity: float | None  # rad/s or m/s; None if unknown
 
@@ -212,7 +214,7 @@ def _names(begin: BeginTrajectory) -> Sequence[str]:
 
 def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
     """Return position and velocity of a body's joints and base coordinates, by name."""
-    if body is None:  # its loading is lost
+    if body is None:  # the record of the body's loading is lost
         return {}
     joints = {name: (position, body.joint_velocities[name]) for name, position in body.joints.items()}
     return joints | _place(body.position) | _heading(body.orientation)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.runs.folder import Runs
 
-_MAX_WORLDS: Final = 8  # that are listed
-_DIGITS: Final = 12  # of a commit or hash
+_MAX_WORLDS: Final = 8  # largest number of listed worlds
+_DIGITS: Final = 12  # number of shown digits of a commit or hash
 _VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
 
@@ -68,7 +68,8 @@ def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
     """Yield names and texts; a text is empty if the recording lacks the fact."""
     start, metadata = info.start or Run(), info.metadata
     yield "file", f"{log.path} ({f'{info.size / 1e6:.1f} MB' if info.size >= 1e5 else f'{info.size} bytes'})"
-    given = shlex.join(start.arguments) or metadata.get("plan_arguments", "")  # older recordings have a single text
+    # older recordings have one text for all arguments
+    given = shlex.join(start.arguments) or metadata.get("plan_arguments", "")
     yield "plan", f"{info.plan} {given}".strip()
     yield "parameters", ", ".join(f"{each.name}={each.value_json}" for each in start.parameters)
     if start.HasField("sweep"):
@@ -105,7 +106,7 @@ def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
     yield "versions", ", ".join(f"{key} {metadata[key]}" for key in _VERSIONS if key in metadata)
     if repaired_by := metadata.get("pycram.repair.by", ""):
         yield "repaired", f"by PyCRAM {repaired_by}; before: {metadata.get('pycram.repair.problems') or 'complete'}"
-    complete = "yes" if info.checked else "yes, according to its index (too long to read completely)"
+    complete = "yes" if info.checked else "yes, according to its index (the recording is too long to read completely)"
     yield "complete", f"no: {info.problems}" if info.problems else complete
 
 

@@ -1,4 +1,4 @@
-"""``log``, ``show`` and ``tree``: the records as lines, one whole record, and the task tree."""
+"""``log``, ``show`` and ``tree``: the records as lines, a whole record, and the task tree."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-_POLL_PERIOD: Final = 0.2  # s between reads of a growing recording
-_FIELD_WIDTH: Final = 100  # characters; longer values take several lines
-_MAX_IN_LINE: Final = 12  # numbers; more are printed in rows
-_MANY: Final = 100  # numbers that are printed
-_ENDS: Final = 18  # numbers that are printed at each end of a longer list
+_POLL_PERIOD: Final = 0.2  # seconds between reads of a growing recording
+_FIELD_WIDTH: Final = 100  # largest number of characters in a line; longer values take several lines
+_MAX_IN_LINE: Final = 12  # largest count of numbers in a line; more numbers are printed in rows
+_MANY: Final = 100  # largest count of numbers that are all printed
+_ENDS: Final = 18  # count of numbers that are printed from each end of a longer list
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -41,8 +41,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world", metavar="NAME", help="only records about this world")
     parser.add_argument("--where", metavar="FILE[:LINE]", help="only records with this line in their call stack")
     parser.add_argument("--text", metavar="TEXT", help="only lines with this text")
-    parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"first step: {HINT}")
-    parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="last step")
+    parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"begin at this step: {HINT}")
+    parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="end at this step")
     parser.add_argument("--follow", action="store_true", help="continue while the recording is being written")
 
 
@@ -95,16 +95,16 @@ def follow(
 class RecordFilter:
     """Selects records of a recording that may be growing."""
 
-    kinds: Collection[str]  # names of kinds ("task", "mutation", ...); empty for all
-    task: str | None  # id or part of the name of a task; subtasks match, too
+    kinds: Collection[str]  # kinds of records ("task", "mutation", ...); empty for all kinds
+    task: str | None  # id of a task, or part of its name; subtasks match, too
     body: str | None  # name of a body that the record mentions
     world: str | None  # name of the record's world
-    text: str | None  # a part of the record's line, ignoring case
+    text: str | None  # part of the record's line, in any case
     #: A file of the plan, and a line number or None, in the record's call stack.
     where: tuple[str, int | None] | None = None
-    _tasks: set[int] = field(default_factory=set)  # matching tasks
-    _led_to: set[int] = field(default_factory=set)  # tasks with the line in their call stack
-    _known: int = 0  # the first step whose tasks are unknown
+    _tasks: set[int] = field(default_factory=set)  # ids of the matching tasks
+    _led_to: set[int] = field(default_factory=set)  # ids of the tasks with the line in their call stack
+    _known: int = 0  # the first step that wasn't searched for tasks
 
     def matches(self, log: Recording, start: int, stop: int) -> Iterator[tuple[Record, str]]:
         """Yield the matching records with their lines."""
@@ -220,7 +220,7 @@ def _items(values: list[Plain], indent: str) -> Iterator[str]:
 
 
 def _numbers(texts: list[str]) -> Iterator[str]:
-    """Yield rows of numbers; of a long list, such as a trajectory, the first and the last numbers."""
+    """Yield rows of numbers; a long list, such as a trajectory, is reduced to its first and last numbers."""
     if len(texts) <= _MANY:
         yield from textwrap.wrap(", ".join(texts), _FIELD_WIDTH)
         return
@@ -231,7 +231,7 @@ def _numbers(texts: list[str]) -> Iterator[str]:
 
 def add_tree(parser: argparse.ArgumentParser) -> None:
     """Add the part of the tree, and the format."""
-    parser.add_argument("--at", metavar="STEP", help=f"the tree after this step: {HINT}")
+    parser.add_argument("--at", metavar="STEP", help=f"print the tree after this step: {HINT}")
     parser.add_argument("--depth", type=int, metavar="N", help="number of levels")
     parser.add_argument("--all", action="store_true", help="also print repeated tasks")
     form = parser.add_mutually_exclusive_group()
@@ -247,7 +247,7 @@ def run_tree(log: Recording, options: argparse.Namespace) -> int:
     elif options.dot:
         print_text(tree.to_dot(), end="")
     elif options.svg:
-        encoding = sys.stdout.encoding or "ascii"  # XML can refer to characters that the encoding lacks
+        encoding = sys.stdout.encoding or "ascii"  # characters that the encoding lacks are written as XML references
         picture = tree.to_svg(options.depth, whole=options.all).encode(encoding, "xmlcharrefreplace")
         print_text(picture.decode(encoding), end="")
     elif not (tree.roots or tree.output):

@@ -1,7 +1,7 @@
 # PYTHON_ARGCOMPLETE_OK
 """``pycram-replay VERB LOG ...``: results on stdout, messages on stderr.
 
-Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete, 4 an internal error.
+Exit codes: 0 success, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete, 4 an internal error.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 VERBS: Final = {
     "info": "summarise a run: plan, time, outcome, worlds, versions",
     "log": "print records as lines",
-    "source": "list, print or write the plan's source",
+    "source": "list, print or save the plan's source",
     "show": "print one whole record",
     "tree": "print the task tree, with the path to the failure",
     "state": "print poses, joints and attachments after a step",
@@ -43,7 +43,7 @@ VERBS: Final = {
     "blame": "find the last change of an object or a joint, and its cause",
     "why": "explain why the plan failed",
     "ask": "answer a reasoning query at a step, also with objects moved before",
-    "render": "draw a picture of a step, without a viewer",
+    "render": "draw a picture of the scene at a step, without a viewer",
     "view": "show the recording in the Rerun viewer: scene, tasks, queries, curves",
     "verify": "check that a recording is consistent, and that repeating its changes has the recorded effects",
     "retrace": "run the plan again, and report the first difference from the recording",
@@ -70,31 +70,32 @@ _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.f
 )
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
-_PROGRESS_PERIOD: Final = 1.0  # s before the first line of progress
-_MAX_SKIPPED: Final = 8  # files of a folder that are listed by name
+_PROGRESS_PERIOD: Final = 1.0  # seconds before the first line of progress
+_MAX_SKIPPED: Final = 8  # largest number of skipped files that are listed by name
 _POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")
-_NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a negative time, whose error message explains the range
+_NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a negative time; its error message explains the range
 
 
 class Verb(NamedTuple):
     """The functions of a verb."""
 
-    add: Callable[[argparse.ArgumentParser], None]  # adds its arguments
-    run: Callable[[Recording, argparse.Namespace], int] | None  # on a recording; None if the verb takes only folders
+    add: Callable[[argparse.ArgumentParser], None]  # function that adds the verb's arguments
+    #: Function that runs the verb on a recording; None if the verb takes only folders.
+    run: Callable[[Recording, argparse.Namespace], int] | None
     run_folder: (
         Callable[[Runs, argparse.Namespace], int] | None
-    )  # on a folder of recordings; None if the verb takes no folders
+    )  # function that runs the verb on a folder of recordings; None if the verb takes no folders
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb, by default with the arguments of the process, and return the exit code."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # closed by the shell: the next opened file would get its descriptor
+        if getattr(sys, name) is None:  # the shell closed the stream: the next opened file would get its descriptor
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  until the process ends
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # names may have characters that a terminal lacks
+            stream.reconfigure(errors="backslashreplace")  # names may contain characters that a terminal lacks
     arguments = _joined(sys.argv[1:] if argv is None else argv)
     code = FINE
     try:
@@ -102,7 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _command(arguments)
     except OSError as error:
         discard(sys.stdout)
-        return _report(str(error), USAGE)  # such as a full disk
+        return _report(str(error), USAGE)  # for example a full disk
     except KeyboardInterrupt:
         return _INTERRUPTED
     return code
@@ -145,7 +146,7 @@ def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
 
     Raises:
         SystemExit: The arguments were wrong; a message was printed.
-        ReplayError: The verb raised it.
+        ReplayError: The verb failed.
     """
     run = _verb(verb).run
     assert run is not None  # noqa: S101  for mypy
@@ -240,7 +241,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
             except ReplayError as error:
                 lost = log.problems or isinstance(error, Damaged | Unreadable)
                 code = _report(str(error), INCOMPLETE if lost else USAGE)
-            except NotInstalled as error:  # restoring needs the executor, rendering needs meshes
+            except NotInstalled as error:  # restoring needs the executor, and rendering needs meshes
                 code = _report(f"{options.verb}: {error}", USAGE)
             problems = log.problems
     except Unreadable as error:

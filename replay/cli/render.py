@@ -22,22 +22,24 @@ _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the file, and the viewpoint."""
     parser.add_argument("step", metavar="STEP", help=HINT)
-    parser.add_argument("-o", dest="file", metavar="FILE", help="the picture (default: LOG_STEP.png)")
-    parser.add_argument("--camera", metavar="FRAME", help="a frame of the robot, such as wide_stereo_optical_frame")
+    parser.add_argument("-o", dest="file", metavar="FILE", help="file of the picture (default: LOG_STEP.png)")
+    parser.add_argument(
+        "--camera", metavar="FRAME", help="draw the view from a frame of the robot, such as wide_stereo_optical_frame"
+    )
     parser.add_argument(
         "--from",
         dest="eye",
         metavar="X,Y,Z|SIDE",
-        help="viewpoint, m, or a side of the robot: behind, left, right, front, above (default: a free view)",
+        help="viewpoint: a point in m, or behind, left, right, front or above the robot (default: a free view)",
     )
     parser.add_argument(
         "--to",
         dest="target",
         metavar="OBJECT[.LINK]|X,Y,Z",
-        help="object, link or point (m) at the centre (default: the robot and all movable objects)",
+        help="centre of the picture: an object, a link or a point in m (default: the robot and all movable objects)",
     )
-    parser.add_argument("--size", metavar="WxH", default="640x480", help="pixels (default: 640x480)")
-    parser.add_argument("--world", metavar="NAME", help="of this world (default: the last opened world)")
+    parser.add_argument("--size", metavar="WxH", default="640x480", help="size in pixels (default: 640x480)")
+    parser.add_argument("--world", metavar="NAME", help="draw this world (default: the last opened world)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -45,7 +47,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     if options.camera and (options.eye or options.target):
         raise ReplayError("give either --camera, or --from and --to")
     step = log.step(options.step)
-    size = numbers(options.size.lower(), "WIDTHxHEIGHT in pixels, as 640x480", 2, separator="x", kind=int)
+    size = numbers(options.size.lower(), "WIDTHxHEIGHT in pixels, such as 640x480", 2, separator="x", kind=int)
     picture = log.render(
         options.step,
         camera=options.camera,
@@ -62,7 +64,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     else:
         print_moment(log, options.step)
     if cut:
-        print_message(f"cut away, as they would hide the scene: {names(cut)}")
+        print_message(f"not drawn, because they would hide the scene: {names(cut)}")
     file = Path(options.file or f"{log.path.stem}_{shown}.png")
     try:
         picture.save(file)

@@ -1,6 +1,6 @@
-"""Verbs that copy a recording: ``repair`` its readable parts, ``pack`` the recording with its models.
+"""Verbs that copy a recording: ``repair`` copies the readable parts, ``pack`` the recording and its models.
 
-A copy is written atomically, and overwrites nothing but recordings.
+A copy is written atomically, and can replace only recordings.
 """
 
 from __future__ import annotations
@@ -56,12 +56,14 @@ def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:
         yield f"lost   {losses.messages} messages that can't be decoded"
     yield from (f"lost   the attached file {name}: {cause}" for name, cause in losses.files.items())
     if not (losses.steps or losses.chunks or losses.messages or losses.files):
-        yield "lost   nothing, as far as can be known"
+        yield "lost   nothing that is known"
 
 
 def add_output(parser: argparse.ArgumentParser, kind: str) -> None:
     """Add the copy's path."""
-    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help=f"the copy (default: LOG.{kind}.mcap)")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", type=Path, help=f"file of the copy (default: LOG.{kind}.mcap)"
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")
 
 
@@ -72,12 +74,12 @@ def write_copy(log: Recording, target: Path, write: Callable[[BinaryIO], R], *, 
         ReplayError: the copy can't be written there.
     """
     _check(log, target, overwrite=overwrite)
-    part = target.with_name(f"{target.name}.part")  # so that the copy appears complete or not at all
+    part = target.with_name(f"{target.name}.part")  # the copy appears either complete or not at all
     try:
         with open_output(part) as file:
             result = write(file)
         if target.exists():
-            print_message(f"{target} existed, and is replaced")
+            print_message(f"{target} already existed; the copy replaces it")
         part.replace(target)
     finally:
         part.unlink(missing_ok=True)

@@ -35,8 +35,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     doing = parser.add_mutually_exclusive_group()
     doing.add_argument("--script", metavar="FILE", help="run a Python file with variables for world and objects")
     doing.add_argument("--shell", action="store_true", help="open interactive Python (default)")
-    parser.add_argument("--gui", action="store_true", help="show PyBullet's window; alone, wait until it is closed")
-    parser.add_argument("--exact", action="store_true", help="repeat every change, for the same future as the original")
+    parser.add_argument(
+        "--gui",
+        action="store_true",
+        help="show PyBullet's window; without --script and --shell, wait until the user closes it",
+    )
+    parser.add_argument(
+        "--exact",
+        action="store_true",
+        help="repeat every change exactly, so that later changes have the same effects as in the original",
+    )
     parser.add_argument("--world", metavar="NAME", help="restore this world (default: the last opened world)")
     parser.add_argument("--log", dest="target", metavar="FILE", help="record the session into this file")
 
@@ -104,7 +112,7 @@ def _plain(step: int, world: BulletWorld, *, exact: bool) -> Plain:
 def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, object]:
     """Return the variables of a session: ``world``, ``robot``, ``objects``, ``log``, ``step``, ``btr`` (queries).
 
-    Each object is a variable, too; characters that no identifier has become underscores.
+    Each object is a variable, too; underscores replace characters that identifiers can't contain.
     """
     from pycram import bullet_world_reasoning as btr  # noqa: PLC0415  imports the engine
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 AGAIN: Final = "effects outside of its worlds (files, network) happen again"
-_MAX_FIELDS: Final = 4  # fields that are listed
+_MAX_FIELDS: Final = 4  # largest number of listed fields
 _MAX_CALLERS: Final = 4
 
 
@@ -35,23 +35,23 @@ def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--arguments",
         nargs=argparse.REMAINDER,
-        help="the plan's arguments (default: the recorded arguments); the last option",
+        help="the plan's arguments (default: the recorded arguments); must be the last option",
     )
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add further recordings, the plan and the source of answers."""
+    """Add further recordings, the plan's file and the source of answers."""
     parser.epilog = (
         "Exit code 0: all plans match their recordings. 1: a plan differs. 2: a plan can't be run. "
         "3: a recording is damaged."
     )
-    parser.add_argument("more", metavar="LOG", nargs="*", help="further recordings")
+    parser.add_argument("more", metavar="LOG", nargs="*", help="further recordings to retrace")
     parser.add_argument("--plan", metavar="FILE", help="run this file (default: the recorded plan)")
     parser.add_argument(
         "--answers",
         choices=("asked", "recorded"),
         default="asked",
-        help="asked: repeat each query and compare the answers (default); recorded: use the recorded answers (faster)",
+        help="asked (default): repeat each query and compare the answers; recorded: use the recorded answers (faster)",
     )
     add_source_and_arguments(parser)
 
@@ -135,8 +135,12 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs before the step. "
         "With --control, 0: the control run matches the recording. 1: it differs."
     )
-    parser.add_argument("--at", metavar="STEP", required=True, help=f"the last unchanged step: {HINT}")
-    parser.add_argument("--plan", metavar="FILE", help="an edited plan that does the same up to that step")
+    parser.add_argument(
+        "--at", metavar="STEP", required=True, help=f"fork after this step, the last unchanged step: {HINT}"
+    )
+    parser.add_argument(
+        "--plan", metavar="FILE", help="continue with this edited plan, which must do the same up to that step"
+    )
     parser.add_argument(
         "--set",
         metavar="WHAT=VALUE",
@@ -145,7 +149,7 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         help="set a value after that step: milk.position=1,2,0.9 (also orientation, color), pr2.torso_lift_joint=0.2, "
         "or a fluent, battery=20 (fluent:left.battery=20 if its name has a dot); repeatable",
     )
-    parser.add_argument("--world", metavar="NAME", help="in this world (default: the last opened world)")
+    parser.add_argument("--world", metavar="NAME", help="set values in this world (default: the last opened world)")
     parser.add_argument(
         "--answer",
         metavar="QUERY=ANSWER",
@@ -154,8 +158,12 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         help="override the answer of the next such query: 'reachable_object(milk, ...)=false', 'blocking(...)=[bowl]'; "
         "repeatable",
     )
-    parser.add_argument("--seed", metavar="N", type=int, help="seed of random numbers and of the order after that step")
-    parser.add_argument("--control", action="store_true", help="also compare an unchanged run with the recording")
+    parser.add_argument(
+        "--seed", metavar="N", type=int, help="seed of random numbers and of the order of branches after that step"
+    )
+    parser.add_argument(
+        "--control", action="store_true", help="also run without the changes, and compare that run with the recording"
+    )
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.fork.mcap)")
     add_source_and_arguments(parser)
 
@@ -217,7 +225,7 @@ def add_resume(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs from the recording."
     )
-    parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it has moved since the recording")
+    parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it was moved after the recording")
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.resumed.mcap)")
     add_source_and_arguments(parser)
 
@@ -234,7 +242,7 @@ def run_resume(log: Recording, options: argparse.Namespace) -> int:
         arguments=options.arguments,
         recorded_source=options.recorded_source,
         begun=lambda: print_message(
-            f"the plan runs again up to step {len(log) - 1}, the last before it was killed; {AGAIN}"
+            f"the plan runs again up to step {len(log) - 1}, the last step before it was killed; {AGAIN}"
         ),
     )
     return _print_fork(log, resumed, as_json=options.json)

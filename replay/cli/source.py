@@ -14,13 +14,16 @@ if TYPE_CHECKING:
 
     from replay.recording import Recording
 
-_SHORT = 8  # digits of a hash
+_SHORT = 8  # number of shown digits of a hash
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the file and the target."""
     parser.add_argument(
-        "file", metavar="FILE", nargs="?", help="print this file; HASH/FILE for a shared name (default: list all)"
+        "file",
+        metavar="FILE",
+        nargs="?",
+        help="print this file, or HASH/FILE if several files have the name (default: list all files)",
     )
     parser.add_argument("-o", dest="target", metavar="PATH", help="write the file to PATH, or all files to a folder")
 
@@ -48,9 +51,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _find(keys: list[str], name: str) -> str:
-    """Return the key of an attached file by its name; ``HASH/FILE`` distinguishes files of one name."""
+    """Return the key of an attached file by its name; ``HASH/FILE`` distinguishes files with the same name."""
     digits, _, file = name.rpartition("/")
-    if digits.strip("0123456789abcdef"):  # a path, as in a call stack
+    if digits.strip("0123456789abcdef"):  # it isn't a hash but a folder of a path, as in a call stack
         digits = ""
     fitting = [key for key in keys if name_of(key) == file and key.startswith(digits)]
     if not fitting:
@@ -63,7 +66,7 @@ def _find(keys: list[str], name: str) -> str:
 
 def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> list[str]:
     """Write attached files, and return their paths. Files that share a name get their hashes."""
-    # names of a stranger's recording could control the terminal that lists the folder
+    # names from an untrusted recording could control the terminal that lists the folder
     names = ["".join(each if each.isprintable() else "_" for each in name_of(key)) for key in keys]
     written = []
     for key, name in zip(keys, names, strict=True):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from replay.runs.folder import Answer, Runs
 
-_WIDEST: Final = 60  # characters of a cell in a terminal
+_WIDEST: Final = 60  # largest number of characters of a cell in a terminal
 
 
 def add(parser: argparse.ArgumentParser) -> None:

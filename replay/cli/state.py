@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, an object and a world."""
     parser.add_argument("step", metavar="STEP", help=HINT)
-    parser.add_argument("object", metavar="OBJECT", nargs="?", help="only this object, with its joints")
-    parser.add_argument("--world", metavar="NAME", help="only this world")
+    parser.add_argument("object", metavar="OBJECT", nargs="?", help="print only this object, with its joints")
+    parser.add_argument("--world", metavar="NAME", help="print only this world")
     parser.add_argument("--links", action="store_true", help="also print the pose of each link in the world frame")
 
 
@@ -101,7 +101,7 @@ def _world(state: State, world: World, bodies: list[Body], *, details: bool, lin
 
 
 def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
-    """Yield the robots' beliefs about some objects, with the distance to the true positions."""
+    """Yield the robots' beliefs about some objects, and the distance of each belief to the true position."""
     for belief in reversed(world.believed()):
         if {belief.robot, belief.object}.isdisjoint(shown):
             continue

@@ -1,7 +1,7 @@
 """``stats``: success rates of the runs of a folder, causes of failures, and slow queries, motions and tasks.
 
-``--html`` writes a report as a single file: pictures are embedded, plots are SVG, and a few lines of script sort the
-tables. A picture shows the scene of a failure at the step at which it began.
+``--html`` writes a report as a single file: pictures are embedded, plots are SVG, and a short script sorts the tables.
+A picture shows the scene at the step at which a failure began.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _MAX_SLOW: Final = 5
 _SIZE: Final = (320, 240)
 _COLUMNS: Final = 4
 _MAX_PICTURES: Final = 12
-_CAPTION: Final = 34  # pixels below a picture
-_LETTERS: Final = 52  # in a line of a caption
-_PICTURES: Final = 8  # causes with a picture
-_LABEL: Final = 22  # characters of a label next to a bar
+_CAPTION: Final = 34  # height in pixels below a picture
+_LETTERS: Final = 52  # largest number of letters in a line of a caption
+_PICTURES: Final = 8  # largest number of causes with a picture
+_LABEL: Final = 22  # largest number of characters of a label next to a bar
 _CLAIMS: Final = 10
-_WIDE, _BAR = 420, 22  # pixels
+_WIDE, _BAR = 420, 22  # sizes of a bar in pixels
 
 _STYLE: Final = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #1c2430; }
@@ -83,7 +83,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the report and the picture."""
     parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
     parser.add_argument("--html", metavar="FILE", help="write a report with plots and pictures, as a single file")
-    parser.add_argument("--picture", metavar="FILE", help="write pictures of failures of each cause into a PNG file")
+    parser.add_argument("--picture", metavar="FILE", help="write pictures of failures with each cause into a PNG file")
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
@@ -246,7 +246,7 @@ def _shares(shares: Sequence[Share]) -> str:
 
 
 def _short(text: str) -> str:
-    """Return a text, cut to the label's width; the whole text is its tooltip."""
+    """Return a text, shortened to the label's width; the whole text is its tooltip."""
     if len(text) <= _LABEL:
         return escape(text)
     return f"{escape(text[: _LABEL - 1])}…<title>{escape(text)}</title>"
@@ -323,7 +323,7 @@ def _slow_table(folder: Path, slow: Sequence[Slow]) -> str:
 
 
 def _table(heads: Iterable[str], rows: Iterable[Sequence[str | tuple[float, str]]]) -> str:
-    """Return a table. A head that begins with # is of numbers, by which the column is sorted."""
+    """Return a table. If a head begins with #, the column contains numbers and is sorted by them."""
     head = "".join(f'<th class="n">{name[1:]}</th>' if name.startswith("#") else f"<th>{name}</th>" for name in heads)
     body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
@@ -343,7 +343,7 @@ def _command(verb: str, *rest: Path | str) -> str:
 
 
 def picture(folder: Path, run: str, step: int | None) -> Image.Image | None:
-    """Return a picture of a run at a step, by default at its end; None if it can't be drawn."""
+    """Return a picture of a run at a step, by default at the run's end; None if it can't be drawn."""
     with Recording(folder / run) as log:
         try:
             return log.render(log.final_step() if step is None else step, size=_SIZE)
@@ -382,7 +382,7 @@ def png(image: Image.Image) -> bytes:
 
 
 def _pictured(causes: tuple[FailureCause, ...]) -> Iterator[tuple[FailureCause, str, int | None]]:
-    """Yield the failures with a picture: the first of each cause, then the second of each, and so on."""
+    """Yield the failures with a picture: the first failure of each cause, then the second failures, and so on."""
     shown = 0
     for at in range(_MAX_PICTURES):
         for cause in causes:

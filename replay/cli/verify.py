@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.state.integrity import Deviation, Verification
 
-_PERIOD: Final = 0.2  # s between progress messages
+_PERIOD: Final = 0.2  # seconds between progress messages
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -109,13 +109,13 @@ def _notes(verification: Verification) -> Iterator[str]:
         same = "" if verification.largest is None else "; not comparable bit for bit"
         yield f"note   the environment differs from the recorded one: {', '.join(verification.environment)}{same}"
     if verification.late:
-        yield f"note   {', '.join(verification.late)} began before the recording: its physics isn't compared"
+        yield f"note   {', '.join(verification.late)} began before the recording: the physics isn't compared"
     if verification.unknown:
         where = ", ".join(verification.unknown)
-        yield f"note   {where} was changed by a feature of a newer release: its later physics isn't compared"
+        yield f"note   a feature of a newer release changed {where}: the later physics isn't compared"
     if verification.dragged:
         where = ", ".join(verification.dragged)
-        yield f"note   in {where} an object was dragged by hand: the later physics isn't compared"
+        yield f"note   in {where}, somebody dragged an object by hand: the later physics isn't compared"
 
 
 def _data(verification: Verification, seconds: float) -> dict[str, object]:

@@ -21,14 +21,18 @@ if TYPE_CHECKING:
 
     from replay.runs.folder import Runs
 
-_MAX_BESIDE: Final = 3  # recordings next to the first; more than four views are too small
+_MAX_BESIDE: Final = 3  # largest number of recordings next to the first; more than four views are too small
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add further recordings, the first step, and the target."""
     parser.epilog = "For a folder, the first failures of its most frequent causes are shown side by side."
-    parser.add_argument("others", metavar="LOG2", nargs="*", help=f"up to {_MAX_BESIDE} recordings, side by side")
-    parser.add_argument("--imagined", action="store_true", help=f"also show its last projections, up to {_MAX_BESIDE}")
+    parser.add_argument(
+        "others", metavar="LOG2", nargs="*", help=f"show up to {_MAX_BESIDE} further recordings, side by side"
+    )
+    parser.add_argument(
+        "--imagined", action="store_true", help=f"also show the recording's last projections, up to {_MAX_BESIDE}"
+    )
     parser.add_argument("--at", metavar="STEP", help=f"begin at this step: {HINT}")
     parser.add_argument("--save", metavar="FILE", help="write an .rrd file instead of opening the viewer")
     parser.add_argument("--open", action="store_true", help="open the viewer, also with --save")

@@ -21,13 +21,22 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
 
-_COMMONEST: Final = 3  # causes of a folder's failures that are explained
+_COMMONEST: Final = 3  # largest number of explained causes of a folder's failures
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step of the failure, and the folder for pictures."""
-    parser.add_argument("step", metavar="STEP", nargs="?", help=f"a step of another failed task: {HINT}")
-    parser.add_argument("--pictures", metavar="DIR", help="write pictures: the robot's view, and a view from the side")
+    parser.add_argument(
+        "step",
+        metavar="STEP",
+        nargs="?",
+        help=f"explain the failed task at this step (default: the plan's failure): {HINT}",
+    )
+    parser.add_argument(
+        "--pictures",
+        metavar="DIR",
+        help="write two pictures of the failure: the robot's view, and a view from the side",
+    )
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
     from replay.state.fold import WorldBuilder
 
-_ROUNDING: Final = 1e-6  # m or rad: smaller changes of a number are ignored, as for blame
+_ROUNDING: Final = 1e-6  # m or rad; smaller changes of a number are ignored, as by ``blame``
 _FUNCTIONS: Final[Mapping[str, object]] = {
     each.__name__: each for each in (abs, all, any, len, max, min, round, sorted, sum, math.sqrt, math.degrees)
 }
@@ -56,7 +56,7 @@ def value_changes(log: RecordReader, expression: str) -> list[ValueChange]:
     try:
         code = compile(expression, "<watch>", "eval")
     except (SyntaxError, ValueError) as error:
-        raise NoQuantity(expression, f"it is no expression: {error}") from None
+        raise NoQuantity(expression, f"it isn't an expression: {error}") from None
     worlds: dict[str, WorldBuilder] = {}
     found: list[ValueChange] = []
     latest: object = None
@@ -97,7 +97,7 @@ def _differ(before: object, after: object) -> bool:
 
 
 class _Names(dict[str, Any]):
-    """The meaning of names in an expression, by the open worlds."""
+    """The values of names in an expression, in the open worlds."""
 
     def __init__(self, worlds: Mapping[str, _World]) -> None:
         super().__init__(_FUNCTIONS)
@@ -191,7 +191,7 @@ class _Body:
 
 
 def _distance(one: _Body, other: _Body) -> float:
-    """Return the distance of two bodies' base links, m."""
+    """Return the distance in m between the base links of two bodies."""
     return math.dist(one.position, other.position)
 
 

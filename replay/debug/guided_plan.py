@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     from replay.debug.stopped_plan import Message, WatchedExpression
     from replay.retrace.plan_process import PlanProcess
 
-_MAX_WAITING: Final = 64  # waiting copies
-_SHOWN: Final = 2000  # last characters of the stderr of an ended process
-_POLL: Final = 0.2  # s between checks for Ctrl-C and for a process that ended without a message
-_PARTS: Final = 40  # of a run, with a copy at the beginning of each
-_SHORTEST: Final = 50_000_000  # ns of a part
-_FINEST: Final = 4  # minimum number of steps between a copy and the target of going back
+_MAX_WAITING: Final = 64  # largest number of waiting copies
+_SHOWN: Final = 2000  # number of shown characters from the end of an ended process's stderr
+_POLL: Final = 0.2  # seconds between checks for Ctrl-C and for a process that ended without a message
+_PARTS: Final = 40  # number of parts of a run, each of which begins with a copy
+_SHORTEST: Final = 50_000_000  # shortest duration of a part in ns
+_FINEST: Final = 4  # smallest number of steps between a copy and the target of going back
 
 
 class PlanEnded(ReplayError):
@@ -44,7 +44,7 @@ class PlanEnded(ReplayError):
 
     def __init__(self, printed: str) -> None:
         super().__init__(f"the plan's process has ended{printed and f':{chr(10)}{printed}'}; goto runs it again")
-        self.printed = printed  # its last output to stderr
+        self.printed = printed  # the last output of the process to stderr
 
 
 class EndedByInterrupt(Exception):
@@ -62,10 +62,10 @@ class PlanInterrupted(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """The step at which a plan has stopped, and why."""
+    """The step at which a plan has stopped, and the reason."""
 
-    step: int  # the last recorded step that it has made
-    #: "step": it is the target; "watch": a watched value has changed; "interrupted": by Ctrl-C; "parted": the next
+    step: int  # the last recorded step that the plan has made
+    #: "step": this is the target; "watch": a watched value has changed; "interrupted": by Ctrl-C; "parted": the next
     #: record differs from the recorded one.
     reason: str = "step"
     text: str = ""  # the difference, in words
@@ -75,7 +75,8 @@ class Arrival:
 class GuidedPlan:
     """A recorded plan, at a step.
 
-    With ``checkpoints``, copies of it wait at some steps; else it goes back by running again from its start.
+    With ``checkpoints``, copies of the process wait at some steps. Without them, the plan goes back by running again
+    from its start.
 
     Raises:
         Damaged: the beginning of the recording is lost.
@@ -83,20 +84,23 @@ class GuidedPlan:
 
     def __init__(self, process: PlanProcess, *, checkpoints: bool = True) -> None:
         log = process.log
-        self.recorded_files = process.recorded_files  # the recorded source by its files' paths, if it runs
+        # the recorded source by path, if the plan runs from the recorded source
+        self.recorded_files = process.recorded_files
         self.notes = tuple(process.notes())  # differences from the recorded conditions
-        self.step = -1  # the last recorded step that it has made; -1 before the first
-        self.last = len(log) - 1  # the last step that it can reach
-        #: how it differs from the recording after that step, and possible causes outside of the plan; "" if unknown
+        self.step = -1  # the last recorded step that the plan has made; -1 before the first
+        self.last = len(log) - 1  # the last step that the plan can reach
+        #: how the plan differs from the recording after that step, and possible causes outside of the plan; "" if
+        #: unknown
         self.parted = ""
         self._log = log
-        log.check()  # losses are known only then
+        log.check()  # after this check, all losses of the recording are known
         gap = next(iter(log.lost()), None)
         if gap is not None:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
         if self.last < 0:
             raise Damaged(log.path, "its beginning", "no record is left to guide the plan")
-        spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)  # by the recorded clock: now the machine may be busy
+        # by the recorded clock, because the machine may now be slower
+        spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)
         self._copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
 
     def __enter__(self) -> Self:
@@ -126,9 +130,10 @@ class GuidedPlan:
         with ``through``, changes are only noted, up to the step.
 
         Raises:
-            PlanEnded: its process has ended before; then it is at no step.
-            PlanInterrupted: Ctrl-C was pressed twice before it reached a step; it is at its previous step.
-            ReplayError: its first record differs: it is another plan.
+            PlanEnded: its process ended before that step; now the plan is at no step.
+            PlanInterrupted: the user pressed Ctrl-C twice before the plan reached a step; the plan is at its previous
+                step.
+            ReplayError: its first record differs, so this is another plan.
         """
         copies = self._copies
         if copies.now is None and watched:
@@ -188,7 +193,7 @@ class GuidedPlan:
         Raises:
             PlanEnded: its process has ended.
             ReplayError: the question has no answer.
-            KeyboardInterrupt: Ctrl-C was pressed; nothing has changed.
+            KeyboardInterrupt: the user pressed Ctrl-C; nothing has changed.
         """
         answer = self._copies.ask({"do": what, **arguments})
         if "error" in answer:
@@ -197,7 +202,7 @@ class GuidedPlan:
 
 
 def _halving(start: int, step: int) -> Iterator[int]:
-    """Yield steps between two steps, each halving the rest."""
+    """Yield steps between two steps; each step halves the rest."""
     while step - start >= _FINEST:
         start += (step - start) // 2
         yield start
@@ -210,13 +215,13 @@ def _halving(start: int, step: int) -> Iterator[int]:
 class PlanCopy:
     """A process of the plan that has stopped at a step, or continues from there."""
 
-    channel: Channel  # the connection to it
+    channel: Channel  # connection to the process
     pid: int
-    parent: PlanCopy | None  # the copy that forked it; None for the first process
-    step: int = -1  # the last recorded step that it is known to have made
-    parted: bool = False  # whether its next record differed from the recorded one
-    can_wait: bool = False  # whether it can be copied there
-    between: bool = False  # whether it has stopped between that step's record and the next one
+    parent: PlanCopy | None  # the copy that forked the process; None for the first process
+    step: int = -1  # the last recorded step that the process is known to have made
+    parted: bool = False  # whether its next record differs from the recorded record
+    can_wait: bool = False  # whether the process can be copied at this step
+    between: bool = False  # whether it has stopped between the record of that step and the next record
 
 
 class PlanCopies:
@@ -224,13 +229,13 @@ class PlanCopies:
 
     def __init__(self, process: PlanProcess, spacing: int | None) -> None:
         self.waiting: list[PlanCopy] = []  # copies that wait, each after its parent
-        self.now: PlanCopy | None = None  # the stopped process, also if it waits; None while a process runs
+        self.now: PlanCopy | None = None  # the stopped process, even if it is a waiting copy; None while a process runs
         self.runs = 0  # number of starts of the first process
         self._process = process
         self._spacing = spacing
         self._root: subprocess.Popen[bytes] | None = None
         self._ending = False
-        self._interrupts = 0  # number of Ctrl-C since the last message to the plan
+        self._interrupts = 0  # how often the user pressed Ctrl-C since the last message to the plan
         with ExitStack() as undoing:
             self._folder = undoing.enter_context(
                 tempfile.TemporaryDirectory(prefix="pycram-debug-", ignore_cleanup_errors=True)
@@ -250,7 +255,7 @@ class PlanCopies:
     # --- commands ---------------------------------------------------------------------------------------------------
 
     def start(self) -> Message:
-        """Run the plan from its start to its first record; return the message of its stop."""
+        """Run the plan from its start to its first record; return its message about the stop."""
         self.end_all()
         self.runs += 1
         folder = Path(self._folder) / f"run-{self.runs}"
@@ -269,11 +274,11 @@ class PlanCopies:
             return self._stopped(None)
 
     def go_on(self, origin: PlanCopy, conditions: Message) -> Message:
-        """Let a copy continue, or its child if the copy stays; return the message of the stop.
+        """Let a copy continue, or its child if the copy stays; return the message about the stop.
 
         Raises:
-            PlanEnded: the process ended before.
-            EndedByInterrupt: Ctrl-C was pressed twice.
+            PlanEnded: the process ended before a stop.
+            EndedByInterrupt: the user pressed Ctrl-C twice.
         """
         stay = origin in self.waiting or (origin.can_wait and origin.parent is None)
         if stay and origin not in self.waiting:
@@ -288,7 +293,7 @@ class PlanCopies:
 
         Raises:
             PlanEnded: the process has ended.
-            KeyboardInterrupt: Ctrl-C was pressed; nothing has changed.
+            KeyboardInterrupt: the user pressed Ctrl-C; nothing has changed.
         """
         now, passed_on = self.now, False
         if now is None:
@@ -308,7 +313,7 @@ class PlanCopies:
 
     @contextmanager
     def _noting_interrupts(self) -> Iterator[None]:
-        """Count Ctrl-C in the ``with`` block: KeyboardInterrupt could separate a message from its answer."""
+        """Count Ctrl-C in the ``with`` block instead of raising KeyboardInterrupt between a message and its answer."""
         self._interrupts = 0
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -352,7 +357,8 @@ class PlanCopies:
             if self._interrupts and running is not None and not passed_on:
                 passed_on = True
                 running.channel.send({"do": "interrupt"})
-                with suppress(ProcessLookupError):  # if it makes no record, it reads no message
+                # a process that makes no record reads no message, so it gets a signal
+                with suppress(ProcessLookupError):
                     os.kill(running.pid, PAUSE)
 
     def _next(self, running: PlanCopy | None) -> PlanCopy:
@@ -383,13 +389,13 @@ class PlanCopies:
         return self._errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
 
     def end(self, copy: PlanCopy | None) -> None:
-        """End a process without children; if it is the first process, end all."""
+        """End a process without children; if it is the first process, end all processes."""
         if copy is None or copy.parent is None:
             self.end_all()
             return
         copy.channel.close()
         copy.parent.channel.send({"do": "end", "pid": copy.pid})
-        if _received(copy.parent.channel) is None and not self._ending:  # the parent was ended from outside
+        if _received(copy.parent.channel) is None and not self._ending:  # somebody else has ended the parent
             self.end_all()
 
     def end_all(self) -> None:
@@ -400,7 +406,7 @@ class PlanCopies:
                 self.end(each)
             else:
                 each.channel.close()
-        if self._root is not None:  # all other processes end with it
+        if self._root is not None:  # all other processes end with the first process
             self._root.kill()
             self._root.wait()
         self._root, self.now, self._ending = None, None, False

@@ -1,7 +1,7 @@
 """A session of the debugger: a guided plan, its breakpoints, and the targets of commands.
 
-Breakpoints and watches are steps of the recording at which the plan stops, known when they are set. Only a watch on the
-plan's own variables has no known steps: no recording has these variables, so the plan must run.
+Breakpoints and watches are steps of the recording at which the plan stops, known when they are set. Only the steps of a
+watch on the plan's own variables are unknown: recordings don't contain variables, so the plan must run.
 
 The level of a step is the innermost task that encloses it; the start and the end of a task are on the level around it.
 So ``next`` goes from the start of a task to its end, as other debuggers step over a call.
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
     from replay.recording import Recording
 
-Site: TypeAlias = "tuple[str, int]"  # a file and a line
+Site: TypeAlias = "tuple[str, int]"  # a file and the number of a line
 _LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
@@ -41,7 +41,7 @@ class NoFurther(ReplayError):
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(cause)
-        self.step = step  # where the plan is
+        self.step = step  # the step at which the plan is
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Halt:
 
     arrival: Arrival
     met: list[Breakpoint] = field(default_factory=list)  # the breakpoints at that step
-    #: Values before and after of watches on the plan's variables, by the watch's number.
+    #: Values of watched variables of the plan before and after the step, by the number of the watch.
     changes: dict[int, tuple[str, str]] = field(default_factory=dict)
 
 
@@ -60,7 +60,7 @@ class Session:
     def __init__(self, log: Recording, plan: GuidedPlan) -> None:
         self.log = log
         self.plan = plan
-        self.breakpoints: list[Breakpoint] = []  # in the order of their numbers
+        self.breakpoints: list[Breakpoint] = []  # breakpoints in the order of their numbers
         self._numbers = 0
 
     @cached_property
@@ -70,7 +70,7 @@ class Session:
 
     @property
     def step(self) -> int:
-        """The step at which the plan is."""
+        """The present step of the plan."""
         return self.plan.step
 
     def set_break(self, place: str, *, temporary: bool = False) -> Breakpoint:
@@ -92,7 +92,7 @@ class Session:
         """Return a watch on an expression about recorded states, or else about the variables of a frame's function.
 
         Raises:
-            NoQuantity: it has no value in either.
+            NoQuantity: it has no value in a recorded state, nor in a frame.
         """
         number, text = self._numbers + 1, f"watch {expression}"
         try:
@@ -121,7 +121,7 @@ class Session:
     # --- from step to step ------------------------------------------------------------------------------------------
 
     def forward(self, target: int | None = None) -> Halt:
-        """Continue to a step, by default the last, or to the first breakpoint before it.
+        """Continue to a step (default: the last step), or to the first breakpoint before that step.
 
         Raises:
             NoFurther: this is the last step that the plan can reach.
@@ -135,7 +135,7 @@ class Session:
         return self._halted(self.plan.go(min([goal, *hits]), watched), enabled)
 
     def back(self, target: int = 0) -> Halt:
-        """Go back to a step, by default the first, or to the last breakpoint before this one.
+        """Go back to a step (default: the first step), or to the last breakpoint before the present step.
 
         Raises:
             NoFurther: this is the first step.
@@ -174,7 +174,7 @@ class Session:
         """Go to a step, without stopping at breakpoints.
 
         Raises:
-            NoFurther: the plan can't reach it.
+            NoFurther: the plan can't reach the step.
         """
         if step > self.plan.last:
             raise self._no_further()
@@ -235,7 +235,7 @@ class Timeline:
         self._stacks: list[tuple[Site, ...]] = [()] * self.steps
         self._lines: dict[Site, list[int]] = defaultdict(list)
         task_stacks: dict[int, tuple[Site, ...]] = {}
-        latest: dict[str, tuple[Site, ...]] = {}  # by thread or branch
+        latest: dict[str, tuple[Site, ...]] = {}  # call stacks of the latest records, by thread or branch
         for record in log.records():
             self._note(record)
             own = _own_stack(record)
@@ -271,12 +271,12 @@ class Timeline:
     # --- targets of commands ----------------------------------------------------------------------------------------
 
     def following(self, step: int) -> int:
-        """Return the next step on the same level or an outer one; the last step if there is none."""
+        """Return the next step on the same level or an outer one; the last step if there is no such step."""
         around = {self._levels[step], *self._around(self._levels[step])}
         return next((at for at in range(step + 1, self.steps) if self._levels[at] in around), self.steps - 1)
 
     def preceding(self, step: int) -> int:
-        """Return the previous step on the same level or an outer one; the first step if there is none."""
+        """Return the previous step on the same level or an outer one; the first step if there is no such step."""
         around = {self._levels[step], *self._around(self._levels[step])}
         return next((at for at in range(step - 1, -1, -1) if self._levels[at] in around), 0)
 
@@ -303,7 +303,7 @@ class Timeline:
     # --- lines ------------------------------------------------------------------------------------------------------
 
     def site(self, step: int) -> Site:
-        """Return the plan's line that led to a step; ("", 0) if none is known."""
+        """Return the plan's line that led to a step; ("", 0) if no line is known."""
         return self._stacks[step][-1] if self._stacks[step] else ("", 0)
 
     def stack(self, step: int) -> Sequence[Site]:
@@ -316,7 +316,7 @@ class Timeline:
         return {file for file, _ in self._lines}
 
     def line(self, file: str, number: int) -> tuple[int, list[int]]:
-        """Return the first line from a given one on that led to a record, and the steps at which the plan reached it.
+        """Return a line, or the first later line, that led to a record, and the steps at which the plan reached it.
 
         Each execution of the line counts once, with its first record. Repeated calls in one line count once if no other
         line made a record between them.
@@ -351,21 +351,21 @@ class NoSuchPlace(ReplayError, LookupError):
 
     def __init__(self, place: str, cause: str) -> None:
         super().__init__(f"{place}: {cause}")
-        self.place = place  # as the user wrote it
+        self.place = place  # the place, as the user wrote it
 
 
 @dataclass(slots=True)
 class Breakpoint:
     """A breakpoint, or a watch."""
 
-    number: int  # its name, from 1
-    text: str  # description
-    steps: list[int] = field(default_factory=list)  # that stop the plan, sorted
+    number: int  # number by which commands name it, from 1
+    text: str  # description for the user
+    steps: list[int] = field(default_factory=list)  # steps at which it stops the plan, sorted
     temporary: bool = False  # whether it is removed after it has stopped the plan
     enabled: bool = True  # whether it stops the plan
-    line: tuple[str, int] | None = None  # file and number, for a breakpoint at a line of the plan
-    changes: dict[int, ValueChange] = field(default_factory=dict)  # by their steps, for a watch on recorded states
-    watched: WatchedExpression | None = None  # for a watch on the plan's variables
+    line: tuple[str, int] | None = None  # for a breakpoint at a line of the plan: its file and number
+    changes: dict[int, ValueChange] = field(default_factory=dict)  # for a watch on recorded states: the changes by step
+    watched: WatchedExpression | None = None  # for a watch on the plan's variables: the expression
 
     @property
     def counted(self) -> str:
@@ -390,7 +390,7 @@ def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -
     if word == "event":
         names = [rest.strip()] if rest.strip() else list(timeline.events)
         steps = sorted(step for name in names for step in timeline.events.get(name, ()))
-        hint = suggestion(rest.strip(), timeline.events) if timeline.events else "there were none"
+        hint = suggestion(rest.strip(), timeline.events) if timeline.events else "the recording has no events"
         return Breakpoint(number, f"event {rest.strip()}".strip(), _some(place, steps, f"no such event; {hint}"))
     match = _LINE.fullmatch(place)
     if match is not None and not place.startswith("task:"):

@@ -1,7 +1,8 @@
 """The process of a debugged plan: it compares each record with the recorded one, and stops the plan at a step.
 
-While the plan is stopped, its process answers messages from the prompt: lines of JSON on a socket. Then the process
-continues; or it stays, as at checkpoints, and a forked child continues. A process that stays can continue again later.
+While the plan is stopped, its process answers messages from the prompt: lines of JSON on a socket. Then either the
+process continues, or it stays, as at checkpoints, and a forked child continues. A process that stays can continue again
+later.
 """
 
 from __future__ import annotations
@@ -48,10 +49,10 @@ if TYPE_CHECKING:
 Message: TypeAlias = "dict[str, Any]"
 
 PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have SIGURG
-"""Stops a plan that makes no record, and so reads no message; ignored in processes without a handler."""
-_BLOCK: Final = 1 << 16  # bytes of one read
-_IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # a module's imports and definitions
-_MAX_NAMES: Final = 200  # completions of a text
+"""Signal that stops a plan that makes no record, and so reads no message; processes without a handler ignore it."""
+_BLOCK: Final = 1 << 16  # largest number of bytes in one read
+_IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # types of a module's imports and definitions
+_MAX_NAMES: Final = 200  # largest number of completions of a text
 _CLOCKS: Final = ("time", "monotonic", "perf_counter")
 _NS: Final = 10**9
 
@@ -72,11 +73,12 @@ class Channel:
 
     def send(self, message: Message) -> None:
         """Send a message, unless the other end is closed."""
-        with suppress(BrokenPipeError, ConnectionResetError):  # the next receive() returns None
+        # if the other end is closed, the next receive() returns None
+        with suppress(BrokenPipeError, ConnectionResetError):
             self._socket.sendall(json.dumps(message).encode() + b"\n")
 
     def receive(self) -> Message | None:
-        """Wait for a message; None if the other end is closed."""
+        """Wait for a message, and return it; return None if the other end is closed."""
         while b"\n" not in self._received:
             try:
                 part = self._socket.recv(_BLOCK)
@@ -96,7 +98,7 @@ class Channel:
 
     @property
     def has_read(self) -> bool:
-        """Whether a message is in the buffer, which select doesn't see."""
+        """Whether a message is in the buffer, of which select doesn't know."""
         return b"\n" in self._received
 
     def close(self) -> None:
@@ -125,7 +127,7 @@ class PlanFrame(NamedTuple):
 
 
 def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool) -> list[PlanFrame]:
-    """Return the plan's frames, innermost first; a branch's frames are followed by those of the code waiting for it.
+    """Return the plan's frames, innermost first; after a branch come the frames that wait for it.
 
     ``parents`` has the id of each task's parent. With ``failing``, the frames that an error has left come first.
     """
@@ -142,7 +144,7 @@ def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool)
         task = context.get(journal.current_task)
         waiting[task.id if task is not None else 0] = suspended
     number: int | None = journal.task_id()
-    while number is not None:  # 0: outside of all tasks
+    while number is not None:  # the number 0 means outside of all tasks
         number = parents.get(number)
         if number in waiting:
             own += [PlanFrame(each, each.f_lineno) for each in plan_frames(waiting[number])]
@@ -157,7 +159,7 @@ def _traceback(trace: TracebackType | None) -> Iterator[PlanFrame]:
 
 
 def variables(frame: FrameType, *, arguments: bool = False) -> list[tuple[str, str]]:
-    """Return the names and values of a frame's variables, or only of its arguments; without a module's definitions."""
+    """Return the names and values of a frame's variables, without a module's definitions, or only its arguments."""
     values = dict(frame.f_locals)
     if arguments:
         info = inspect.getargvalues(frame)
@@ -201,7 +203,7 @@ def _repr(value: object) -> str:
 
 
 class PausableClock:
-    """Python's clocks, which don't advance while the plan is stopped: deadlines don't pass at the prompt."""
+    """Python's clocks, which stand still while the plan is stopped, so that no deadline passes at the prompt."""
 
     def __init__(self) -> None:
         self._now_ns = time.monotonic_ns
@@ -215,7 +217,7 @@ class PausableClock:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Stop the clocks in the ``with`` block, also if a forked child leaves it."""
+        """Stop the clocks in the ``with`` block, also if a forked child leaves the block."""
         since = self._now_ns()
         try:
             yield
@@ -245,8 +247,8 @@ class WatchedExpression:
     """An expression that is watched while a function of the plan runs."""
 
     expression: str
-    file: str  # of the function
-    first: int  # its first line
+    file: str  # file of the function
+    first: int  # number of the function's first line
 
     def value(self, frames: list[PlanFrame]) -> str | None:
         """Return its value as text; None if no call of the function runs, or the expression has no value."""
@@ -260,7 +262,7 @@ class WatchedExpression:
 class StopConditions:
     """The conditions that stop a continuing plan."""
 
-    until: int  # step
+    until: int  # step at which the plan stops
     checkpoints: frozenset[int] = frozenset()  # steps at which a copy stays
     watched: tuple[WatchedExpression, ...] = ()  # a change of any value stops the plan
     through: bool = False  # whether changes are only noted
@@ -268,7 +270,7 @@ class StopConditions:
 
     @classmethod
     def of(cls, message: Message, moved: tuple[str, str] | None) -> StopConditions:
-        """Return the conditions of a message, in which files are in the plan's own folder."""
+        """Return the conditions in a message; files in the message are relative to the plan's own folder."""
         new, old = moved or ("", "")
         watched = tuple(
             WatchedExpression(expression, file.replace(old, new), first)
@@ -300,7 +302,7 @@ class StoppingSink(NullSink):
         self._values: list[str | None] = []
         self._failing = False
         self._step = -1
-        self._frame: FrameType | None = None  # of the record, while the plan is stopped
+        self._frame: FrameType | None = None  # frame that made the record, while the plan is stopped
         self._serving = False
         signal.signal(PAUSE, self._pause)
         self._channel = self._connected(parent=0)
@@ -321,7 +323,7 @@ class StoppingSink(NullSink):
             self._frame = None
 
     def close(self) -> None:
-        """Stop finally if the plan ended before its recording."""
+        """Stop for the last time if the plan ended before its recording."""
         if not self._over:
             self.guided.guide.close()
             self._end()
@@ -329,7 +331,7 @@ class StoppingSink(NullSink):
     def _report(self, equal: int, difference: FirstDifference | None) -> None:
         self._difference = difference
         if difference is None and equal <= self._step + 1:
-            self._over = True  # the recording was cut off here
+            self._over = True  # the recording was cut off at this point
 
     def _end(self) -> None:
         self._over = True
@@ -347,7 +349,7 @@ class StoppingSink(NullSink):
             self._check_point()
 
     def _pause(self, _: int, frame: FrameType | None) -> None:
-        """Stop between two records, because the plan may hang; during a record, :meth:`_pass` stops it."""
+        """Stop between two records, because the plan may hang; during a record, :meth:`_pass` stops the plan."""
         if self._step >= 0 and not (self._over or self._serving or interrupts.is_uninterrupted() or is_held()):
             self._frame = frame
             self._stop("interrupted", between=True)
@@ -367,7 +369,7 @@ class StoppingSink(NullSink):
         return bool(changes)
 
     def _watched_values(self) -> list[str | None]:
-        """Return the watched values, unrecorded, and with the plan's random state restored."""
+        """Return the watched values, without recording, and restore the state of the plan's random numbers."""
         stack = self._stack()
         dice = random.getstate()
         with journal.unrecorded():
@@ -448,7 +450,7 @@ class StoppingSink(NullSink):
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
                 return {"answer": pid}
-            case {"do": "interrupt"}:  # its target is done already
+            case {"do": "interrupt"}:  # the interrupt's target has already stopped
                 return {"interrupt": "late"}
             case {"do": "where"}:
                 return {"answer": [each.facts(self._moved) for each in self._stack()]}
@@ -483,8 +485,8 @@ class StoppingSink(NullSink):
 def main() -> None:
     """Run a plan up to a step, by a request in JSON from :class:`replay.debug.guided_plan.PlanCopies`."""
     request = json.loads(sys.argv[1])
-    gc.freeze()  # garbage collection writes to all objects: copies would no longer share their memory
-    os.setsid()  # Ctrl-C at the prompt isn't the plan's
+    gc.freeze()  # garbage collection would write to all objects, so that copies would no longer share their memory
+    os.setsid()  # Ctrl-C at the prompt must not reach the plan
     die_with(request.pop("parent"))
     clock = PausableClock()
     clock.install()

@@ -33,10 +33,11 @@ class InvolvedBody:
 
     body: Body
     held: Attachment | None  # its attachment to a carrier
-    holds: tuple[Attachment, ...]  # attachments of bodies to it
+    holds: tuple[Attachment, ...]  # attachments of other bodies to this body
     is_robot: bool
-    distance: float | None  # on the ground, from the robot's base, m; None for the robot, or without a robot
-    bearing: float | None  # its direction from the robot's heading, rad, to the left; None as above
+    distance: float | None  # distance on the ground from the robot's base in m; None for the robot, or without a robot
+    #: Direction in rad relative to the robot's heading, positive to the left; None for the robot, or without a robot.
+    bearing: float | None
     hands: Mapping[str, str] = field(default_factory=dict)  # the robot's holding arms, by the held bodies' names
     links: Mapping[str, Pose] = field(default_factory=dict)  # poses of links that the failure names
     joints: Mapping[str, float] = field(default_factory=dict)  # positions of joints that the failure names, rad or m

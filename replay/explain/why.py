@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 
 
 _MAX_QUERIES: Final = 8
-_FIRST, _LAST = 5, 20  # number of first and last attempts with the robot's state
-_LISTED: Final = 3  # number of first and last choices that are listed
+_FIRST, _LAST = 5, 20  # numbers of first and last attempts for which the robot's state is given
+_LISTED: Final = 3  # largest number of first choices, and of last choices, that are listed
 _MAX_IMAGINED: Final = 6
-_MAX_PLACES: Final = 5  # number of last queries for places
-_MOVED: Final = 0.001  # m; smaller moves since a query are ignored
+_MAX_PLACES: Final = 5  # number of last queries for places that are listed
+_MOVED: Final = 0.001  # in m; smaller moves since a query are ignored
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class FailedAttempt:
     """An attempt at the failed task."""
 
     task: Node  # the part in which its failure began
-    robot: Body | None  # before the attempt; None without a robot, and for the middle of many attempts
+    robot: Body | None  # the robot before the attempt; None without a robot, and in the middle of many attempts
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class RelevantQuery:
     query: Query
     moved: tuple[str, ...] = ()  # names of its bodies that moved before the failure
     removed: tuple[str, ...] = ()  # names of its bodies that were removed before the failure
-    world: str = ""  # its world, if that isn't the world of the failure
+    world: str = ""  # name of its world, if this isn't the world of the failure
 
     @property
     def holds(self) -> bool:
@@ -73,28 +73,28 @@ class ChangesSince:
     """The changes since a task succeeded."""
 
     task: Node
-    difference: Difference  # between the states after the task and before the failure
+    difference: Difference  # difference between the states after the task and before the failure
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Why:
     """The explanation of a failure."""
 
-    run: Summary  # of the whole run
-    step: int  # of the failure
-    failure: Failure | None  # of the plan, or of the task; None if nothing failed
+    run: Summary  # summary of the whole run
+    step: int  # step of the failure
+    failure: Failure | None  # failure of the plan, or of the task; None if nothing failed
     causes: tuple[Cause, ...] = ()  # the causes that explain most come first
     branches: tuple[FailedBranch, ...] = ()  # the other failures of the same block
     thread: str = ""  # name of the plan's thread that failed; "" if the plan failed
-    exceptions: tuple[ParsedException, ...] = ()  # from the failed task to the plan's failure, causes first
-    task: Node | None = None  # the task in which it began; None if the plan's own code failed
+    exceptions: tuple[ParsedException, ...] = ()  # exceptions from the failed task to the plan's failure, causes first
+    task: Node | None = None  # the task in which the failure began; None if the plan's own code failed
     call_stack: tuple[Line, ...] = ()  # the plan's lines that led to the task, outermost first
     #: Local variables of the plan's functions at the failure, by file and line: names, and values as text.
     variables: Mapping[tuple[str, int], Mapping[str, str]] = field(default_factory=dict)
     world: World | None = None  # the world of the failure; None without an open world
     is_default: bool = True  # whether verbs use this world without --world
     bodies: tuple[InvolvedBody, ...] = ()  # the robot, and the bodies of the task
-    removed: tuple[str, ...] = ()  # names of bodies of the task that were removed before
+    removed: tuple[str, ...] = ()  # names of the task's bodies that were removed before the failure
     attempts: tuple[FailedAttempt, ...] = ()  # attempts at the task with the same objects, including this attempt
     other_failures: int = 0  # number of other tasks that failed before
     forgotten: int = 0  # number of skipped earlier failures, if there are too many
@@ -102,8 +102,8 @@ class Why:
     tried: TriedAction | None = None  # the failed action around the task
     queries: tuple[RelevantQuery, ...] = ()  # the queries on which the plan relied
     earlier_queries: int = 0  # number of further queries about the same bodies
-    since_same_success: ChangesSince | None = None  # since the last success of the same kind of task
-    since_last_success: ChangesSince | None = None  # since the last success of any task
+    since_same_success: ChangesSince | None = None  # changes since the last success of the same kind of task
+    since_last_success: ChangesSince | None = None  # changes since the last success of any task
     unfinished: tuple[Node, ...] = ()  # the innermost unfinished tasks of a recording that was cut off
     endless: tuple[Node, ...] = ()  # the innermost tasks whose end may be among lost records
     failed_threads: tuple[Run, ...] = ()  # records of other failed threads of the plan
@@ -126,7 +126,8 @@ class Why:
     @property
     def warning(self) -> Query | None:
         """The last query of the plan that was answered no, and whose bodies have not changed since."""
-        within = self.task.id if self.task is not None and self.task.kind == "process-module" else None  # its own
+        # id of the process module in which the failure began
+        within = self.task.id if self.task is not None and self.task.kind == "process-module" else None
         still_true = (relevant.query for relevant in reversed(self.queries) if relevant.holds)
         return next((query for query in still_true if query.answer_json == "false" and query.task != within), None)
 
@@ -357,9 +358,9 @@ class TriedAction:
     action: Node
     attempts: tuple[Node, ...]  # attempts at its choices, in order; the chosen values are their parameters
     imagined: tuple[Node, ...]  # projections of choices, in order
-    places: tuple[Query, ...]  # queries for places, also of its parts
+    places: tuple[Query, ...]  # queries for places, also queries of the action's parts
     spent: bool  # whether its budget of attempts was spent
-    last: str  # why the last choice failed; "" if all choices had been tried
+    last: str  # why the last choice failed; "" if all choices were tried
 
     def lines(self) -> Iterator[str]:
         """Yield the choices of the action with their outcomes, and the reason for its end."""

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from replay.history.source import Line
 
 _FIRST, _LAST = 2, 5  # number of first and last attempts that are listed
-_MAX_ROWS: Final = 3  # of local variables
-_WIDTH: Final = 100  # characters of such a row
-_MAX_LINES: Final = 12  # of a difference
-_NEARER: Final = 0.35  # m, distance from the robot to which the suggested ``ask --move`` moves the object
+_MAX_ROWS: Final = 3  # largest number of rows of local variables
+_WIDTH: Final = 100  # largest number of characters of a row of variables
+_MAX_LINES: Final = 12  # largest number of lines of a difference
+_NEARER: Final = 0.35  # distance in m from the robot to which the suggested ``ask --move`` moves the object
 
 
 # --- as JSON data ----------------------------------------------------------------------------------------------------
@@ -168,7 +168,7 @@ def _headline(why: Why) -> Iterator[str]:
     if run.outcome == "failed":
         message, failure = run.failure, why.failure
         if why.exceptions and failure is not None and " " in failure.message and not hasattr(builtins, failure.type):
-            message = failure.message  # clear without its type, unlike messages of Python's errors
+            message = failure.message  # PyCRAM's messages are clear without a type, unlike messages of Python's errors
         yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
         failed = "a task failed."
@@ -382,7 +382,7 @@ def _asked_again(query: Query) -> str:
     for name, term in question.keywords.items():
         if name in ("threshold", "margin", "grasp", "orientation", "collision_free"):
             break
-        arguments.append(Name(term) if isinstance(term, str) else term)  # queries accept names and strings
+        arguments.append(Name(term) if isinstance(term, str) else term)  # queries accept both names and strings
     return str(QueryCall(query.name, tuple(arguments)))
 
 

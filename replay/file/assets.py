@@ -1,4 +1,4 @@
-"""The files of a recording: models, meshes, the plan's source; attached to it, or in a file of models.
+"""The files of a recording: models, meshes, the plan's source. They are attached to it, or in a shared file.
 
 The recordings of a sweep share a file of models (:mod:`recorder.mcap_writer`). A recording may come from anyone. So the
 file that it names is opened only if it is in the recording's folder, is a regular file and no link, and has the hash
@@ -41,7 +41,8 @@ class Assets(Mapping[str, bytes]):
         self._index = index
         self._models: dict[str, Urdf] = {}
         self.damaged: dict[str, str] = {}  # causes of damage that was found so far, by name
-        self.shared = shared_by(path, index)  # the file of models that the recording names; None if it holds all itself
+        # the file of models that the recording names; None if the recording contains all its files
+        self.shared = shared_by(path, index)
         self._looked = False  # whether the shared file was needed
 
     def __getitem__(self, name: str) -> bytes:
@@ -82,18 +83,18 @@ class Assets(Mapping[str, bytes]):
         return self.shared.read(name)
 
     def check(self) -> None:
-        """Read all of the recording's own files; then :attr:`damaged` has the damaged ones."""
+        """Read all of the recording's own files; afterwards, :attr:`damaged` lists the damaged files."""
         for name in self._index.attachments:
             with suppress(Damaged):
                 self.attachment(name)
 
     def missing(self, *, look: bool = False) -> str:
-        """Return why shared files are missing; "" if none is, or if the shared file was never needed."""
+        """Return why shared files are missing; "" if no file is missing, or if the shared file was never needed."""
         self._looked = self._looked or look
         return self.shared.cause if self.shared is not None and self._looked else ""
 
     def close(self) -> None:
-        """Close the shared file; it is opened again on demand, so a fork gets its own."""
+        """Close the shared file; it is opened again on demand, so that a fork opens its own."""
         if self.shared is not None:
             self.shared.close()
 
@@ -114,7 +115,7 @@ class Assets(Mapping[str, bytes]):
         """Return an attached model, ``<sha256>/<file name>``, parsed once.
 
         Raises:
-            NoSuchName: the recording doesn't have it.
+            NoSuchName: the recording doesn't contain the model.
             Damaged: its content is damaged.
         """
         if name not in self._models:
@@ -127,8 +128,9 @@ class Assets(Mapping[str, bytes]):
         return self._models[name]
 
 
-_SHOWN: Final = 80  # maximum length of an invalid name in messages
-_FLAGS: Final = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a pipe would wait
+_SHOWN: Final = 80  # largest length of an invalid name in messages
+#: With O_NONBLOCK, opening a pipe doesn't wait.
+_FLAGS: Final = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 class SharedFile:
@@ -138,13 +140,13 @@ class SharedFile:
         self._folder = Path(os.path.realpath(recording)).parent
         self._sha256 = stated.get("sha256", "")
         self._stated = stated.get("file", "")
-        self.name = self._stated[:_SHOWN].encode("unicode_escape").decode()  # of the file, in messages
+        self.name = self._stated[:_SHOWN].encode("unicode_escape").decode()  # name of the file, for messages
         self._index: Index | None = None
-        self._cause: str | None = None  # why it can't be read; None before the first attempt
+        self._cause: str | None = None  # why the file can't be read; None before the first attempt
 
     @property
     def cause(self) -> str:
-        """Why the file can't be read; "" if it can."""
+        """Why the file can't be read; "" if it is readable."""
         if self._cause is None:
             try:
                 self._index = Index(self._opened())
@@ -174,14 +176,14 @@ class SharedFile:
 
     def _opened(self) -> BufferedReader:
         if not MODELS_NAME.fullmatch(self._stated) or self._stated != f"models-{self._sha256[:12]}.mcap":
-            raise ValueError("is no name of a file of models")
+            raise ValueError("isn't the name of a file of models")
         path = self._folder / self._stated
-        if path.is_symlink():  # for systems without the flag
-            raise ValueError("is a link, which isn't followed")
+        if path.is_symlink():  # some systems lack the flag O_NOFOLLOW
+            raise ValueError("is a symbolic link; links aren't followed")
         with ExitStack() as undoing:
             file = undoing.enter_context(open(path, "rb", opener=lambda name, _: os.open(name, _FLAGS)))
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise ValueError("is no regular file")
+                raise ValueError("isn't a regular file")
             if hashlib.file_digest(file, "sha256").hexdigest() != self._sha256:
                 raise ValueError("has changed since the recording was made")
             file.seek(0)

@@ -43,20 +43,21 @@ Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 MAX_STEP: Final = 1 << 40
-"""Numbers of steps are below it; larger numbers are damage."""
-_CACHED: Final = 64  # chunks
-_CACHED_BYTES: Final = 2 << 20  # of these, without the last; decoded, they may take fifty times as many
-_MAX_DIGITS: Final = 9  # of the number of a world's lifetime
+"""All step numbers are below this number; larger numbers are damage."""
+_CACHED: Final = 64  # largest number of cached chunks
+#: Largest number of cached bytes, besides the last chunk; decoded chunks may take fifty times the memory.
+_CACHED_BYTES: Final = 2 << 20
+_MAX_DIGITS: Final = 9  # largest number of digits of the number of a world's lifetime
 _PACKAGE: Final = f"{PACKAGE}."
 _OPCODE: Final = int(Opcode.MESSAGE)
-_MESSAGE: Final = struct.Struct("<BQH")  # opcode, length, channel
+_MESSAGE: Final = struct.Struct("<BQH")  # the fields opcode, length, channel
 _CHANNEL: Final = struct.Struct("<HI")  # channel, sequence: the first fields of a message
-_FIELDS: Final = 22  # bytes of a message's fields
-_PAYLOAD: Final = HEADER + _FIELDS  # bytes before a message's payload
-_MESSAGES: Final = 100  # of a chunk of sorted messages
-_IN_MEMORY: Final = 16 << 20  # bytes of inflated chunks that are kept in memory
-_LOOSE: Final = -1  # the chunk of a message outside of chunks
-_NUMBER: Final = 40  # bits of a message's number, below its step
+_FIELDS: Final = 22  # number of bytes of a message's fields
+_PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before a message's payload
+_MESSAGES: Final = 100  # number of messages in a chunk of sorted messages
+_IN_MEMORY: Final = 16 << 20  # largest number of bytes of inflated chunks that are kept in memory
+_LOOSE: Final = -1  # chunk number of a message outside of chunks
+_NUMBER: Final = 40  # number of low bits of a sort key that contain a message's number; its step is above
 
 
 @dataclass(slots=True)
@@ -75,9 +76,9 @@ class Chunks:
     def __init__(self, index: Index) -> None:
         self._index = index
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
-        self._cached = 0  # bytes of the chunks in it
-        self._spans: dict[int, tuple[int, int]] = {}  # first and last step of the chunks that were read
-        self.damaged: dict[int, str] = {}  # causes of damage that was found so far, by the number of the chunk
+        self._cached = 0  # number of bytes of the cached chunks
+        self._spans: dict[int, tuple[int, int]] = {}  # first and last step of each chunk that was read
+        self.damaged: dict[int, str] = {}  # causes of known damage, by the number of the chunk
         self._sorted = None if index.ours else SortedMessages.of(index, kinds_of(index))
         if self._sorted is not None:
             index.chunks.arrange(self._sorted.chunks)
@@ -111,7 +112,7 @@ class Chunks:
         return self._index.chunks.channel_maps()
 
     def refresh(self, number: int) -> None:
-        """Drop the caches of a chunk and of those after it."""
+        """Drop the caches of a chunk and of all later chunks."""
         for cache in (self._cache, self._spans, self.damaged):
             for key in [cached for cached in cache if cached >= number]:
                 del cache[key]
@@ -241,7 +242,7 @@ class Chunks:
             entries.size = len(contents)
             found = self._divide(contents, entries)
             if stated is not None and stated != found:
-                self.damaged.setdefault(number, f"it has {found} messages, by the index {stated}")
+                self.damaged.setdefault(number, f"it has {found} messages, but the index states {stated}")
         except CHUNK_DAMAGE as error:
             self.damaged.setdefault(number, describe(error))
         self._cache[number] = entries
@@ -296,7 +297,7 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
         if kind is not None and message == kind.DESCRIPTOR.full_name:
             kinds[number] = kind
         elif kind is None and message.startswith(_PACKAGE) and message.removeprefix(_PACKAGE) not in ours:
-            kinds[number] = Envelope  # a kind of a newer release
+            kinds[number] = Envelope  # a kind of record that only a newer release knows
     return kinds
 
 
@@ -314,11 +315,12 @@ class _MessagePlaces:
     """Positions of the messages of a file, compact enough for millions."""
 
     def __init__(self) -> None:
-        self.keys: list[int] = []  # the step of each, and its number in the file
+        self.keys: list[int] = []  # the step of each message, and its number in the file
         self.channels = array("H")
-        self.chunks = array("l")  # number of its chunk, or -1
-        self.offsets, self.lengths = array("Q"), array("Q")  # in the chunk, or in the file; bytes
-        self.sorted = True  # whether records are in the order of their steps
+        self.chunks = array("l")  # number of the chunk of each message, or -1
+        # in bytes; offsets are in the chunk, or in the file for a loose message
+        self.offsets, self.lengths = array("Q"), array("Q")
+        self.sorted = True  # whether the records are in the order of their steps
         self._last = -1
 
     def add(self, step: int, channel: int, chunk: int, extent: Extent, *, is_record: bool) -> None:
@@ -342,14 +344,14 @@ class SortedMessages:
         self._index = index
         self._places = places
         self._inflated = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115  close() closes it
-        self._starts: dict[int, int] = {}  # of chunks in it
+        self._starts: dict[int, int] = {}  # offsets of chunks in the temporary file
         for number in range(len(index.chunks)):
             if (contents := _contents(index, number, [])) is not None:
                 self._starts[number] = self._inflated.tell()
                 self._inflated.write(contents)
         numbers = array("Q", (key & ((1 << _NUMBER) - 1) for key in sorted(places.keys)))
         self._groups = [numbers[start : start + _MESSAGES] for start in range(0, len(numbers), _MESSAGES)]
-        self.chunks = [  # they replace the file's chunks
+        self.chunks = [  # these chunks replace the file's chunks
             ChunkExtent(
                 0, 0, b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in {places.channels[at] for at in group})
             )
@@ -365,7 +367,7 @@ class SortedMessages:
         damage: list[str] = []
         places = _places(index, kinds, damage)
         if not index.loose and places.sorted:
-            return None  # damage is found when it is read
+            return None  # reading the file finds the damage later
         index.damage += damage
         return cls(index, places)
 
@@ -390,9 +392,10 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
     places = _MessagePlaces()
     for chunk, offset, message in _messages(index, damage):
         try:
-            channel, step = _CHANNEL.unpack_from(message, HEADER)  # messages for other tools have a record's number
+            # messages for other tools have the number of their record
+            channel, step = _CHANNEL.unpack_from(message, HEADER)
             is_record = channel in kinds
-            if is_record:  # a record has its own number; not all programs keep that of its message
+            if is_record:  # a record contains its number; some programs don't keep the number of its message
                 step = decode(kinds[channel], message[HEADER + _FIELDS :]).seq
             places.add(step, channel, chunk, Extent(offset, len(message)), is_record=is_record)
         except (DecodeError, struct.error) as error:
@@ -402,7 +405,7 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
 
 
 def _messages(index: Index, damage: list[str]) -> Iterator[tuple[int, int, bytes]]:
-    """Yield chunk number, offset in the chunk and bytes of each message; for loose messages -1 and its offset."""
+    """Yield chunk number, offset in the chunk and bytes of each message; outside of chunks, -1 and its offset."""
     for number in range(len(index.chunks)):
         contents = _contents(index, number, damage) or b""
         try:

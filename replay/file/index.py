@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from collections.abc import Container
 
 
-_BLOCK: Final = 1 << 20  # bytes of one read
-_MAX_LENGTH: Final = 1 << 32  # bytes; a longer record is damaged
+_BLOCK: Final = 1 << 20  # number of bytes in one read
+_MAX_LENGTH: Final = 1 << 32  # number of bytes; a longer record is damaged
 #: Part of the head of each compressed chunk, to find the next chunk after damage.
 _MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
@@ -58,7 +58,7 @@ class _Budget:
         self._takers: set[int] = set()
 
     def take(self, taker: int, size: int, most: int, cause: str) -> None:
-        """Count the bytes of a chunk, once.
+        """Count the bytes of a chunk; each chunk is counted once.
 
         Raises:
             ValueError: the limit is exceeded.
@@ -75,29 +75,30 @@ class Index:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
-        self.size = os.fstat(file.fileno()).st_size  # bytes of the file at the last scan
+        self.size = os.fstat(file.fileno()).st_size  # number of bytes of the file at the last scan
         self._decompressor = Decompressor()
         self.closed = False  # whether the file was closed by its recorder
         self.whole = False  # whether its summary is intact
         self.damage: list[str] = []  # damaged parts, in words
-        self.chunks = ChunkTable()  # in the file's order
+        self.chunks = ChunkTable()  # the chunks in the file's order
         self.channels: dict[int, Channel] = {}  # by their id
         self.schemas: dict[int, str] = {}  # names of message types by their id
-        self.definitions: dict[str, bytes] = {}  # of message types, as in the file, by their names
+        self.definitions: dict[str, bytes] = {}  # definitions of message types, as in the file, by their names
         self.loose: list[Extent] = []  # messages outside of chunks, which some programs write, in the file's order
-        self.attachments: dict[str, Extent] = {}  # by name
+        self.attachments: dict[str, Extent] = {}  # extents of attached files by name
         self.metadata: dict[str, dict[str, str]] = {}  # values by key, by name of the metadata
         self.counts: defaultdict[int, int] = defaultdict(int)  # number of messages of each channel in all whole chunks
-        self.incomplete_bytes = 0  # at the end: a record that was cut off, or is being written
-        self.data_end = 0  # offset of the record that ends the data; 0 if there is none, or it wasn't found
-        self._claimed = 0  # bytes of files and metadata by the summary
-        self._stored = _Budget()  # for the file's own bytes
+        self.incomplete_bytes = 0  # number of bytes at the end that were cut off, or are being written
+        self.data_end = 0  # offset of the record that ends the data; 0 if no such record was found
+        self._claimed = 0  # number of bytes of files and metadata, according to the summary
+        self._stored = _Budget()  # budget for the file's own bytes
         self._inflated = _Budget()
         self._scan = FileScan(file, self)
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
             self.damage.append("its first bytes are damaged")
-        self.library = self._read_library()  # the library that wrote the file, by its header; "" if that is damaged
+        # the library that wrote the file, according to its header; "" if the header is damaged
+        self.library = self._read_library()
         damaged = len(self.damage)
         try:
             self._read_summary()
@@ -117,7 +118,7 @@ class Index:
 
     @property
     def ours(self) -> bool:
-        """Whether PyCRAM wrote the file, by its header: then it has all checksums, and steps in order."""
+        """Whether PyCRAM wrote the file, by its header; then the file has all checksums, and its steps are in order."""
         return not self.library or self.library.startswith("pycram")
 
     def check_open(self) -> None:
@@ -126,7 +127,7 @@ class Index:
             raise LogClosed(self._file.name)
 
     def read(self, extent: Extent | ChunkExtent | StatedChunk) -> bytes:
-        """Return the content of a record; less if the file ends within it.
+        """Return the content of a record; the content is shorter if the file ends within it.
 
         Raises:
             LogClosed: the file was closed.
@@ -135,14 +136,14 @@ class Index:
         self.check_open()
         offset, length = extent.offset, extent.length
         if not (0 <= offset <= self.size and length >= 0):
-            raise EOFError(f"byte {offset} is not in the file, or {length} bytes are no length")
+            raise EOFError(f"byte {offset} is not in the file, or {length} isn't a valid number of bytes")
         self._file.seek(offset)
         return self._file.read(min(length, self.size - offset))
 
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
         """Return a chunk's decompressed messages, its difference from the index, and the index' number of messages.
 
-        An error in its head is corrected by the index. The number of messages is None if the index doesn't have it.
+        An error in its head is corrected by the index. The number of messages is None if the index doesn't contain it.
 
         Raises:
             CHUNK_DAMAGE: the chunk is damaged.
@@ -151,7 +152,9 @@ class Index:
         stated = self.chunks.stated(number)
         if stated is None:
             return self._decompressed(number, memoryview(self.read(self.chunks[number]))), "", None
-        self._stored.take(number, min(stated.length, self.size), self.size, "it overlaps others, by the index")
+        self._stored.take(
+            number, min(stated.length, self.size), self.size, "according to the index, it overlaps other chunks"
+        )
         chunk = self.read(stated)
         _, _, head, tail, messages = stated
         crc, data = len(head), len(head) + 4 + len(tail)
@@ -159,7 +162,7 @@ class Index:
         if chunk[crc : crc + 4] == b"\0\0\0\0" and self.ours:
             raise ValueError("its checksum is missing")
         if not chunk.startswith(head) or not chunk.startswith(tail, crc + 4):
-            fault = "its head differs from the index"
+            fault = "its header differs from the index"
             chunk = head + chunk[crc : crc + 4] + tail + chunk[data:]
         return self._decompressed(number, memoryview(chunk)[HEADER:]), fault, messages
 
@@ -187,7 +190,7 @@ class Index:
             self.damage = [*self.damage, "its checksum differs from the stored one"]
 
     def refresh(self) -> bool:
-        """Scan the new part of a growing file; return whether there is any. A closed file has none."""
+        """Scan the new part of a growing file; return whether there is a new part. A closed file has no new part."""
         return not self.closed and self._scan.resume()
 
     def _read_library(self) -> str:
@@ -209,7 +212,7 @@ class Index:
             raise EOFError
         footer = Footer.read(ReadDataStream(io.BytesIO(end[HEADER:FOOTER])))
         if not 0 < footer.summary_start < size:
-            raise EOFError  # closed, but without index
+            raise EOFError  # the file is closed, but has no index
         self._file.seek(footer.summary_start)
         summary = self._file.read(size - len(MAGIC) - 4 - footer.summary_start)
         if zlib.crc32(summary) != footer.summary_crc and (footer.summary_crc or self.ours):
@@ -224,7 +227,7 @@ class Index:
         starts = []
         stop = 0
         for opcode, start, stop in framed(summary):
-            if opcode == Opcode.CHUNK_INDEX:  # most records; read with their chunks
+            if opcode == Opcode.CHUNK_INDEX:  # most records of the summary; their chunks read them
                 if stop - start < CHUNK_INDEX.size:
                     raise EOFError
                 starts.append(start)
@@ -252,7 +255,7 @@ class Index:
             self._read_stated_metadata(MetadataIndex.read(stream))
 
     def _claim(self, length: int) -> None:
-        """Reject a summary whose files and metadata have more bytes than the file: it repeats some."""
+        """Reject a summary whose files and metadata have more bytes than the file: it repeats some of them."""
         self._claimed += length
         if self._claimed > self.size:
             raise EOFError
@@ -291,7 +294,8 @@ class FileScan:
         self._file = file
         self._index = index
         self._next = len(MAGIC)
-        self._counted: defaultdict[int, int] = defaultdict(int)  # messages of the last chunk, as far as indexed
+        # number of messages of the last chunk, by channel, as far as its index is read
+        self._counted: defaultdict[int, int] = defaultdict(int)
         self._decoded = -1  # the chunk whose messages were counted by decoding it
 
     def resume(self) -> bool:
@@ -313,7 +317,7 @@ class FileScan:
                 break
             beyond = extent.stop > size
             if beyond and not self._is_damaged(opcode, extent, size):
-                break  # incomplete, or being written
+                break  # the record is incomplete, or is being written
             if not beyond and self._read(opcode, extent):
                 at = extent.stop
                 continue
@@ -323,7 +327,7 @@ class FileScan:
             index.damage.append(f"{following - at} bytes at byte {at} are damaged")
             at = following
         if index.chunks:
-            self._count_last()  # its message index may be cut off, or not yet written
+            self._count_last()  # the chunk's message index may be cut off, or not yet written
         self._next = at
         index.incomplete_bytes = size - at
         return at > before
@@ -438,7 +442,7 @@ class FileScan:
                     counted[int.from_bytes(contents[start : min(start + 2, stop)], "little")] += 1
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._index.define(_parsed(opcode, contents[start:stop]))
-        except CHUNK_DAMAGE:  # reported when the chunk is read
+        except CHUNK_DAMAGE:  # reading the chunk reports the damage
             return None
         return counted
 

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from replay.file.chunks import Chunks
 
 Owner: TypeAlias = "tuple[str, int]"  # a world's name, and the number of its lifetime, from 1
-_Lists: TypeAlias = "tuple[list[int], list[int], list[int]]"  # numbers of chunks: with changes, keyframes, looks
-_Mark: TypeAlias = "tuple[type[Record], Owner]"  # a type of record that a chunk has of a world
+#: Numbers of the chunks with changes, with keyframes, and with looks.
+_Lists: TypeAlias = "tuple[list[int], list[int], list[int]]"
+_Mark: TypeAlias = "tuple[type[Record], Owner]"  # a type of record of a world that a chunk contains
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +28,16 @@ class Lifetime:
     """A world from its opening to its end."""
 
     world: str  # its name
-    number: int  # among the worlds of that name, from 1
-    start: int  # the step at which it was opened; 0 for the first world of its name
-    stop: int | None  # the step at which the next world of its name was opened; None for the last one
+    number: int  # number among the worlds with its name, from 1
+    start: int  # the step at which it was opened; 0 for the first world with its name
+    stop: int | None  # the step at which the next world with its name was opened; None for the last world
     changes: Sequence[int]  # numbers of the chunks with its mutations or keyframes
     keyframes: Sequence[int]  # numbers of the chunks with its keyframes
     looks: Sequence[int]  # numbers of the chunks with queries that updated its robots' beliefs
 
     @property
     def title(self) -> str:
-        """Its title; see :func:`title`."""
+        """Title of the world; see :func:`title`."""
         return title(self.world, self.number)
 
     def has(self, step: int) -> bool:
@@ -69,9 +70,10 @@ def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
     chunks_of: dict[Owner, _Lists] = {}
     shared = chunks.share_worlds()
     last_number: dict[str, int] = {}  # number of the latest lifetime by name of the world
-    lists_by_channels: dict[bytes, list[list[int]]] = {}  # that a chunk belongs to, by ids of its channels
+    lists_by_channels: dict[bytes, list[list[int]]] = {}  # lists to which a chunk belongs, by the ids of its channels
     for number, channels in enumerate(chunks.channel_maps()):
-        ids = b"" if channels is None else channels[::10] + channels[1::10]  # low bytes, then high bytes
+        # the low bytes of all ids, then the high bytes
+        ids = b"" if channels is None else channels[::10] + channels[1::10]
         lists = lists_by_channels.get(ids)
         if lists is None:
             kinds = [each for each in chunks.channels(number) if each[0] in (Mutation, Keyframe, Query)]
@@ -86,11 +88,11 @@ def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
                 lists_by_channels[ids] = lists
         for numbers in lists:
             numbers.append(number)
-    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # all changes of the others are lost
+    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # all changes of the other worlds are lost
 
 
 def _owner(record: Record, channel_owner: Owner | None, last_number: dict[str, int]) -> Owner:
-    """Return the lifetime of a record: that of its channel if it is known, else by counting openings."""
+    """Return the lifetime of a record: its channel's lifetime if known; otherwise the openings are counted."""
     lifetime = channel_owner[1] if channel_owner is not None else last_number.get(record.world, 0)
     if not lifetime or (channel_owner is None and _opens(record)):
         lifetime += 1
@@ -125,7 +127,7 @@ def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[
 
 def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
     """Return the first steps of lifetimes; 0 if the step isn't needed, to avoid reading."""
-    beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # by chunk
+    beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # lifetimes that begin in each chunk
     for owner, (changes, *_) in chunks_of.items():
         beginning[changes[0]].append(owner)
     starts = dict.fromkeys(chunks_of, 0)

@@ -25,20 +25,22 @@ if TYPE_CHECKING:
     from recorder.records import Record
 
 
-MAGIC: Final = b"\x89MCAP0\r\n"  # the first bytes, and the last
+MAGIC: Final = b"\x89MCAP0\r\n"  # the first and the last bytes of a file
 HEADER: Final = 9  # bytes of opcode and length before each MCAP record
-LENGTH: Final = struct.Struct("<BQ")  # opcode and length
+LENGTH: Final = struct.Struct("<BQ")  # the fields opcode and length
 DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
 FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
-CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
-_INDEX_LENGTH: Final = struct.Struct("<QI")  # bytes of the message indexes; of the compression's name that follows
+CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # the fields start, end, offset, length, and bytes of the following map
+#: Bytes of the message indexes, and of the following name of the compression.
+_INDEX_LENGTH: Final = struct.Struct("<QI")
 _CHUNK: Final = int(Opcode.CHUNK)
 _MESSAGE_INDEX: Final = HEADER + 6  # bytes of a channel's message index before its entries
-_ENTRY: Final = 16  # bytes of a message's entry
+_ENTRY: Final = 16  # bytes of the entry of a message
 _MAP_LENGTH: Final = struct.Struct("<I")
-CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
-MAX_INFLATED: Final = 64 << 20  # bytes of a decompressed chunk; recorders close chunks at about 1 MiB
+#: The fields start, end, size, crc, and length of the following name of the compression.
+CHUNK_HEAD: Final = struct.Struct("<QQQII")
+MAX_INFLATED: Final = 64 << 20  # largest number of bytes of a decompressed chunk; recorders close chunks at about 1 MiB
 #: Errors that libraries raise when they decode a damaged file.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
 #: Errors of a damaged chunk: also those of Zstandard, and of LZ4, which are RuntimeErrors.
@@ -53,7 +55,7 @@ class Extent(NamedTuple):
 
     @property
     def stop(self) -> int:
-        """The offset after it."""
+        """The offset after the content."""
         return self.offset + self.length
 
 
@@ -77,8 +79,8 @@ class ChunkExtent(NamedTuple):
 class StatedChunk(NamedTuple):
     """An entry for a chunk in the index at a file's end."""
 
-    offset: int  # of its opcode
-    length: int  # in bytes, with opcode and length
+    offset: int  # offset of its opcode
+    length: int  # number of bytes, including opcode and length
     head: bytes  # its first bytes, from its opcode up to its CRC
     tail: bytes  # the bytes from its CRC to its data
     messages: int | None  # number of messages; None if unknown
@@ -89,7 +91,7 @@ class ChunkTable:
 
     def __init__(self) -> None:
         self._summary = b""
-        self._items: list[int | ChunkExtent] = []  # an int is the offset in the summary
+        self._items: list[int | ChunkExtent] = []  # the chunks; an int is the offset of an entry in the summary
 
     def take_summary(self, summary: bytes, starts: Iterable[int]) -> None:
         """Set the chunks of a file's summary."""
@@ -164,14 +166,15 @@ def framed(contents: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def describe(error: Exception) -> str:
-    """Return an error's message, or its type's name if it has none."""
+    """Return an error's message, or the name of its type if it has no message."""
     return str(error) or type(error).__name__
 
 
 class Decompressor:
-    """Decompresses chunks, one after another; not for several threads.
+    """Decompresses chunks, one after another; only for a single thread.
 
-    A chunk never takes more memory than its head states, and that is bounded: a few kB could inflate to GB.
+    A chunk never takes more memory than its header states, and the stated size is bounded: a few kB could inflate to
+    GB.
     """
 
     def __init__(self) -> None:
@@ -185,20 +188,20 @@ class Decompressor:
         """
         _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
         if size > MAX_INFLATED:
-            raise ValueError(f"it has {size} bytes by its head; the maximum is {MAX_INFLATED}")
+            raise ValueError(f"its header states {size} bytes; the maximum is {MAX_INFLATED}")
         start = CHUNK_HEAD.size + length
         end = start + 8 + int.from_bytes(chunk[start : start + 8], "little")
         data = self._inflated(bytes(chunk[CHUNK_HEAD.size : start]), chunk[start + 8 : end], size)
         if len(data) != size:
-            raise ValueError(f"it has {len(data)} bytes, by its head {size}")
+            raise ValueError(f"it has {len(data)} bytes, but its header states {size}")
         if crc and zlib.crc32(data) != crc:
             raise ValueError("its checksum differs")
         return data
 
     def _inflated(self, compression: bytes, data: memoryview, size: int) -> bytes:
-        if compression == b"zstd":  # PyCRAM's; other recorders use others
+        if compression == b"zstd":  # the compression of PyCRAM; other recorders use others
             if frame_content_size(data) > size:
-                raise ValueError(f"it inflates to {frame_content_size(data)} bytes, by its head to {size}")
+                raise ValueError(f"it inflates to {frame_content_size(data)} bytes, but its header states {size}")
             return self._zstd.decompress(data, max_output_size=size)
         if compression == b"lz4":
             from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415  seldom needed
@@ -213,8 +216,8 @@ class Decompressor:
 MAX_PARTS: Final = 1 << 19
 """Maximum number of messages within a record; eight texts count as one."""
 UNCOUNTED: Final = 2 * MAX_PARTS
-"""Payloads of up to so many bytes can't have more parts."""
-_TEXTS: Final = 8  # texts that take as much memory as an empty message
+"""A payload with at most this number of bytes can't have too many parts."""
+_TEXTS: Final = 8  # number of texts that take as much memory as an empty message
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 
 
@@ -233,7 +236,7 @@ def decode(kind: type[Record], payload: bytes) -> Record:
 
 
 @cache
-def _within(descriptor: Any) -> dict[int, Any]:  # protobuf's two runtimes have two types for it
+def _within(descriptor: Any) -> dict[int, Any]:  # each of protobuf's two runtimes has its own type of descriptors
     """Return the message types of a message's fields, by field number."""
     return {field.number: field.message_type for field in descriptor.fields if field.message_type is not None}
 
@@ -263,7 +266,7 @@ def _weigh(descriptor: Any, data: bytes, at: int, end: int) -> int:
         elif wire in (_FIXED64, _FIXED32):
             at += 8 if wire == _FIXED64 else 4
         else:
-            raise DecodeError(f"a field is of wire type {wire}")
+            raise DecodeError(f"a field has the unknown wire type {wire}")
     return weight
 
 

@@ -1,8 +1,8 @@
 """A recording: its records by step, also of a file whose process was killed, or that a recorder is writing.
 
 Every question reads only a few chunks, however long the recording is; see :mod:`replay.file.index` and
-:mod:`replay.file.chunks`. In a recording of a newer release, unknown fields are ignored; only the envelope is read of
-records of unknown kinds.
+:mod:`replay.file.chunks`. In a recording of a newer release, unknown fields are ignored. If the kind of a record is
+unknown, only the record's envelope is read.
 """
 
 from __future__ import annotations
@@ -60,16 +60,16 @@ __all__ = ["KINDS", "RecordReader"]
 
 R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output)
 
-_MIN_MAGIC: Final = len(MAGIC) - 2  # minimum number of right bytes: a damaged file may have wrong ones
+_MIN_MAGIC: Final = len(MAGIC) - 2  # smallest number of correct bytes: a few bytes of a damaged file may be wrong
 _NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # a pipe would wait for a writer
-_MAX_NAMES: Final = 4  # in a message
-_FIRST: Final = [0, 1, 0]  # the first release: its recordings are never newer
-_MAX_DIGITS: Final = 9  # of a valid number
+_MAX_NAMES: Final = 4  # largest number of names in a message
+_FIRST: Final = [0, 1, 0]  # the first release, whose recordings are never newer
+_MAX_DIGITS: Final = 9  # largest number of digits of a valid number
 _RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
 
 
 class RecordReader:
-    """The records of a recording. Not for several threads."""
+    """The records of a recording; only for a single thread."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -85,7 +85,8 @@ class RecordReader:
             undoing.pop_all()
         self.assets = Assets(self.path, self._index)  # the attached files by ``<sha256>/<file name>``
         self.lost_before = lost_before(self._index)  # steps that were lost before the file was repaired
-        self._gaps: list[range] = []  # lost steps, and the numbers of damaged chunks and of steps when they were found
+        # the lost steps; and the numbers of damaged chunks and of steps when the lost steps were searched
+        self._gaps: list[range] = []
         self._gaps_of = (-1, -1)
 
     def __enter__(self) -> Self:
@@ -108,7 +109,7 @@ class RecordReader:
         self._index.close()
 
     def after_fork(self) -> None:
-        """Reopen the file in a forked child, which else shares the parent's file position."""
+        """Reopen the file in a forked child; otherwise the child would share the parent's file position."""
         self.assets.close()
         descriptor = self._file.fileno()
         own = os.open(self.path, os.O_RDONLY)
@@ -129,7 +130,7 @@ class RecordReader:
 
     @property
     def closed(self) -> bool:
-        """Whether the recorder closed the file: it won't grow."""
+        """Whether the recorder closed the file, so that it won't grow."""
         return self._index.closed
 
     @property
@@ -184,7 +185,7 @@ class RecordReader:
 
     @property
     def format(self) -> int:
-        """The format of the recording, 0 if it is unknown; see :mod:`recorder.records.definition_new`."""
+        """The format of the recording, or 0 if the format is unknown; see :mod:`recorder.records.definition_new`."""
         return format_of(self._index)
 
     @cached_property
@@ -230,7 +231,7 @@ class RecordReader:
     @overload
     def records(self, kind: Kinds | str | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]: ...
     def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
-        """Stream the records of one or several types from ``start`` to before ``stop``; no others are decoded.
+        """Stream the records of one or several types from ``start`` to before ``stop``; other records aren't decoded.
 
         A type may also be a name, as "query".
 
@@ -259,7 +260,7 @@ class RecordReader:
     @overload
     def backwards(self, start: int = -1, kind: Kinds | None = None, *, naming: str = "") -> Iterator[Record]: ...
     def backwards(self, start: int = -1, kind: Any = None, *, naming: str = "") -> Iterator[Any]:
-        """Stream records from a step (negative steps count from the end) down to the first.
+        """Stream records from a step (negative steps count from the end) down to the first record.
 
         Only records of one or several types with a text in one of their fields are decoded.
         """
@@ -270,7 +271,7 @@ class RecordReader:
                     yield record
 
     def lifetime_at(self, world: str, step: int) -> Lifetime | None:
-        """Return the world that has a name at a step, or the first world that gets it later; None without either."""
+        """Return the world with a name at a step, else the first later world with that name; None without any."""
         return next((lifetime for lifetime in self.lifetimes if lifetime.world == world and lifetime.has(step)), None)
 
     @overload
@@ -285,7 +286,7 @@ class RecordReader:
                     yield record
 
     def chunk_of(self, step: int) -> int:
-        """Return the number of the chunk that has a step, unless the step is lost."""
+        """Return the number of the chunk that contains a step; None if the step is lost."""
         return self._chunks.chunk_of(step, self._steps)
 
     def end_of(self, lifetime: Lifetime) -> Record | None:
@@ -310,12 +311,12 @@ class RecordReader:
         """Read everything once, and return :attr:`problems`."""
         last = -1
         for number in range(len(self._chunks)):
-            for record in self._chunks.records(number):  # notes damage
+            for record in self._chunks.records(number):  # reading the records notes all damage
                 if not last < record.seq < self._steps:
                     self._chunks.misplaced(number, record)
                 last = record.seq
         for name in self.assets:
-            with contextlib.suppress(Damaged):  # noted in assets.damaged
+            with contextlib.suppress(Damaged):  # assets.damaged notes the damage
                 _ = self.assets[name]
         if not self.damage:
             self._index.check()
@@ -326,7 +327,7 @@ class RecordReader:
         intact = self._index.whole or (not self._index.closed and not self._index.damage)
         if intact and not self._chunks.damaged and not self._lost:
             return []
-        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # each state of a damaged recording needs them
+        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # each state of a damaged recording asks for them
             self._gaps.clear()
             expected = 0
             for record in self.records():
@@ -351,7 +352,9 @@ class RecordReader:
         if cause := self.assets.missing(look=True):
             raise MissingModels(self.path, cause)
         if problems := self.check():
-            raise ReplayError(f"{self.path}: it isn't sound ({problems}); use repair, which packs the readable part")
+            raise ReplayError(
+                f"{self.path}: the recording isn't sound ({problems}); use repair, which packs the readable part"
+            )
         write_sound(file, self._index, self._chunks, self.assets, None, [])
 
     def missing(self) -> list[range]:
@@ -370,7 +373,7 @@ class RecordReader:
         return True
 
     def _count(self) -> int:
-        """Return the number of steps: one more than the number of the last one."""
+        """Return the number of steps, which is one more than the number of the last step."""
         for number in range(len(self._chunks) - 1, -1, -1):
             last = next(self._chunks.records(number, backwards=True), None)
             if last is not None:
@@ -383,8 +386,8 @@ def open_file(path: Path) -> BinaryIO:
     """Open a file that is an MCAP file by its first bytes, even if a few are damaged.
 
     Raises:
-        NotALog: the file doesn't exist, or is no MCAP file.
-        Unreadable: the file is empty, or cut off within these bytes.
+        NotALog: the file doesn't exist, or isn't an MCAP file.
+        Unreadable: the file is empty, or is cut off within its first bytes.
     """
     try:
         with contextlib.ExitStack() as undoing:
@@ -399,14 +402,14 @@ def open_file(path: Path) -> BinaryIO:
 
 def _check_start(path: Path, file: BinaryIO) -> None:
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        raise NotALog(path, "is no regular file; reading needs random access: write the recording to a file first")
+        raise NotALog(path, "isn't a regular file; reading needs random access: write the recording to a file first")
     start = file.read(len(MAGIC))
     if len(start) < len(MAGIC) and MAGIC.startswith(start):
         raise Unreadable(path, "is cut off within its first bytes" if start else "is empty")
     matching = sum(a == b for a, b in zip(start, MAGIC, strict=False))
     file.seek(-min(len(start), len(MAGIC)), os.SEEK_END)
     if matching < _MIN_MAGIC and file.read() != MAGIC:
-        raise NotALog(path, "is no MCAP file")
+        raise NotALog(path, "isn't an MCAP file")
 
 
 def check_ours(path: Path, index: Index) -> None:
@@ -420,11 +423,13 @@ def check_ours(path: Path, index: Index) -> None:
         return
     names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
     if names:
-        raise Unreadable(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
+        raise Unreadable(
+            path, f"was recorded by a release ({names[0]}) whose recordings this release can't read; use that release"
+        )
     if index.library == MODELS_LIBRARY:
-        raise NotALog(path, "has the models that recordings of a sweep share; it is no recording")
+        raise NotALog(path, "contains the models that recordings of a sweep share; it isn't a recording")
     if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
-        raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
+        raise NotALog(path, "is an MCAP file, but not a recording of PyCRAM")
     raise Unreadable(path, "has no record that can be read")
 
 
@@ -436,7 +441,7 @@ def is_locked(file: BinaryIO) -> bool:
         fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except OSError:  # a file system without locks
+    except OSError:  # the file system has no locks
         return False
     fcntl.flock(file.fileno(), fcntl.LOCK_UN)
     return False
@@ -446,13 +451,13 @@ def is_locked(file: BinaryIO) -> bool:
 class Newer:
     """A newer release that wrote a recording."""
 
-    release: str  # its version
+    release: str  # version of the release
     format: int  # its format; see :mod:`recorder.records.definition_new`
     fields: tuple[str, ...]  # unknown fields of known messages, and values of enums, as ``Mutation.force``
     kinds: tuple[str, ...]  # unknown kinds of records
 
     def __str__(self) -> str:
-        text = f"written by PyCRAM {self.release or 'of an unknown version'}, which is newer than this one"
+        text = f"written by PyCRAM {self.release or 'of an unknown version'}, which is newer than this release"
         if self.fields:
             be = "is" if len(self.fields) == 1 else "are"
             text += f"; {_counted(self.fields, 'field')} unknown here {be} ignored {_listed(self.fields)}"
@@ -477,7 +482,7 @@ def format_of(index: Index) -> int:
 
 
 def newer_of(index: Index) -> Newer | None:
-    """Return the release that wrote a file, if it is newer than this one by its format or its version."""
+    """Return the release that wrote a file, if its format or version is newer than this release's."""
     number = format_of(index)
     release = index.metadata.get("pycram", {}).get("pycram", "")
     if number <= format_number() and not _is_later(release):
@@ -492,7 +497,7 @@ def newer_of(index: Index) -> Newer | None:
 
 
 def _is_later(release: str) -> bool:
-    """Return whether a release is later than this one, as far as known."""
+    """Return whether a release is known to be later than this release."""
     other = _RELEASE.match(release)
     if other is None or _numbers(other) <= _FIRST:
         return False

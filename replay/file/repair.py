@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 
 _METADATA: Final = "pycram.repair"
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log and publish time
-_MOST_MESSAGES: Final = 10_000  # of a chunk of the copy
+_MOST_MESSAGES: Final = 10_000  # largest number of messages in a chunk of the copy
 _RANGES: Final = re.compile(r"\d{1,18}(-\d{1,18})?(, \d{1,18}(-\d{1,18})?)*")
-_MAX_TEXT: Final = 1 << 16  # characters of the list of lost steps
+_MAX_TEXT: Final = 1 << 16  # largest number of characters of the list of lost steps
 
 
 @dataclass(frozen=True, slots=True)
 class Losses:
     """The losses of a repaired copy."""
 
-    problems: str  # of the original, in words
-    steps: tuple[range, ...]  # ranges of lost steps, as far as known
+    problems: str  # problems of the original, in words
+    steps: tuple[range, ...]  # ranges of lost steps that are known
     records: int  # number of kept records
     chunks: Mapping[int, str]  # causes of damage of lost chunks, by their number in the original
     messages: int  # number of unreadable messages in other chunks
@@ -52,7 +52,7 @@ def write_sound(
 ) -> Losses:
     """Write a sound copy of the readable part into an empty file, with the models that the original shares with others.
 
-    The copy lists the original's problems and missing steps. With None for the problems, it is only packed.
+    The copy lists the original's problems and missing steps. If the problems are None, the recording is only packed.
     """
     from recorder.packages import versions  # noqa: PLC0415
 
@@ -68,7 +68,7 @@ def write_sound(
     for name in assets:
         try:
             kept = assets.attachment(name)
-        except Damaged:  # noted in assets.damaged
+        except Damaged:  # assets.damaged notes the damage
             continue
         writer.add_attachment(kept.log_time, name, kept.media_type, kept.data)
     kinds = kinds_of(index)
@@ -85,7 +85,7 @@ def write_sound(
                 kept_messages = [message for message in found if message[0] in ids and _is_sound(message, kinds)]
                 unread += len(found) - len(kept_messages)
                 records += sum(channel in kinds for channel, *_ in kept_messages)
-                kept_messages.sort(key=lambda message: message[2])  # by time; a stable sort
+                kept_messages.sort(key=lambda message: message[2])  # a stable sort by time
                 writer.add_messages([(ids[channel], number, at, data) for channel, number, at, data in kept_messages])
                 writer.flush()
         except struct.error as error:

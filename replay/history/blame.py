@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, State, World
 
 
-#: Smaller changes in simulation are settling: m (or a joint's rad), rad.
+#: Smaller changes in simulation, in m (or rad of a joint) and in rad, mean that an object settles.
 _SETTLING: Final = 5e-3, math.radians(5)
-#: Smaller changes are rounding, m and rad: a turn of the head moves an object in a resting hand by so much.
+#: Smaller changes, in m and rad, are rounding: a turn of the head moves an object in a resting hand by this amount.
 _ROUNDING: Final = 1e-6, 1e-6
 
 
@@ -34,9 +34,10 @@ _ROUNDING: Final = 1e-6, 1e-6
 class Carried:
     """An attachment by which a body moved."""
 
-    held: Attachment  # as it was before the move
-    step: int | None  # of the record that attached it; None: before the recording began
-    causes: CausingTasks | None  # of the attaching record
+    held: Attachment  # the attachment before the move
+    #: Step of the record that attached the body; None: the body was attached before the recording began.
+    step: int | None
+    causes: CausingTasks | None  # causes of the attaching record
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -44,22 +45,22 @@ class Blame:
     """The last change of a body or joint."""
 
     world: str
-    other_worlds: tuple[str, ...]  # other open worlds with a body of that name
-    default_world: str  # the world opened last, if it has no such body; "" otherwise
+    other_worlds: tuple[str, ...]  # other open worlds that contain a body with that name
+    default_world: str  # the last opened world, if it has no such body; "" otherwise
     body: str
-    joint: str  # "": the body's pose changed
+    joint: str  # name of the joint; "": the body's pose changed
     #: "command" (on the body itself), "load", "carried" (by its holder), "along" (with the body that it lies on or in),
     #: "hand" (dragged in the window), "driven" (it followed a trajectory), "physics", "reset", "restored" (a saved
     #: state), "removed", or "before" (the recording began later)
     how: str
-    before: Pose | float | None  # None: it didn't exist
-    after: Pose | float | None  # None: it was removed
-    distance: float  # m; of a revolute joint rad
-    angle: float  # rad; 0 for joints
+    before: Pose | float | None  # value before the change; None: the body didn't exist
+    after: Pose | float | None  # value after the change; None: the body was removed
+    distance: float  # size of the move in m; for a revolute joint in rad
+    angle: float  # size of the turn in rad; 0 for joints
     record: Mutation | Keyframe  # the change; a keyframe if nothing has changed since the recording began
-    causes: CausingTasks  # of the record
-    carried: tuple[Carried, ...]  # the attachments to the commanded body, its own first
-    #: Before a change in simulation: the last change of more than settling. Before a removal: the last change.
+    causes: CausingTasks  # causes of the record
+    carried: tuple[Carried, ...]  # the attachments from the body to the commanded body, the body's own attachment first
+    #: For a change in simulation, the previous change that was more than settling; for a removal, the previous change.
     earlier: Blame | None = None
 
     def __repr__(self) -> str:
@@ -73,7 +74,8 @@ class Blame:
 def blame(log: RecordReader, target: str, at: int | None = None, world: str | None = None) -> Blame:
     """Return the last change of a body, or a joint (``BODY.JOINT``), up to a step.
 
-    By default the step is the last step before worlds were closed, and the world the last opened world with the body.
+    The default step is the last step before worlds were closed; the default world is the last opened world with the
+    body.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -111,7 +113,7 @@ def _default_world(state: State, world: str, requested: str | None) -> str:
 
 
 def _removal(log: RecordReader, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
-    """Return the record that removed a body, or the body with that joint, from a world that is still open.
+    """Return the record that removed a body, or the body with the joint, from a world that is still open.
 
     Raises:
         NoSuchName: there is no such record. If a closed world had the body, the error has a hint.
@@ -131,7 +133,7 @@ def _removal(log: RecordReader, state: State, target: str, world: str | None, er
                 break
             in_closed = some_closed and closed is None and lifetime != opened.get(record.world)
             if in_closed and any(changed.body == body for changed in record.effect.bodies[:]):
-                hint = f"{lifetime.title} had it and was closed later: use --at {record.seq}, or an earlier step"
+                hint = f"{lifetime.title} contained it and was closed later: use --at {record.seq}, or an earlier step"
                 closed = NoSuchName("object", body, error.known, hint)
     if not removals:
         raise (closed or error) from None
@@ -139,7 +141,7 @@ def _removal(log: RecordReader, state: State, target: str, world: str | None, er
 
 
 def _possible_bodies(target: str) -> list[str]:
-    """Return the names of bodies that a target can begin with, longest first: names may have dots."""
+    """Return the names of bodies with which a target can begin, longest first; names may contain dots."""
     return [target, *(target[:at] for at in range(len(target) - 1, 0, -1) if target[at] == ".")]
 
 
@@ -185,7 +187,7 @@ class _Search:
         raise Damaged(self._log.path, f"the last change of {self._body}", "its record was lost")
 
     def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
-        """Return the last earlier record of more than settling, without folding states."""
+        """Return the last earlier record with more than settling; states aren't folded."""
         newer: dict[str, Mutation | Keyframe] = {}
         values: dict[str, Sequence[float]] = {}
         record = last
@@ -229,7 +231,7 @@ class _Search:
                 break
             if record.world != self._world:
                 continue
-            if self._body in record.effect.removed:  # the record of its return is lost
+            if self._body in record.effect.removed:  # the record of the body's return is lost
                 start = record.seq
                 break
             if self._is_loading(record):
@@ -306,7 +308,7 @@ def _in_simulation(record: Mutation, world: World, body: str, joint: str) -> str
 
 
 def _how(record: Mutation, world: World, body: str, joint: str) -> tuple[str, list[Attachment]]:
-    """Return how a command moved a body or joint, and the attachments that carried it; ``world`` is before."""
+    """Return how a command moved a body or joint, and the attachments that carried it; ``world`` is before it."""
     if is_physics(record):
         return _in_simulation(record, world, body, joint), []
     if record.HasField("reset"):

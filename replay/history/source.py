@@ -23,9 +23,9 @@ class Line:
     """A line of the plan."""
 
     file: str  # its path when the plan ran
-    number: int  # from 1
-    function: str = ""  # its function; "" if its source isn't attached
-    text: str = ""  # "" if its source isn't attached
+    number: int  # number of the line, from 1
+    function: str = ""  # name of its function; "" if its source isn't attached
+    text: str = ""  # text of the line; "" if its source isn't attached
 
     def __str__(self) -> str:
         return notebook.place(name_of(self.file), self.number)
@@ -117,7 +117,7 @@ _ROOT: Final = re.compile(
     r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|tracing[/\\]span)"
     r"|pycram[/\\](?:world|motions|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"
     r"|recorder[/\\]span|pycram[/\\](?:process_module|designator|blocks|fluent|objects|bullet_world"
-    r"|bullet_world_reasoning|funnel))\.py$"  # as they were named in release 0.1.0
+    r"|bullet_world_reasoning|funnel))\.py$"  # names of these modules in release 0.1.0
 )
 #: Files that aren't part of a plan.
 _FOREIGN: Final = re.compile(r"^<|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]")
@@ -130,7 +130,7 @@ class ParsedException:
     type: str
     message: str
     lines: tuple[Line, ...]  # the plan's lines that led to it, outermost first
-    own: bool = False  # the last line raised it
+    own: bool = False  # whether the last line raised the exception
 
 
 def parse_traceback(traceback: str, source: PlanSource) -> list[ParsedException]:

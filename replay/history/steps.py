@@ -68,8 +68,9 @@ def moment_of(name: int | str) -> float | None:
 def task_step(log: RecordReader, text: str) -> int:
     """Return the start or the end of a task: ``task:PATH@start`` or ``task:PATH@end``.
 
-    A path is the task's id, or names from the outside in, such as ``par/moving``; outer names may be left out. If
-    several tasks match, ``task:pick-up@end`` is the first, ``task:pick-up#2@end`` the second, and ``#-1`` the last.
+    A path is the task's id, or names from the outermost task inwards, such as ``par/moving``; outer names may be left
+    out. If several tasks match, ``task:pick-up@end`` is the first, ``task:pick-up#2@end`` the second, and ``#-1`` the
+    last.
 
     Raises:
         NoSuchStep: there is no such task, or the task hasn't ended.
@@ -87,14 +88,14 @@ def task_step(log: RecordReader, text: str) -> int:
         raise NoSuchStep(repr(text), len(log), hint)
     step = executions[number - 1 if number > 0 else number][match["end"] == "end"]
     if step is None:
-        raise NoSuchStep(repr(text), len(log), "the recording ends before this task does")
+        raise NoSuchStep(repr(text), len(log), "the recording ends before the end of this task")
     return step
 
 
 def _executions(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
-    """Return start and end of the tasks that match a path, up to that number."""
+    """Return start and end of the tasks that match a path, up to the given number of tasks."""
     searched = tuple(path.strip("/").casefold().split("/"))
-    paths: dict[int, tuple[str, ...]] = {}  # names of running tasks, from the outside in
+    paths: dict[int, tuple[str, ...]] = {}  # names of the tasks on the path, outermost first, by id of the running task
     executions: list[list[int | None]] = []
     running: dict[int, list[int | None]] = {}
     for record in log.records(Task):
@@ -123,12 +124,13 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
         end = log.end_of(lifetime)
         if end is not None and end.sim_step > limit:
             return max(0, _passing(log, lifetime, limit) - 1)
-        if end is not None and end.sim_step == limit:  # its last open step, as a closed world is empty
+        # the last step at which the world is open, as a closed world is empty
+        if end is not None and end.sim_step == limit:
             return end.seq - 1 if closes_world(end) else (lifetime.stop or len(log)) - 1
         ends[lifetime.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
     longest = max(ends, key=lambda title: ends[title])
     raise NoSuchStep(
-        text, len(log), f"no world was simulated for so long; the clock of {longest} ends at {ends[longest]:.3f}s"
+        text, len(log), f"no world was simulated up to this time; the clock of {longest} ends at {ends[longest]:.3f}s"
     )
 
 

@@ -1,4 +1,4 @@
-"""A summary of a recording: plan, times, worlds and outcome. Of a long recording only both ends are read."""
+"""A summary of a recording: plan, times, worlds and outcome. Only the two ends of a long recording are read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from replay.file.record_reader import RecordReader
 
-#: Recordings up to this size, bytes, are checked completely; of larger recordings only both ends are read.
+#: Recordings up to this size (bytes) are read completely; of larger recordings, only the two ends are read.
 MAX_CHECKED: Final = 16 << 20
 
 
@@ -24,7 +24,7 @@ class WorldClock:
     """A world and its clock."""
 
     world: str
-    lifetime: int  # its number, from 1
+    lifetime: int  # number of the world's lifetime, from 1
     seconds: float  # its simulated time at its last change, s
 
 
@@ -34,19 +34,19 @@ class Summary:
 
     plan: str
     started: datetime  # wall-clock time of the first record, UTC
-    seconds: float  # from the first to the last record
-    worlds: tuple[WorldClock, ...]  # in the order of their opening
+    seconds: float  # seconds from the first to the last record
+    worlds: tuple[WorldClock, ...]  # the worlds in the order of their opening
     outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" if its end is damaged
-    failure: str  # of the plan, as "Type: message"; "" without a failure
+    failure: str  # failure of the plan, as "Type: message"; "" without a failure
     #: Names of the plan's own threads that failed while the plan continued, with their failures.
     threads: tuple[tuple[str, str], ...]
     records: int  # number of steps
     counts: Mapping[str, int]  # number of records of each kind
     attachments: int
-    size: int  # of the file, bytes
-    problems: str  # missing or damaged parts, in words; "" without any
+    size: int  # size of the file in bytes
+    problems: str  # missing or damaged parts, in words; "" if there are none
     checked: bool  # whether every part was read
-    metadata: Mapping[str, str]  # of the run
+    metadata: Mapping[str, str]  # metadata of the run
     start: Run | None  # the first record, with the plan's arguments; None if it is lost
 
 
@@ -67,8 +67,8 @@ def summary(log: RecordReader) -> Summary:
     unfinished = "running" if log.live else "lost" if is_lost else "cut off"
     failed = "interrupted" if end is not None and end.failure.type == INTERRUPT else "failed"
     outcome = unfinished if end is None else "succeeded" if end.succeeded else failed
-    elapsed_ns = last.monotonic_ns - first.monotonic_ns  # correct even if the wall clock was set during the run
-    if not last.monotonic_ns:  # an older recording
+    elapsed_ns = last.monotonic_ns - first.monotonic_ns  # correct even if the wall clock was adjusted during the run
+    if not last.monotonic_ns:  # older recordings lack the steady clock
         elapsed_ns = last.wall_time_ns - first.wall_time_ns
     ends = [(lifetime, log.end_of(lifetime)) for lifetime in log.lifetimes]
     steps = [(lifetime, end.sim_step if end is not None else 0) for lifetime, end in ends]

@@ -1,7 +1,7 @@
 """The tasks of a recording: its failures and their root cause, the tasks around a record, and the task tree.
 
-Failures are collected in one pass. To bound memory, only motions and the last task of each kind are kept of successful
-tasks, and only the last tasks of very many.
+Failures are collected in one pass. To bound memory, only motions and the last task of each kind are kept among
+successful tasks; if there are very many tasks, only the last tasks are kept.
 
 The root cause is the failure that explains how a plan ended. ``why``, the step ``failure`` and trees use it:
 
@@ -32,11 +32,12 @@ if TYPE_CHECKING:
     from replay.history.source import Line
 
 
-_RUN_RECORDS: Final = 2  # started and finished, of a run without failed threads
+_RUN_RECORDS: Final = 2  # the records of start and end in a run without failed threads
 #: The exception of an interrupted plan.
 INTERRUPT: Final = "KeyboardInterrupt"
-_UNPACKED: Final = 20_000  # tasks of a tree; each takes about 3 kB, a packed task less than 1 kB
-_MAX_KEPT: Final = 5_000  # failures or motions; a node with its records takes about 3 kB
+#: Number of tasks of a tree that are kept unpacked; each takes about 3 kB, a packed task less than 1 kB.
+_UNPACKED: Final = 20_000
+_MAX_KEPT: Final = 5_000  # largest number of failures or motions; a node with its records takes about 3 kB
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +113,9 @@ class RootCause:
     #: the end of the plan's thread.
     step: int
     task: Node | None  # the task in which it began; None for the plan's own code
-    failure: Failure | None = None  # of the plan or its thread; None if neither failed
+    failure: Failure | None = None  # failure of the plan or its thread; None if neither failed
     thread: str = ""  # name of the failed thread; "" if the plan failed
-    exceptions: tuple[ParsedException, ...] = ()  # from that task to the plan's failure, causes first
+    exceptions: tuple[ParsedException, ...] = ()  # exceptions from that task to the plan's failure, causes first
 
 
 def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, Sampled
 
 
-_WIDTH: Final = 100  # maximum characters of a value
-_MAX_NAMES: Final = 4  # names that are listed
-_MAX_REASONS: Final = 3  # reasons for rejected candidates in a line
+_WIDTH: Final = 100  # largest number of characters of a value
+_MAX_NAMES: Final = 4  # largest number of listed names
+_MAX_REASONS: Final = 3  # largest number of reasons for rejected candidates in a line
 _PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling", "attempt"})
 
 
@@ -130,7 +130,7 @@ def seconds(duration_ns: int) -> str:
 
 def path(file: str) -> str:
     """Return a file's path, relative to the current folder if the folder contains the file."""
-    with suppress(ValueError, OSError):  # the file is in another folder, or the current folder is gone
+    with suppress(ValueError, OSError):  # the file is in another folder, or the current folder was deleted
         return str(PurePath(file).relative_to(Path.cwd()))
     return file
 
@@ -205,7 +205,7 @@ def refused(refusal: Refusal) -> str:
 def handler(started: Task) -> str:
     """Return a handler's call, with the step of its event."""
     event = argument_values(started.parameters).get("event", "")
-    step = f" of step {started.cause}" if started.cause else ""  # 0: the event came before the recording
+    step = f" of step {started.cause}" if started.cause else ""  # the event came before the recording if the cause is 0
     return f"the handler {started.name} of event {event}{step}"
 
 

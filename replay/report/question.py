@@ -2,7 +2,7 @@
 
 A question is one call of a query with names, strings, numbers, lists and keyword arguments. Python's parser reads it,
 but it is never executed. A name is an object, the robot or a frame, depending on the query. The text of a recorded
-query is a question, too, with ``true``, ``false`` and ``null``.
+query, with ``true``, ``false`` and ``null``, is also accepted as a question.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """An identifier without quotes; of a dotted name the last part: ``BulletWorld.robot`` is the robot."""
+    """An identifier without quotes; of a dotted name, only the last part counts: ``BulletWorld.robot`` is the robot."""
 
     text: str
 

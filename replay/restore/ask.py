@@ -1,7 +1,7 @@
 """Asks reasoning queries at any past step, also under changed conditions.
 
 The world of that step is rebuilt unrecorded, objects are moved on request, and the query runs there. Plans call the
-same code: at the step of a plan's query, the answer is the plan's.
+same code, so at the step of a plan's query, the answer equals the plan's answer.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from replay.state.state import State
 
 BELIEVED: Final = "believed"
-"""Asks for a robot's belief, which is on record; ``away`` is the object's distance from the believed position, m."""
+"""Asks for a robot's belief, which is on record; ``away`` is the object's distance in m from the believed position."""
 _BELIEVED_TAKES: Final = ("what", "robot")
 QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
 """Names of the queries that can be asked."""
@@ -113,7 +113,7 @@ def ask(
                 except PycramError as error:
                     raise BadQuestion(f"moving {move.body}", str(error)) from error
             result = _call(restored, call)
-        except NoSuchName as error:  # another world may have an object of this name
+        except NoSuchName as error:  # another world may have an object with this name
             raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
             raise BadQuestion(str(call), str(error)) from error
@@ -123,7 +123,7 @@ def ask(
             LookupError,
             TypeError,
             ValueError,
-        ) as error:  # unchecked arguments
+        ) as error:  # the query didn't check its arguments
             raise BadQuestion(str(call), f"it can't be answered: {format_error(error)}") from error
         answer: bool | list[str | bool]
         if isinstance(result, list):
@@ -143,7 +143,7 @@ def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCal
     """
     record = log[step]
     if not isinstance(record, Query):
-        raise BadQuestion(f"step {step}", "its record is no query that can be asked again; give a question")
+        raise BadQuestion(f"step {step}", "its record isn't a query that can be asked again; give a question")
     if record.name not in QUERIES:
         cause = f"its record is a {record.name}, which isn't a plan's query about a world; give a question"
         raise BadQuestion(f"step {step}", cause)

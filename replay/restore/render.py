@@ -40,11 +40,11 @@ with needed("render"):
     from pycram.vision import Camera, Window, drawable_link
     from replay.restore.recorded_world import description_of, model_of, world_state
 
-_FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, of cameras without one
-_NEAR, _FAR = 0.02, 30.0  # m
+_FIELD_OF_VIEW: Final = math.radians(60)  # horizontal field of view of cameras that don't specify one
+_NEAR, _FAR = 0.02, 30.0  # range of a camera in m
 _OVERSAMPLING: Final = 2  # pixels per side that are averaged to one, for smooth edges
-_MAX_SIDE: Final = 4096  # pixels
-_SURROUNDINGS: Final = 0.7  # m, minimum size of the scene in the picture of a small object
+_MAX_SIDE: Final = 4096  # largest number of pixels per side
+_SURROUNDINGS: Final = 0.7  # smallest size in m of the scene in the picture of a small object
 #: Directions from the target to the viewpoint, in the robot's frame, for each side that can be requested.
 SIDES: Final[dict[str, tuple[Vector, ...]]] = {
     "behind": ((-0.85, 0.0, 0.5), (-0.95, 0.0, 0.2), (-0.6, 0.0, 0.8)),
@@ -61,14 +61,15 @@ _PREFERRED: Final = (
     (0.55, 0.65, 0.55),
     (-0.4, 0.0, 0.9),
 )
-_CLOSER: Final = 0.6  # of the distance, for viewpoints within the walls of a room
-_ENOUGH: Final = 0.7  # share of the pixels: the first viewpoint that shows so many is taken
-_TOO_LITTLE: Final = 0.3  # share of the pixels: if the best viewpoint shows fewer, what hides the target is cut away
-_ROBOT_SHARE: Final = 0.4  # share of a robot's pixels that is enough: its work hides the rest
+_CLOSER: Final = 0.6  # fraction of the distance, for viewpoints within the walls of a room
+_ENOUGH: Final = 0.7  # share of the pixels; the first viewpoint that shows at least this share is taken
+#: Share of the pixels; if the best viewpoint shows less, the links that hide the target are cut away.
+_TOO_LITTLE: Final = 0.3
+_ROBOT_SHARE: Final = 0.4  # share of a robot's pixels that is enough, because its work hides the rest
 _GLANCE: Final = (40, 40)  # pixels of the window around an object
-_MAX_CUTS: Final = 6  # layers of furniture and walls that are cut away
-_ROOM: Final = 1.5  # m: fixed links that are smaller in one direction are furniture, without viewpoints inside
-_CUT_GAP: Final = 0.02  # m between a cut and the visible object
+_MAX_CUTS: Final = 6  # largest number of layers of furniture and walls that are cut away
+_ROOM: Final = 1.5  # in m; fixed links that are smaller in one direction are furniture, which has no viewpoints inside
+_CUT_GAP: Final = 0.02  # in m between a cut and the visible object
 _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for number in range(8)])
 
 
@@ -76,9 +77,9 @@ _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for numb
 class _DrawnBody:
     """A body with the poses of its links in the world."""
 
-    body: Body  # its state
-    frames: Mapping[str, Pose]  # poses of all its links
-    parts: Mapping[str, int]  # numbers of its links that have shapes, in the scene, by name
+    body: Body  # state of the body
+    frames: Mapping[str, Pose]  # poses of all links by name
+    parts: Mapping[str, int]  # numbers, in the scene, of the links with shapes, by name
 
 
 class DrawnWorld:
@@ -253,7 +254,7 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
         about = scene.subjects(why)
         files.append(folder / f"step_{why.step}_side.png")
         scene.picture(target=about).save(files[-1])
-        if about and len(about) > 1:  # closer pictures than the one with the large robot
+        if about and len(about) > 1:  # the whole picture is farther away, because the robot is large
             for name in about[1:]:
                 part = re.sub(r"[^\w.-]", "_", name)  # valid in names of files on any system
                 files.append(folder / f"step_{why.step}_{part}.png")
@@ -301,7 +302,7 @@ class PictureSubject:
     """The objects and links that a picture shows."""
 
     groups: tuple[tuple[int, ...], ...]  # numbers of the parts of each object
-    every: bool  # whether every single one must be visible; else most of them
+    every: bool  # whether every object must be visible; otherwise most objects
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,7 +333,7 @@ def _draw(
 def bounds(parts: Sequence[DrawnLink], subject: PictureSubject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and highest corner of a subject, in m."""
     corners = [parts[number].corners for group in subject.groups for number in group]
-    if not corners:  # without shapes
+    if not corners:  # the subject has no shapes
         return np.zeros(3), np.ones(3)
     return np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
 
@@ -391,7 +392,7 @@ def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject
 
 
 class _Glance:
-    """The visible share of one object, drawn alone and among all others, in the window just around it."""
+    """The visible share of an object: the share of its pixels that remain when all other objects are drawn, too."""
 
     def __init__(self, view: CutawayView, parts: Sequence[DrawnLink], group: tuple[int, ...]) -> None:
         window = _window(view.camera, np.concatenate([parts[number].corners for number in group]))
@@ -399,7 +400,8 @@ class _Glance:
         among = view.draw(parts, window, _GLANCE).bodies
         there = alone.bodies >= 0
         hidden = there & ~np.isin(among, group)
-        self.share = 1.0 - float(hidden.sum() / there.sum()) if there.any() else 0.0  # visible share of its pixels
+        # visible share of the object's pixels
+        self.share = 1.0 - float(hidden.sum() / there.sum()) if there.any() else 0.0
         # numbers of the parts of furniture and walls that hide its other pixels
         self.hiding = frozenset(
             int(number) for number in np.unique(among[hidden]) if number >= 0 and parts[number].fixed
@@ -420,7 +422,7 @@ def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
 
 
 def _cut_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Return the first view that shows enough after cutting fixed links in front of the subject; else the best one."""
+    """Cut fixed links in front of the subject; return the first view that shows enough of it, or the best view."""
     best, most = CutawayView(cameras[0]), -1.0
     for camera in cameras:
         view = CutawayView(camera)

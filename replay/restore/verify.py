@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3
 """Tolerance, in m or rad, of effects on another computer, or with another build of the engine."""
 
-_DIFFERENT: Final = "made again, it has another effect"
-_LATE_TOLERANCE: Final = 1e-6  # m or rad, of changes without physics in a world that continues from a keyframe
-_ENVIRONMENT_KEYS: Final = ("pycram", "pybullet", "machine", "platform")  # the last bits depend on these
+_DIFFERENT: Final = "repeated, the change has another effect"
+_LATE_TOLERANCE: Final = 1e-6  # m or rad; for changes without physics in a world that continues from a keyframe
+_ENVIRONMENT_KEYS: Final = ("pycram", "pybullet", "machine", "platform")  # the last bits of the results depend on these
 
 
 def verify(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:
@@ -68,7 +68,7 @@ class _Verifier(Verifier):
         except (PycramError, ReplayError, ValueError) as error:
             if isinstance(error, Damaged) or isinstance(record, Keyframe) or record.HasField("load_body"):
                 self.damage.append(str(error))
-            return self._problem(record, f"it can't be made again: {error}")
+            return self._problem(record, f"the change can't be repeated: {error}")
         return None
 
     def _repeat(self, record: Mutation) -> Problem | None:
@@ -101,7 +101,7 @@ class _Verifier(Verifier):
 
     def _compare_late(self, record: Mutation) -> Problem | None:
         world = self._reexecution.worlds.get(record.world)
-        if world is None:  # it has ended
+        if world is None:  # the world has ended
             return None
         state = self.integrity.world(record.world)
         if not record.HasField("simulate"):

@@ -50,7 +50,7 @@ def world_at(
     mode: str = "DIRECT",
     moment: float | None = None,
 ) -> BulletWorld:
-    """Return a world as it was after a step, called ``NAME@STEP``; it becomes the current one, and its time stops.
+    """Return a world as it was after a step, called ``NAME@STEP``; it becomes the current world, and its time stops.
 
     By default it is the last opened world. With ``exact``, every change is executed again, so that its future equals
     the original. For a moment within the next record, in s of simulated time, it has the state of the last sample until
@@ -87,7 +87,7 @@ def _suffix(step: int, within: Sampled | None) -> str:
 def temporary_world(
     log: RecordReader, step: int, world: str | None = None, moment: float | None = None
 ) -> Iterator[BulletWorld]:
-    """Yield a past world for a question: it is unrecorded, not the current one, and closed after the block.
+    """Yield a past world for a question: it is unrecorded, isn't the current world, and is closed after the block.
 
     The arguments and errors are those of :func:`world_at`.
     """
@@ -247,7 +247,7 @@ class Reexecution:
             raise NotRestored(record.seq, f"the recording lacks the beginning of {record.world}")
         if command == "simulate":
             steps, at = record.simulate.steps, self.worlds[record.world].sim_step
-            if at + steps != record.sim_step:  # it could last for years
+            if at + steps != record.sim_step:  # a damaged number of steps could take years
                 cause = f"it simulates {steps} steps from step {at} on, and ends at {record.sim_step}"
                 raise Damaged(self._log.path, f"step {record.seq}", cause)
         self._last.record = None
@@ -279,7 +279,7 @@ def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: b
         repeated.open_world.mode = record.open_world.mode  # a window has no effect
     if record.HasField("load_body") and not with_overlaps and not record.load_body.overlaps:
         del repeated.load_body.overlaps[:]
-    if record.simulate.HasField("settled"):  # follows from the states
+    if record.simulate.HasField("settled"):  # the states determine this field
         repeated.simulate.settled = record.simulate.settled
 
 

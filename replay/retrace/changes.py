@@ -54,8 +54,9 @@ _EXPECTED: Final = (
     "OBJECT.position=X,Y,Z (m, or these and a quaternion x,y,z,w), OBJECT.orientation=X,Y,Z,W, OBJECT.color=R,G,B,A, "
     "OBJECT.JOINT=VALUE (rad or m) or FLUENT=VALUE"
 )
-_FLUENT: Final = "fluent:"  # before a fluent's name that looks like an object's part
-_ANY: Final = re.compile(r"([(,])\s*\.\.\.\s*\)$")  # the rest of a query's arguments
+_FLUENT: Final = "fluent:"  # prefix of a fluent's name that looks like an object's part
+#: Matches an ellipsis, which stands for the rest of a query's arguments.
+_ANY: Final = re.compile(r"([(,])\s*\.\.\.\s*\)$")
 _OF_MANY: Final = "Found[Verdict]"
 _OURS: Final = "pycram.reasoning.queries."
 
@@ -85,8 +86,8 @@ class BadChange(ReplayError):
 class Setting:
     """A value for a quantity of an object, or for a fluent."""
 
-    text: str  # as given
-    name: str  # of the object or the fluent
+    text: str  # the setting as given
+    name: str  # name of the object or the fluent
     quantity: str  # "position", "orientation", "color" or a joint of the object; "" for a fluent
     value: Any  # list of numbers for an object; any value for a fluent
 
@@ -118,7 +119,7 @@ class Setting:
         named: dict[Variable, Fluent] = {}
         for each in gc.get_objects():
             if issubclass(type(each), Fluent):  # isinstance() would call proxies
-                expression = getattr(each, "expression", None)  # it may be under construction
+                expression = getattr(each, "expression", None)  # the fluent may be under construction
                 if isinstance(expression, Variable) and not expression.source:
                     named[expression] = each
         found = [each for expression, each in named.items() if expression.text() == self.name]
@@ -223,7 +224,7 @@ def object_of(world: BulletWorld, name: str) -> Object:
 class GivenAnswer:
     """An answer for the next matching query."""
 
-    text: str  # as given
+    text: str  # the answer as given
     query: str  # name of the query
     arguments: Mapping[str, Term]  # required arguments, by their names in records
     answer: Term  # true or false; names of objects; true or false for each target
@@ -343,7 +344,7 @@ class PendingChanges:
         self._process = process()
         self._making = False
         self._done: Callable[[], None] | None = None
-        self.due: list[Change] = []  # changes whose steps have passed, but which aren't made yet
+        self.due: list[Change] = []  # changes whose steps have passed, but which aren't yet made
 
     def passed(self, step: int, done: Callable[[], None]) -> None:
         """Make the changes after a step as soon as possible; then call ``done``."""
@@ -368,7 +369,7 @@ class PendingChanges:
 
     def _try(self) -> bool:
         """Make the due changes, if possible; return whether no other attempt is needed."""
-        if process() != self._process:  # a projection: it ends before the change
+        if process() != self._process:  # a projection ends before the change
             return True
         if is_held():
             world = next((each for each in open_worlds() if each.lock.is_mine), None)
@@ -406,8 +407,8 @@ class AnswerOracle:
         self._takes = taken
         self._refuse = refuse
         self._process = process()
-        self._beside: dict[int, Query] = {}  # more fields for the record of a thread's query, by thread
-        self.taken = 0  # number of recorded answers that were taken
+        self._beside: dict[int, Query] = {}  # further fields for the record of a thread's query, by thread
+        self.taken = 0  # number of recorded answers that were used
         self.given: list[GivenAnswer] = []  # answers for the next matching queries, in order
 
     def __call__(

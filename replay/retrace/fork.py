@@ -33,7 +33,7 @@ class NotForked(ReplayError):
     def __init__(self, step: int, difference: FirstDifference) -> None:
         reads = "".join(f"; {each}" for each in reads_before(difference))
         super().__init__(f"the plan differs before step {step}: at step {difference.step} {difference.text}{reads}")
-        self.step = step  # of the fork
+        self.step = step  # step of the fork
         self.difference = difference
 
 
@@ -41,7 +41,7 @@ class NotForked(ReplayError):
 class Fork:
     """The result of a fork."""
 
-    file: Path  # its recording, with all steps from the plan's start
+    file: Path  # the fork's recording, which has all steps from the plan's start
     step: int  # the last step that both recordings have
     records: int  # number of records
     succeeded: bool  # whether the plan succeeded
@@ -92,7 +92,7 @@ def fork(
         Damaged: steps up to that step are lost.
         ReplayError: the folder of the new recording doesn't exist.
     """
-    log.check()  # losses are known only then
+    log.check()  # all losses are known only after this check
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         raise Damaged(log.path, f"the part before step {step}", f"step {gap.start} is lost; fork before it")
@@ -108,7 +108,7 @@ def fork(
     notes = tuple(process.notes())
     begun()
     with ThreadPoolExecutor() as beside, ExitStack() as undoing:
-        if unchanged is not None:  # else an interrupted block would wait for the thread of the control
+        if unchanged is not None:  # otherwise an interrupted block would wait for the thread of the control run
             undoing.callback(unchanged.stop)
         controlling = None if unchanged is None else beside.submit(compared, unchanged, log)
         try:
@@ -136,7 +136,7 @@ def _changes(
     if seed is not None:
         changes.insert(0, seed_change(step, seed))
     if changes and step == len(log) - 1 and log.closed:
-        raise BadChange(change_text(changes[0]), f"step {step} is the last step; fork at an earlier one")
+        raise BadChange(change_text(changes[0]), f"step {step} is the last step; fork at an earlier step")
     return changes
 
 

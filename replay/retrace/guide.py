@@ -33,7 +33,7 @@ class Guide(NullSink):
     """Compares the records of a run with a recording, up to the first difference or the step ``until``.
 
     Then ``report`` is called with the number of equal records and the first difference or None; it need not return.
-    Recordings of the run's projections are written beside ``path``.
+    Recordings of the run's projections are written into the folder of ``path``.
     """
 
     def __init__(
@@ -51,10 +51,12 @@ class Guide(NullSink):
         self._reading = threading.Lock()
         self._report = report
         self._ended = False
-        self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # of running tasks, recorded and new
-        self._strikes: dict[int, Collection[int]] | None = None  # by the number of the poll; None until needed
+        # call stacks of running tasks, recorded and new
+        self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}
+        # the recorded interruptions by the number of the poll; None until they are needed
+        self._strikes: dict[int, Collection[int]] | None = None
         self.equal = 0  # number of equal records so far
-        self.recorded_ns = 0  # time of the last of them by the recording's clock
+        self.recorded_ns = 0  # time of the last equal record, by the recording's clock
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
         """Compare a record."""
@@ -72,7 +74,7 @@ class Guide(NullSink):
         before, now = _stack(recorded, self._stacks[0]), _stack(record, self._stacks[1])
         fields = differing(recorded, record)
         if fields:
-            failed = isinstance(record, Run) and record.HasField("failure")  # its line may be unknown
+            failed = isinstance(record, Run) and record.HasField("failure")  # the line of a failure may be unknown
             self._end(_difference(recorded, record, fields, now if failed else now or before))
             return
         self.equal += 1
@@ -146,7 +148,7 @@ def _words(record: Record) -> str:
         failed = f": {format_failure(record.failure)}" if record.HasField("failure") else ""
         return f"{record.name} {ended or 'in the queue'}{failed}"
     if isinstance(record, Run) and record.phase == Run.FINISHED:
-        return "its end" if record.succeeded else f"its end by {format_failure(record.failure)}"
+        return "its end" if record.succeeded else f"its end with the failure {format_failure(record.failure)}"
     return text_of(record)[0]
 
 

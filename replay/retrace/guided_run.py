@@ -105,11 +105,11 @@ class GuidedRun:
             if run.by_program != by_program:
                 return None
             named = run.name in (began.name, escaped(Path(plan).stem))
-            same_number = run.number == (began.number or 1)  # older releases have no number
+            same_number = run.number == (began.number or 1)  # older releases recorded no number
             if guided or not (named and same_number):
-                return NullSink()  # another recording of the program
+                return NullSink()  # this is another recording of the program
             guided = True
-            if began.HasField("looks"):  # older releases have none
+            if began.HasField("looks"):  # older releases didn't count the polls
                 guide_strikes(lambda look: self.guide.foreseen(look) if process() == owner else None, began.looks)
             return sink_of(run)
 
@@ -117,7 +117,7 @@ class GuidedRun:
             if by_program:
                 sys.argv = [began.called_as or plan, *arguments]
                 sys.path.insert(0, str(Path(plan).parent.resolve()))
-                with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
+                with contextlib.suppress(BaseException):  # the recording has any exception that this raises
                     _run_program(plan)
             else:
                 seed = int(began.seed) if began.seed.isdecimal() else None
@@ -197,7 +197,7 @@ class _ReportedRun:
         for stream, descriptor in ((sys.__stdout__, _STDOUT), (sys.__stderr__, _STDERR)):
             if stream is not None:
                 stream.flush()
-            os.dup2(self._output, descriptor)  # from here on, the plan's output is new
+            os.dup2(self._output, descriptor)  # from now on, the plan's output is new
 
     def _refuse(self, error: Exception) -> NoReturn:
         self._send(error=str(error) if isinstance(error, PortableError) else format_error(error))

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
 
-_SHOWN: Final = 2000  # last characters of the stderr of a process without a result
+_SHOWN: Final = 2000  # number of shown characters from the end of the stderr of a process without a result
 _STDERR: Final = 2
-_CACHE: Final = "__pycache__"  # its compiled files belong to the files on the disk
+_CACHE: Final = "__pycache__"  # folder of compiled files, which belong to the files on the disk
 
 
 class CantRetrace(ReplayError):
@@ -41,7 +41,7 @@ class CantRetrace(ReplayError):
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)
-        self.cause = cause  # why, and what to do
+        self.cause = cause  # why the plan can't run, and what to do
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Guidance:
     by_program: bool  # whether the plan itself starts the recording
     until: int | None = None  # the last compared step; None to compare all
     take_answers: bool = False  # whether queries get their recorded answers instead of being asked
-    changes: tuple[Change, ...] = ()  # made after their steps
+    changes: tuple[Change, ...] = ()  # changes, each of which is made after its step
     moved: tuple[str, str] | None = None  # the folder with the plan's recorded source, and the plan's own folder
 
     def as_json(self) -> dict[str, object]:
@@ -71,9 +71,9 @@ class Guidance:
 class FirstDifference:
     """The first record that differs."""
 
-    step: int  # in the recording; the number of its steps, if the plan continues after its end
-    text: str  # in words
-    line: str = ""  # FILE:LINE of the plan that made the new record; if the plan ended, of the recorded one
+    step: int  # step in the recording; the recording's number of steps, if the plan continues after the end
+    text: str  # the difference in words
+    line: str = ""  # FILE:LINE of the plan that made the new record; if the plan ended, the line of the recorded record
     callers: tuple[str, ...] = ()  # lines of the plan, innermost first
     #: Recorded and new values that differ, by the path of the field; empty for records of different kinds.
     fields: dict[str, tuple[Plain, Plain]] = field(default_factory=dict)
@@ -112,7 +112,7 @@ class PlanProcess:
         recorded_source: bool = False,
     ) -> None:
         began = log[0]
-        if not hasattr(os, "fork"):  # nor can child processes inherit open files
+        if not hasattr(os, "fork"):  # systems without fork also lack the inheritance of open files
             raise CantRetrace("plans can't be run again on this system: it has no os.fork")
         if not isinstance(began, Run) or not (began.directory or plan):
             raise CantRetrace(f"{log.path}: an older release made it, which didn't record how the plan was run")
@@ -137,7 +137,9 @@ class PlanProcess:
         if any(LEFT_OUT in each.value_json for each in began.parameters):
             raise CantRetrace(f"{log.path}: secret parameters weren't recorded, so the plan can't run again")
         if any(LEFT_OUT in text for text in self._arguments):
-            raise CantRetrace(f"{log.path}: secret arguments weren't recorded; give all with --arguments, last")
+            raise CantRetrace(
+                f"{log.path}: secret arguments weren't recorded; give all of them as the last option, --arguments"
+            )
         self._folder = Path(began.directory) if Path(began.directory).is_dir() else Path.cwd()
         _refuse_unrepeatable(log, until)
         own = last_own_step(log)
@@ -179,7 +181,7 @@ class PlanProcess:
             ReplayError: a change can't be made.
         """
         until = self._until
-        if until is None:  # after its last own step the plan may hang
+        if until is None:  # after its last own step, the plan may hang
             until = self._interrupted_after if self.log.closed else len(self.log) - 1
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
@@ -198,7 +200,7 @@ class PlanProcess:
             self._running = process
             with process, ExitStack() as undoing:
                 undoing.callback(process.kill)
-                if self._stopped:  # before the process started
+                if self._stopped:  # the run was stopped before the process started
                     process.kill()
                 line = results.readline()  # the plan's own processes may keep the pipe open
                 code = process.wait()
@@ -315,7 +317,9 @@ def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
 
 def _recorded_program(log: RecordReader, began: Run) -> Path:
     if not began.program:
-        raise CantRetrace(f"{log.path}: it names no file of a plan, because it was made at a prompt; use --plan")
+        raise CantRetrace(
+            f"{log.path}: the recording names no file of a plan, because it was made at a prompt; use --plan"
+        )
     return Path(began.program)
 
 
@@ -355,7 +359,7 @@ class _RecordedSource:
     def write(self, folder: Path) -> Path:
         """Write the source and links to its other files into a folder; return the plan's file there."""
         name = self.program.parent.name
-        target = folder / (name if name not in ("", "..") else "plan")  # it was run as ../plan.py
+        target = folder / (name if name not in ("", "..") else "plan")  # the plan was run as ../plan.py
         _lay(self.files, self.program.parent, target)
         return target / self.program.name
 

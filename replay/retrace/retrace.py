@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from replay.retrace.plan_process import FirstDifference
 
 
-_MAX_LINES: Final = 3  # named lines of a file
+_MAX_LINES: Final = 3  # largest number of named lines of a file
 _CLOCK, _FILE, _NETWORK = "the clock", "a file", "the network"
 _PROGRAM, _RANDOM, _INPUT = "another program", "random numbers without a seed", "its input"
 
@@ -43,8 +43,8 @@ _READS: Final[Mapping[str, str]] = {
     "input": _INPUT,
     "fileinput": _INPUT,
 }
-_STDIN: Final = "sys.stdin"  # read by a call or a loop
-_METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # of any object
+_STDIN: Final = "sys.stdin"  # a call or a loop reads it
+_METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # methods of any object
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +52,12 @@ class Retracing:
     """The result of retracing a recording."""
 
     plan: Path  # the file that ran
-    steps: int  # of the recording
+    steps: int  # number of steps of the recording
     equal: int  # number of equal records before the first difference
-    difference: FirstDifference | None  # None if all are equal, or all before the recording was cut or damaged
+    #: None if all records are equal, or all records before the recording was cut off or damaged
+    difference: FirstDifference | None
     notes: tuple[str, ...]  # other differences from the recorded conditions: possible causes
-    seconds: float  # duration
+    seconds: float  # duration of the run in s
     taken: int = 0  # number of queries whose answers were taken from the recording, instead of being asked again
 
     @property
@@ -133,7 +134,7 @@ def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
     Newer recordings have the moments of these ends.
     """
     began = log[0]
-    if isinstance(began, Run) and began.HasField("looks"):  # then they guide the run
+    if isinstance(began, Run) and began.HasField("looks"):  # then the recorded moments guide the run
         return
     begun: dict[int, int] = {}
     for record in log.records(Task):

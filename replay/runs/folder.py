@@ -56,7 +56,7 @@ _RUN_FIELD: Final = pa.field(RUN.name, pa.string())
 _MODELS: Final = "models-"  # prefix of files of models that a sweep's recordings share
 _CONTENTS: Final = "contents.json"
 _PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # name of a part; a dot precedes it while it is written
-_BATCH: Final = 200  # recordings whose rows are in memory together
+_BATCH: Final = 200  # largest number of recordings whose rows are in memory together
 _PARTS: Final = 8  # number of small parts that are merged into one
 _SMALL: Final = 2000  # a part with fewer recordings is small
 
@@ -66,7 +66,7 @@ class NotRead(ReplayError):
 
     def __init__(self, path: Path, cause: str) -> None:
         super().__init__(f"{path}: {cause}")
-        self.path = str(path)  # of the folder
+        self.path = str(path)  # path of the folder
         self.cause = cause  # why, and what to do
 
 
@@ -74,7 +74,7 @@ class NotRead(ReplayError):
 class Skipped:
     """A file of the folder that has no rows in the tables."""
 
-    name: str  # of the file
+    name: str  # name of the file
     reason: str
 
 
@@ -116,7 +116,7 @@ class Folder:
 
     def files(self, table: str) -> list[str]:
         """Return the Parquet files of a table."""
-        tables = self.tables.absolute()  # the process may change its directory
+        tables = self.tables.absolute()  # the process may change its working directory
         return [str(tables / part / f"{table}.parquet") for part in sorted(self._contents.parts)]
 
     def recordings(self) -> dict[str, os.stat_result]:
@@ -259,13 +259,13 @@ class Folder:
         try:
             for name, table in tables.items():
                 parquet.write_table(table, partial / f"{name}.parquet", compression="zstd")
-            shutil.rmtree(self.tables / part, ignore_errors=True)  # of an update that was killed
+            shutil.rmtree(self.tables / part, ignore_errors=True)  # remains of an update that was killed
             mask = os.umask(0)
             os.umask(mask)
             partial.chmod(0o777 & ~mask)
             partial.rename(self.tables / part)
         finally:
-            shutil.rmtree(partial, ignore_errors=True)  # if it wasn't renamed
+            shutil.rmtree(partial, ignore_errors=True)  # remains, if the folder wasn't renamed
         return part
 
     # --- locks -------------------------------------------------------------------------------------------------------
@@ -283,7 +283,7 @@ class Folder:
     def _hold(self) -> None:
         """Keep other processes from removing these tables until they are closed."""
         for part in self._contents.parts:
-            with contextlib.suppress(BlockingIOError):  # another process is removing it
+            with contextlib.suppress(BlockingIOError):  # another process is removing the part
                 self._held.enter_context(flocked(self.tables / part, exclusive=False))
 
 
@@ -300,7 +300,7 @@ def empty_tables() -> dict[str, pa.Table]:
 class Contents:
     """The contents of the tables."""
 
-    #: size and time of each recording that was read, with its part; or with the reason why it can't be read
+    #: Size and time of each recording that was read, with its part, or with the reason why it can't be read.
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
     next: int = 1  # number of the next part
 
@@ -331,7 +331,7 @@ class Contents:
         return contents if intact else nothing
 
     def write(self, tables: Path) -> None:
-        """Write them atomically."""
+        """Write the contents atomically."""
         partial = tables / f".{_CONTENTS}.{os.getpid()}"
         content = {"version": VERSION, "next": self.next, "files": self.files}
         try:
@@ -363,7 +363,7 @@ def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
             fcntl.flock(descriptor, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
         except BlockingIOError:
             raise
-        except OSError:  # some network file systems have none
+        except OSError:  # some network file systems have no locks
             pass
         yield
     finally:

@@ -61,8 +61,8 @@ _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|
 _OPTION: Final = re.compile(r"--([A-Za-z][\w-]*)(?:=(.*))?", re.DOTALL)
 _NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 _LIST: Final = re.compile(r"[\[(]#(?:, #)*[\])]")
-_MAX_PATH: Final = 500  # characters: tasks may be nested a thousand deep
-_MAX_NAMED: Final = 3  # objects in a label
+_MAX_PATH: Final = 500  # largest number of characters; tasks may be nested a thousand deep
+_MAX_NAMED: Final = 3  # largest number of objects in a label
 
 
 def write_rows(path: Path) -> None:
@@ -151,8 +151,8 @@ class _Rows:
         self.start: Run | None = None
         self.end: Run | None = None
         self._paths: dict[int, str] = defaultdict(str)
-        self._tasks: dict[int, list[Any]] = {}  # their rows
-        self._failing: set[int] = set()  # tasks that have a failed part
+        self._tasks: dict[int, list[Any]] = {}  # rows of the tasks by id
+        self._failing: set[int] = set()  # ids of the tasks that have a failed part
 
     def add(self, record: Record) -> None:
         """Add the rows of a record."""
@@ -189,7 +189,7 @@ class _Rows:
         first = self.first
         if first is None or record.monotonic_ns:
             return record.monotonic_ns / 1e9
-        return (record.wall_time_ns - first.wall_time_ns) / 1e9  # early recordings
+        return (record.wall_time_ns - first.wall_time_ns) / 1e9  # early recordings lack the steady clock
 
     # --- records -----------------------------------------------------------------------------------------------------
 
@@ -205,7 +205,7 @@ class _Rows:
         if record.phase in (Task.STARTED, Task.ASKED):
             self._begin(record)
             return
-        if record.task not in self._tasks:  # its beginning is lost
+        if record.task not in self._tasks:  # the record of the task's beginning is lost
             self._begin(record)
         if record.phase == Task.LEFT:
             return

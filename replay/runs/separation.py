@@ -43,15 +43,15 @@ _ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "eve
 _STRUCTURE: Final = frozenset({"process-module", "plan", "branch", "block", "cleanup"})
 _AXES: Final = ("x", "y", "z")
 _MAX_SITES: Final = 20_000
-_MAX_MARKS: Final = 60  # events of a run whose order is compared
-_MAX_TEXT: Final = 80  # characters of a value
-_MAX_VALUES: Final = 12  # different texts of a site that are compared one by one
-_CUTS: Final = 16  # maximum number of cuts between ranges of a number
+_MAX_MARKS: Final = 60  # largest number of events of a run whose order is compared
+_MAX_TEXT: Final = 80  # largest number of characters of a value
+_MAX_VALUES: Final = 12  # largest number of different texts of a site that are compared one by one
+_CUTS: Final = 16  # largest number of cuts between ranges of a number
 _LARGE: Final = 0.71  # probability that one number exceeds another (Vargha and Delaney 2000: a large effect)
-_ROUNDS: Final = 1000  # random permutations of the failures
-_LEAST: Final = 200  # permutations, if there are many facts about many runs
+_ROUNDS: Final = 1000  # number of random permutations of the failures
+_LEAST: Final = 200  # number of permutations, if there are many facts about many runs
 _WORK: Final = 2e10  # maximum number of multiplications
-_ROWS: Final = 1000  # facts that are evaluated together
+_ROWS: Final = 1000  # number of facts that are evaluated together
 
 Truth: TypeAlias = NDArray[np.bool_]
 RunNumbers: TypeAlias = NDArray[np.intp]
@@ -63,7 +63,7 @@ class Claim:
 
     fact: Fact  # the first fact; it reflects progress only if all facts do
     also: tuple[str, ...]  # the other facts, in words
-    ochiai: float  # score, 0 to 1
+    ochiai: float  # the score, 0 to 1
     chance: float  # probability of a claim this strong if nothing separates the runs
     failure: str  # name of a failed run of which the fact is true
     success: str  # name of a similar successful run of which the fact is false, or ""
@@ -74,7 +74,7 @@ class Separation:
     """The facts that separate failures from successes."""
 
     cases: tuple[ComparedRun, ...]
-    claims: tuple[Claim, ...]  # the strongest first; those that reflect progress last
+    claims: tuple[Claim, ...]  # the claims, the strongest first; claims that reflect progress come last
     compared: int  # number of compared facts
     explained: int  # number of failed runs of which a claim is true
 
@@ -173,7 +173,7 @@ class Site:
     """A point at which runs may differ."""
 
     kind: str  # "parameter", "pose", "motion", "query", "choice", "event", "order", or one of :data:`PRESENT`
-    name: str  # as "arm at pick-up(spoon)"
+    name: str  # name of the site, such as "arm at pick-up(spoon)"
     #: By the number of the run, its values in order; runs that didn't reach the site are left out.
     values: dict[int, list[Value]] = field(default_factory=lambda: defaultdict(list))
 
@@ -184,7 +184,7 @@ class ComparedRun:
 
     run: str  # name of its file
     failed: bool
-    end: int  # the last step that counts: where its failure began, or the last one of a success
+    end: int  # the last step that counts: where the run's failure began, or the last step of a success
 
 
 def sites(runs: Runs, cases: Sequence[ComparedRun]) -> list[Site]:
@@ -394,8 +394,8 @@ def _simple(value: Plain) -> Iterator[tuple[str, str | float | bool]]:
 class Fact:
     """A statement that is true of some runs and false of others that reached the same site."""
 
-    kind: str  # of its site
-    text: str  # as "arm=right at pick-up(spoon)"
+    kind: str  # kind of the fact's site
+    text: str  # the fact in words, such as "arm=right at pick-up(spoon)"
     site: str  # name of its site
     failed: int  # number of failed runs of which it is true
     failures: int  # number of failed runs that reached the site
@@ -469,7 +469,7 @@ class Compared:
             )
 
     def _how_far(self, row: int, failed: Truth) -> bool:
-        """Return whether failed runs have it only from an index that successes rarely reach, or usually exceed."""
+        """Return whether failed runs have a fact only from an index that successes rarely reach, or usually exceed."""
         if self.site.kind in PRESENT:
             return self.site.kind == "reached"
         values = (self.whole or self.site).values

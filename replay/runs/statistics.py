@@ -26,19 +26,20 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs, Skipped
 
 
-_Z: Final = 1.959963984540054  # of 95 %
-_MAX_VALUES: Final = 8  # values of a parameter that are listed one by one; more numbers are split into quarters
+_Z: Final = 1.959963984540054  # quantile of the normal distribution for a 95 % interval
+#: Largest number of a parameter's values that are listed one by one; more numbers are split into quarters.
+_MAX_VALUES: Final = 8
 _QUARTERS: Final = 4
 _SLOWEST: Final = 10
-_MAX_CAUSES: Final = 10  # printed causes
-_MAX_PAIRS: Final = 3  # printed pairs of runs
+_MAX_CAUSES: Final = 10  # largest number of printed causes
+_MAX_PAIRS: Final = 3  # largest number of printed pairs of runs
 
 
 @dataclass(frozen=True, slots=True)
 class Share:
     """The success rate of some runs."""
 
-    what: str  # which runs, in words
+    what: str  # the runs in words
     succeeded: int
     of: int
 
@@ -57,12 +58,12 @@ class Share:
 class FailureCause:
     """The runs that failed for the same cause."""
 
-    cause: str  # without numbers
+    cause: str  # the cause without numbers
     count: int
-    share: float  # of all failures
+    share: float  # share of all failures
     first: str  # name of the first run
     step: int | None  # step at which the first failure began, if known
-    message: str  # of the first failure
+    message: str  # message of the first failure
     runs: tuple[str, ...]  # names of all runs
     steps: tuple[int | None, ...]  # steps at which their failures began
 
@@ -73,11 +74,11 @@ class Slow:
 
     what: str  # its name and objects
     count: int  # how often it ran
-    total: float  # s in all runs
-    median: float  # s
-    longest: float  # s
-    run: str  # name of the recording with the longest
-    step: int  # of the longest
+    total: float  # total time in s in all runs
+    median: float  # median time in s
+    longest: float  # longest time in s
+    run: str  # name of the recording with the longest time
+    step: int  # step of the longest time
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +93,13 @@ class Statistics:
     success: Share  # successes among the runs that weren't interrupted
     outcomes: tuple[tuple[str, int], ...]  # number of runs by outcome
     parameters: tuple[tuple[str, tuple[Share, ...]], ...]  # success by the values of each parameter with several values
-    causes: tuple[FailureCause, ...]  # of failures, the most frequent first
-    queries: tuple[Slow, ...]  # by total time
-    motions: tuple[Slow, ...]  # by total time
-    tasks: tuple[Slow, ...]  # other tasks, by total time
+    causes: tuple[FailureCause, ...]  # causes of failures, the most frequent first
+    queries: tuple[Slow, ...]  # slow queries, by total time
+    motions: tuple[Slow, ...]  # slow motions, by total time
+    tasks: tuple[Slow, ...]  # other slow tasks, by total time
     seconds: tuple[float, float]  # median and longest duration of a run, s
-    records: int  # of all runs
-    size: int  # of all files, bytes
+    records: int  # number of records in all runs
+    size: int  # number of bytes of all files
 
 
 def plan_of(runs: Runs, name: str | None = None) -> tuple[str, tuple[tuple[str, int], ...]]:

@@ -346,7 +346,7 @@ class Verification:
     problem: Problem | None = None  # the first problem
     damage: str = ""  # damaged or lost parts of the file; the missing end of an unclosed recording is no damage
     incomplete: str = ""  # why it is incomplete: it wasn't closed, or records were lost before its repair
-    unknown: tuple[str, ...] = ()  # worlds whose physics isn't compared after a change by a newer release
+    unknown: tuple[str, ...] = ()  # worlds that a newer release changed, so that their later physics isn't compared
     static: bool = False  # whether nothing was executed again
 
     @property

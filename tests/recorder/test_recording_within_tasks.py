@@ -80,7 +80,7 @@ def test_a_recording_that_is_left_within_tasks_says_so(tmp_path: Path) -> None:
         assert end.succeeded
         cut = log.tree().find(name="cut")[0]
         assert cut.finished is None
-        with pytest.raises(replay.NoSuchStep, match="ends before this task does"):
+        with pytest.raises(replay.NoSuchStep, match="ends before the end of this task"):
             log.step("task:cut@end")
 
 

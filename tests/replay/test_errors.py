@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 ERRORS: tuple[PortableError, ...] = (
     RecordingError("/no/where.mcap", "no such folder", "make it"),
     ReplayError("a picture can't have 0 x 0 pixels"),
-    NotALog("notes.txt", "is no MCAP file"),
+    NotALog("notes.txt", "isn't an MCAP file"),
     Unreadable("run.mcap", "is empty"),
     Damaged("run.mcap", "step 12", "its checksum differs"),
     LogClosed("run.mcap"),

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 _WITH_MOTIONS = ("motion", "process-module")
-HANDLER = "handler"  # kind of tasks that are calls of event handlers
+HANDLER = "handler"  # kind of the tasks that are calls of event handlers
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Cause:
     """A cause of a failure."""
 
     kind: ClassVar[str]
-    steps: tuple[int, ...]  # steps of the records from which it follows, sorted
+    steps: tuple[int, ...]  # steps of the records from which the cause follows, sorted
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Self]:
@@ -72,7 +72,7 @@ class CausingChange:
 
     step: int
     body: str
-    joint: str = ""  # "": the body's pose changed
+    joint: str = ""  # name of the joint; "": the body's pose changed
     #: As in :class:`replay.history.blame.Blame`, or "attached", "detached", "joints", "gravity", or "in-hand" (it was
     #: moved by a command while a hand held it, and is still attached to the hand).
     how: str = ""
@@ -81,14 +81,14 @@ class CausingChange:
     )
     line: Line | None = None  # the plan's line that requested the change
     mover: str = ""  # the moved body, or ``JOINT of BODY``, if the command moved something else
-    distance: float = 0.0  # m, of a revolute joint rad
-    angle: float = 0.0  # rad
+    distance: float = 0.0  # size of the move in m; for a revolute joint in rad
+    angle: float = 0.0  # size of the turn in rad
     handler: Task | None = None  # the start of the handler's call around the change
     by_fork: bool = False  # the fork made the change, not the plan
 
     @property
     def originator(self) -> str:
-        """The originator of the change, and the plan's line."""
+        """The task or handler that made the change, and the plan's line."""
         if self.by_fork:
             return ", by the fork"
         task, handler, by = self.task, self.handler, ""
@@ -127,8 +127,8 @@ class FailureCase:
     failure: Failure  # the exception that was raised
     task: Node | None  # the task in which it began; None: the plan's own code failed outside of all tasks
     failed: Failures  # failed and successful tasks before the failure
-    state: State  # of all worlds at the failure
-    world: World | None  # the world of the failure; None without an open world
+    state: State  # states of all worlds at the failure
+    world: World | None  # the world of the failure; None if no world was open
     exceptions: tuple[ParsedException, ...] = field(
         default=(), repr=False
     )  # the exceptions that led to it, causes first
@@ -203,7 +203,7 @@ class FailureCase:
 
     @cached_property
     def hands(self) -> Mapping[str, str]:
-        """The tool frames of the robot's arms, by the arms' names."""
+        """The tool frames of the robot's arms, by the names of the arms."""
         return hands(self.robot)
 
     @cached_property
@@ -243,7 +243,7 @@ class FailureCase:
         return tuple(found)
 
     def holder(self, body: str, step: int | None = None) -> str:
-        """Return the holder of an object: the name of the robot's arm, or the carrier with its link; "" for none."""
+        """Return the holder of an object: the robot's arm, or the carrier with its link; "" if nothing holds it."""
         state = self.state if step is None else state_at(self.log, step)
         world = state.worlds.get(self.world.name) if self.world is not None else None
         held = world.carrier(body) if world is not None else None
@@ -256,21 +256,21 @@ class FailureCase:
     # --- records -----------------------------------------------------------------------------------------------------
 
     def motions(self, *names: str) -> Iterator[Node]:
-        """Yield this world's motions of some names that ended before the failed motion began, last first."""
+        """Yield this world's motions with some names that ended before the failed motion began, last first."""
         for motion in reversed(self.failed.motions):
             earlier = motion.last_step < self.began and motion is not self.motion
             if earlier and motion.name in names and self.is_here(motion.started):
                 yield motion
 
     def is_here(self, record: Task | Refusal | Mutation) -> bool:
-        """Return whether a record belongs to the world of the failure, not to an earlier world of the same name."""
+        """Return whether a record belongs to the world of the failure, not to an earlier world with the same name."""
         if self.world is None:
             return True
         lifetime = self.log.lifetime_at(record.world, record.seq)
         return (record.world, lifetime.number if lifetime is not None else 0) == (self.world.name, self.world.lifetime)
 
     def blame(self, target: str) -> Blame | None:
-        """Return the last change of a body or a joint (``BODY.JOINT``); None if it isn't on record."""
+        """Return the last change of a body or a joint (``BODY.JOINT``); None if no change is on record."""
         try:
             return blame(self.log, target, self.step, self.world.name if self.world is not None else None)
         except NoSuchName:
@@ -305,7 +305,7 @@ class FailureCase:
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
         handler = next((each for each in tasks if each.kind == HANDLER), None)
         if task is not None and task is handler:
-            stack = because.call_stack or stack  # the handler's line, not the line that fired the event
+            stack = because.call_stack or stack  # the line in the handler, not the line that fired the event
         mover = _mover(record)
         other = mover if mover != body and not joint else ""
         by_fork = isinstance(record, Mutation) and record.by_fork
@@ -315,13 +315,13 @@ class FailureCase:
     # --- lines of the plan -------------------------------------------------------------------------------------------
 
     def line_of(self, record: Task | Mutation | Refusal) -> Line | None:
-        """Return the plan's line that caused a record; None if unknown."""
+        """Return the plan's line that caused a record; None if the line is unknown."""
         return self.line(self.source.call_stack(record))
 
     def line(self, stack: Sequence[Line]) -> Line | None:
         """Return the innermost informative line of a call stack.
 
-        A line is informative if it requested a single motion, or only motions of one name. Lines of general helper
+        A line is informative if it requested a single motion, or only motions with one name. Lines of general helper
         functions request many motions.
         """
         performed = [(line, self._motions_by_line[line.file, line.number]) for line in reversed(stack)]
@@ -356,7 +356,7 @@ class FailureCase:
         return found
 
 
-_SETTLED = 0.02, math.radians(15)  # m, rad; smaller moves in simulation are settling
+_SETTLED = 0.02, math.radians(15)  # m and rad; smaller moves in simulation mean that an object settles
 
 
 def _mover(record: Mutation | Keyframe) -> str:
@@ -396,7 +396,7 @@ def _names_in(data: Mapping[str, Plain]) -> Iterator[str]:
         yield from reasons
 
 
-_FILLING: Final = ("add", "append", "extend", "insert", "setdefault", "update")  # methods of containers
+_FILLING: Final = ("add", "append", "extend", "insert", "setdefault", "update")  # methods that fill containers
 
 
 def _filled_containers(statement: ast.stmt) -> Iterator[str]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
-#: Queries that contradict a failure if they were answered yes; in ``_NOTHING``, if they found nothing.
+#: Queries that contradict a failure: in this table by the answer yes, in ``_NOTHING`` by finding nothing.
 _YES: Final = {
     "Unreachable": _REACH,
     "HandleUnreachable": _REACH,
@@ -36,14 +36,14 @@ _YES: Final = {
     "PlaceFailed": ("stable",),
 }
 _NOTHING: Final = {"Blocked": ("blocking",), "HandleBlocked": ("blocking",), "PerceptionError": ("occluding",)}
-_MOVED: Final = (1e-3, 5e-3)  # m, rad
-_IN_HAND: Final = 0.05  # m; smaller moves are adjustments
-_SEARCHED: Final = 5_000  # records before the failure
+_MOVED: Final = (1e-3, 5e-3)  # in m and rad
+_IN_HAND: Final = 0.05  # in m; smaller moves are adjustments
+_SEARCHED: Final = 5_000  # number of records before the failure that are searched
 _BELIEVED: Final = frozenset(
     ("Blocked", "GraspFailed", "LookingFailed", "ObjectNotFound", "PerceptionError", "PlaceFailed", "Unreachable")
 )
-_AWAY: Final = 0.02  # m; smaller distances are settling
-#: In messages of WorldClosed, also of other releases.
+_AWAY: Final = 0.02  # in m; within a smaller distance, an object only settles
+#: Matches messages of WorldClosed, also from other releases.
 _GONE: Final = re.compile(r": object (.+) (?:is gone|was removed|has been removed|no longer exists)$")
 
 
@@ -52,8 +52,8 @@ class NoLonger(Cause):
     """An answer or a perception on which the plan relied is no longer true."""
 
     kind = "no-longer-true"
-    asked: Query | Node  # the query with the outdated answer, or the successful task
-    changes: tuple[CausingChange, ...]  # after the answer
+    asked: Query | Node  # the query with the outdated answer, or the task whose success is outdated
+    changes: tuple[CausingChange, ...]  # changes after the answer
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoLonger]:
@@ -91,8 +91,8 @@ class Misbelief(Cause):
     body: str
     source: str  # "seen", "told" by the world's state, or "placed", where the robot released it
     learned: int  # the step at which the robot learned it; -1: before the recording
-    position: tuple[float, ...]  # of the belief, m
-    distance: float  # between the belief and the object, m
+    position: tuple[float, ...]  # position in the belief, in m
+    distance: float  # distance in m between the belief and the object
     change: CausingChange | None  # the last change of the object since the belief; None if unknown
 
     @classmethod
@@ -130,7 +130,7 @@ class Gone(Cause):
 
     kind = "removed"
     body: str
-    change: CausingChange  # its removal
+    change: CausingChange  # removal of the object
     loaded: CausingChange | None = None  # the later loading of another object with its name
 
     @classmethod
@@ -263,7 +263,8 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
         yield from _last_change(case, name, step)
     before, after = then.bodies.get(robot), case.world.bodies.get(robot)
     if named and isinstance(asked, Query) and before is not None and after is not None:
-        head = joints_of(after, "head") if asked.name in ("visible", "occluding") else ()  # other queries vary the head
+        # other queries choose postures of the head themselves
+        head = joints_of(after, "head") if asked.name in ("visible", "occluding") else ()
         for joint in (*joints_of(after, "torso"), *head):
             if abs(before.joints.get(joint, 0.0) - after.joints.get(joint, 0.0)) > _MOVED[1]:
                 change = case.blame(f"{robot}.{joint}")
@@ -330,7 +331,7 @@ def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
 
 
 def removal_of(case: FailureCase, name: str, start: int = 0) -> Mutation | None:
-    """Return the last record since a step that removed an object; None without a removal."""
+    """Return the last record, at or after a step, that removed an object; None if the object wasn't removed."""
     for record in case.log.backwards(case.step, Mutation, naming=name):
         if record.seq < start:
             break

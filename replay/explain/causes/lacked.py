@@ -1,8 +1,9 @@
 """A failed motion lacked a precondition: an earlier motion failed, or a request was refused, and the plan continued.
 
 The last motion of the same object, arm or joint that should have established the precondition failed, was cancelled, or
-was skipped as a perception had found nothing. It isn't a cause if a later motion succeeded, or if the object or joint
-changed otherwise. A refused request is a cause until it is fulfilled, or the object or joint changes otherwise.
+was skipped because a perception had found nothing. This isn't a cause if a later motion succeeded, or if the object or
+joint changed in another way. A refused request is a cause until it is fulfilled, or the object or joint changes
+otherwise.
 """
 
 from __future__ import annotations
@@ -35,23 +36,23 @@ if TYPE_CHECKING:
 _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
 _SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
-_NEARER: Final = 0.05  # m
-_IN: Final = 0.03  # m, tolerance of the boxes of a drawer around an object's base
+_NEARER: Final = 0.05  # in m
+_IN: Final = 0.03  # in m; tolerance around the boxes of a drawer for the base of an object
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = (
     "DesignatorError",
     "BadArgument",
 )  # errors due to a None of the plan, in addition to Python's errors
-_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors due to a missing value in a container
+_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors that a missing value in a container causes
 _MAX_ALSO: Final = 3
-_MAX_SETTING: Final = 100  # number of motions that may have filled a list
+_MAX_SETTING: Final = 100  # largest number of motions that may have filled a list
 _GOES_ON: Final = 2000  # number of records that are searched for the plan's next step
 _POSES: Final = ("set_position", "set_orientation", "set_position_and_orientation")
 _JOINTS: Final = ("set_joint_position", "set_joint_positions")
 _SEEN: Final = ("PerceptionError", "LookingFailed")
 _HANDS: Final = ("held", "hand-free")
-_REFUSALS: Final = 200  # number of searched refusals before the failure
+_REFUSALS: Final = 200  # number of refusals before the failure that are searched
 #: Phrases for lacking preconditions.
 _LACKED: Final = {
     "held": "so the {arm} gripper didn't hold {subject}",
@@ -81,7 +82,7 @@ class Swallowed(Cause):
     #: "camera-directed", "result" (of a task, in a variable)
     precondition: str
     subject: str  # the object, joint or variable, or ""
-    arm: str  # or ""
+    arm: str  # name of the arm, or ""
     failed: Node  # the earlier task
     line: Line | None  # the plan's line that requested the task
     went_on: Line | None  # the plan's next line
@@ -141,7 +142,7 @@ class RefusedRequest(Cause):
             if number == _REFUSALS:
                 return
             if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
-                continue  # the failure itself, or the same attempt before
+                continue  # the failure itself, or an earlier refusal of the same attempt
             if not case.is_here(refusal):
                 continue
             for missed in _missing_effects(case, refusal):
@@ -175,7 +176,7 @@ class Lacking:
 
     precondition: str  # as in :class:`Swallowed`
     subject: str  # the object or joint, or ""
-    arm: str  # or ""
+    arm: str  # name of the arm, or ""
     motions: tuple[str, ...]  # names of motions that establish the precondition
     fits: Callable[[Node], bool]  # whether such a motion is about the same object, joint and arm
     owner: str = ""  # the body with the joints, or the robot at the wrong place, or ""
@@ -338,7 +339,7 @@ def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
 
 
 def _at_pose(case: FailureCase) -> Iterator[Lacking]:
-    """Yield that the robot should have been at another place, if that place is nearer to the target."""
+    """Yield a precondition that the robot should have been at another place, if that place is nearer to the target."""
     target = case.data.get("target")
     if isinstance(target, list) and len(target) == 3:
         goal = [float(str(part)) for part in target[:2]]
@@ -404,7 +405,7 @@ def _failed_alternatives(case: FailureCase, lack: Lacking, failed: Node) -> tupl
 def _next_step(
     case: FailureCase, end: int, around: Collection[int], thread: str, stack: Sequence[Line]
 ) -> tuple[int, Line | None]:
-    """Return the plan's first step after a step, and its line; 0 and None if there is none.
+    """Return the plan's first step after a step, and its line; 0 and None if there is no such step.
 
     ``around`` are the ids of the tasks around that step, 0 for the plan itself. ``stack`` is its call stack.
     """
@@ -414,7 +415,7 @@ def _next_step(
         parent = record.parent if isinstance(record, Task) else record.task
         lines = case.source.call_stack(record) if parent in around else ()
         if lines and record.thread == thread:
-            if list(lines) == list(stack):  # the next iteration of a loop
+            if list(lines) == list(stack):  # this is the next iteration of a loop
                 return record.seq, case.line(lines)
             fresh = (line for line, before in zip(lines, stack, strict=False) if line != before)
             return record.seq, next(fresh, lines[min(len(stack), len(lines) - 1)])
@@ -541,7 +542,7 @@ def _missing_effects(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str,
     elif refusal.name in ("attach", "detach"):
         held = "held" if refusal.name == "attach" else "hand-free"
         other = next(objects_in(given.get("other")), "")
-        if case.robot is not None and case.robot.name in (subject, other):  # other attachments don't matter
+        if case.robot is not None and case.robot.name in (subject, other):  # attachments to other bodies don't matter
             yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
     elif is_mistake(case):  # the state of the world doesn't matter
         names = _variables_from(case, case.source.call_stack(refusal)) if _lacks_value(case) else []

@@ -29,7 +29,7 @@ class ObstructingBody(Cause):
 
     kind = "in-the-way"
     body: str
-    link: str  # "" for a body with a single link, or an unknown link
+    link: str  # name of the link; "" for a body with a single link, or an unknown link
     mover: str  # the link or the held object that would have touched it; "" for the camera's view
     change: CausingChange | None  # the change that put the body there; None without a change
 
@@ -70,9 +70,9 @@ class UnreachedTarget(Cause):
     kind = "out-of-reach"
     arm: str
     body: str  # "" for a target that isn't a body
-    distance: float  # from the robot's base to the target on the ground, m
-    miss: float | None  # distance between the nearest reachable posture and the target, m
-    orientation: tuple[float, ...]  # requested orientation of the tool, xyzw; empty for any orientation
+    distance: float  # distance on the ground in m from the robot's base to the target
+    miss: float | None  # distance in m between the nearest reachable posture and the target
+    orientation: tuple[float, ...]  # requested orientation of the tool, xyzw; empty if any orientation was allowed
     changes: tuple[CausingChange, ...]  # the last changes of the robot, its torso and the object
 
     @classmethod

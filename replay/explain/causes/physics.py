@@ -1,4 +1,4 @@
-"""An object fell, tipped or moved in simulation; with the changes of the plan that let it move.
+"""An object fell, tipped or moved in simulation; the cause lists the plan's changes that let the object move.
 
 The motion of an object counts since the plan's last change of the object, or the last success with it, whichever is
 later. If the object wasn't at rest after that change, the change let it move. Otherwise changes near the object since
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
     from replay.state.state import Body, State
 
 
-_MOVED: Final = 0.05  # m; smaller moves are settling
+_MOVED: Final = 0.05  # in m; by smaller moves, an object settles
 _TILTED: Final = math.radians(15)
-_FELL: Final = 0.05  # m
-_PART: Final = 0.3  # share of the whole move after which it counts as begun
-_NEAR: Final = 0.6  # m between the bases of an object and its possible support
-_ABOVE: Final = 0.15  # m on the ground between the bases of stacked objects
-_PUSHED: Final = 0.35  # m from the frame of a link that may push an object
-_QUIET: Final = STEPS_PER_SECOND // 10  # steps without motion after which an object is at rest
+_FELL: Final = 0.05  # in m, downwards
+_PART: Final = 0.3  # fraction of the whole move after which the motion counts as begun
+_NEAR: Final = 0.6  # largest distance in m between the bases of an object and its possible support
+_ABOVE: Final = 0.15  # largest distance in m on the ground between the bases of stacked objects
+_PUSHED: Final = 0.35  # largest distance in m from the frame of a link that may push an object
+_QUIET: Final = STEPS_PER_SECOND // 10  # number of steps without motion after which an object is at rest
 _WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
 _MAX_LETS: Final = 3
-#: Changes of the object by commands; other commands move it.
+#: Verbs for changes of the object by commands; all other commands move the object.
 _HOW: Final = {
     "load_body": "load",
     "detach_body": "detached",
@@ -45,8 +45,8 @@ _HOW: Final = {
     "remove_body": "detached",
     "move_joints": "along",
 }
-_FAST: Final = 0.1  # m/s; lower speeds at a release aren't mentioned
-_SPINNING: Final = 1.0  # rad/s, likewise
+_FAST: Final = 0.1  # in m/s; lower speeds at a release aren't mentioned
+_SPINNING: Final = 1.0  # in rad/s; lower speeds at a release aren't mentioned
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,16 +56,16 @@ class Physics(Cause):
     kind = "physics"
     body: str
     how: str  # "fell", "tipped" or "moved"
-    distance: float  # m
-    fall: float  # m, downwards
-    tilt: float  # rad, increase of its lean
+    distance: float  # size of the move in m
+    fall: float  # size of the move downwards in m
+    tilt: float  # increase of the object's lean in rad
     moved_at: int  # the step of the simulation in which the motion began
     line: Line | None  # the plan's line that simulated
     since: int  # the step of the plan's success or change before the motion
     stood_on: str = ""  # its support, if the support was moved; "" otherwise, or if unknown
     lets: tuple[CausingChange, ...] = ()  # changes that may have let it move; empty if only time passed
-    speed: float | None = None  # m/s at its release; None without a release
-    spin: float | None = None  # rad/s, likewise
+    speed: float | None = None  # speed in m/s at its release; None without a release
+    spin: float | None = None  # angular speed in rad/s at its release; None without a release
     hand: str = ""  # the arm that released it; "" without a release
 
     @classmethod
@@ -190,7 +190,7 @@ class _Fate:
             if record.seq == start:
                 candidates.append(case.change(record, self._name, _HOW.get(record.WhichOneof("command"), "command")))
             elif record.HasField("simulate") and record.simulate.steps >= _QUIET and record not in self.moves:
-                break  # it was at rest after this
+                break  # the object was at rest after this change
             elif record in self.moves and record.simulate.steps >= _QUIET and not self._is_moving(record):
                 break
             else:
@@ -279,7 +279,7 @@ class _Fate:
 
 
 def _shift(before: Pose | None, after: Pose) -> float:
-    """Return the change of a pose, m; a radian counts as 0.1 m."""
+    """Return the size of the change of a pose in m; a radian counts as 0.1 m."""
     if before is None:
         return 0.0
     return math.dist(before[0], after[0]) + 0.1 * geometry.angle(before[1], after[1])

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
 
 _MAX_ANSWERS: Final = 3
-_SEARCHED: Final = 1_000  # changes of fluents
-_RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")  # also after the head of a compound statement
-#: PyCRAM's usage errors: the plan's line has a mistake, also inside a motion.
+_SEARCHED: Final = 1_000  # number of changes of fluents that are searched
+#: The keyword may also follow the head of a compound statement.
+_RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")
+#: PyCRAM's usage errors. They mean that the plan's line has a mistake, even if the error is raised inside a motion.
 USAGE_ERRORS: Final = frozenset(
     (
         "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock",
@@ -43,9 +44,9 @@ class Raised(Cause):
     """The plan's own code raised the failure, or has a mistake that Python or PyCRAM rejected."""
 
     kind = "raised"
-    type: str  # of the exception
+    type: str  # type of the exception
     line: Line  # the plan's line
-    own: bool  # the line is a ``raise`` or ``assert``; False: it has a mistake
+    own: bool  # whether the line is a ``raise`` or ``assert``; otherwise it has a mistake
     task: Node | None  # the branch or other task around the line; None outside of tasks
     #: The answers on which the line may depend: the last queries and waits of the task. Before them the end of its last
     #: motion, if that failed. For a ``whenever``, the last change of its fluents.

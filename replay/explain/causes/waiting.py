@@ -1,4 +1,4 @@
-"""A deadline was missed, or the plan was interrupted: its pending tasks, and possible ends of its waits."""
+"""A deadline was missed, or the plan was interrupted: the pending tasks, and possible ends of the waits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SETTERS: Final = ("set_value", "pulse")
 _SIMULATED_TIME: Final = "simulated"  # the clock of a limit in simulated time
 _MAX_TOOK: Final = 3
 _NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # early releases didn't record the signal
-_MAX_NAMED: Final = 3  # pending tasks that are named
+_MAX_NAMED: Final = 3  # largest number of pending tasks that are named
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +36,8 @@ class Fulfiller:
     """A line or task of the plan that could have made a fluent true."""
 
     line: Line | None  # the line that sets the fluent; None if only a record shows it
-    task: Node | None  # the task that ran the line, or should have
-    step: int | None = None  # of its last record that set the fluent; None without a record
+    task: Node | None  # the task that ran the line, or should have run it
+    step: int | None = None  # step of the task's last record that set the fluent; None without a record
     failed: Node | None = None  # the last failed motion in the task
     refused: Refusal | None = None  # the last refusal in the task
 
@@ -71,7 +71,7 @@ class PendingTask:
     """A task that was pending when its part of the plan was stopped."""
 
     task: Node  # a wait for a fluent, a motion, or another task
-    began: bool  # False: it waited for its turn or for parts of the robot
+    began: bool  # whether the task began; if not, it waited for its turn or for parts of the robot
     line: Line | None  # the plan's line
     values: Mapping[str, Plain] = field(default_factory=dict)  # for a wait: values of its fluents at the stop, by name
     changed: tuple[int, ...] = ()  # for a wait: the last steps that set its fluents
@@ -123,8 +123,8 @@ class SimulatedLine:
     """The simulated time that a line of the plan took."""
 
     line: Line | None
-    seconds: float  # of simulated time
-    steps: tuple[int, ...]  # of the records
+    seconds: float  # simulated time in s
+    steps: tuple[int, ...]  # steps of the records
 
     def __str__(self) -> str:
         at = f"{phrases.place(self.line)} simulated" if self.line is not None else "the plan simulated"
@@ -234,7 +234,7 @@ def _tree(case: FailureCase, stop: int) -> Tree:
 
 
 def _stopped(tree: Tree, root: Node | None = None) -> list[Node]:
-    """Return the innermost tasks that were cancelled or never ended, of a tree or below a task."""
+    """Return the innermost tasks, in a tree or below a task, that were cancelled or never ended."""
     nodes = [node for _, node in (root.walk() if root is not None else tree.walk())]
 
     def is_open(node: Node) -> bool:
@@ -276,7 +276,7 @@ def _values(
 
 
 def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step: int) -> Iterator[Fulfiller]:
-    """Yield the setters of the fluents in the plan's source; without any, the setters on record."""
+    """Yield the setters of the fluents in the plan's source; if it has no setters, yield the setters on record."""
     found = False
     last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
     for name in leaves:
@@ -375,7 +375,7 @@ def _ended(scope: Node) -> Iterator[Node]:
 
 
 def _duration(node: Node, clock: str) -> float:
-    """Return the duration of a task by a clock, s."""
+    """Return the duration of a task by a clock, in s."""
     if clock == _SIMULATED_TIME and node.start is not None and node.end is not None:
         return node.end.sim_seconds - node.start.sim_seconds
     return node.seconds or 0.0

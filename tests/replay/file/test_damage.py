@@ -154,13 +154,13 @@ def test_empty_and_foreign_files_are_reported_as_such(tmp_path: Path, capsys: py
     file.write_bytes(b"\x89MCAP")
     assert "cut off within its first bytes" in complaint(3)
     file.write_bytes(b"hello")
-    assert "is no MCAP file" in complaint()
+    assert "isn't an MCAP file" in complaint()
     with file.open("wb") as stream:
         foreign(stream, "sensor_msgs/Image")
-    assert "no recording of PyCRAM" in complaint()
+    assert "not a recording of PyCRAM" in complaint()
     with file.open("wb") as stream:
         foreign(stream, "pycram.log.v9.Mutation")
-    assert "a release that this one can't read" in complaint(3)
+    assert "whose recordings this release can't read" in complaint(3)
     file.unlink()
     file.mkdir()
     assert "directory" in complaint()

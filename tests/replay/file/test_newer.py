@@ -193,7 +193,7 @@ def test_a_change_of_an_unknown_kind_leaves_its_effect(tmp_path: Path, capsys: p
     assert not verdict.exact
     assert verdict.unknown == ("table",)
     assert main(["verify", str(file)]) == 0
-    assert "table was changed by a feature of a newer release" in capsys.readouterr().out
+    assert "a feature of a newer release changed table" in capsys.readouterr().out
 
 
 def test_statuses_of_the_future_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -153,7 +153,7 @@ def test_nothing_is_overwritten_without_saying_so(
     assert "isn't a recording" in refused(notes, "--overwrite")
     assert "is the recording itself" in refused(damaged, "--overwrite")
     assert main(["repair", str(damaged), "-o", str(other), "--overwrite"]) == 3
-    assert f"{other} existed, and is replaced" in capsys.readouterr().err
+    assert f"{other} already existed; the copy replaces it" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.part"))
     with recorder.record(tmp_path / "running.mcap"):
         assert main(["repair", str(tmp_path / "running.mcap")]) == 3

@@ -220,7 +220,7 @@ def test_blame_hints_at_a_closed_world_that_had_the_body(tmp_path: Path, capsys:
             hall.simulate(0.1)
     assert main(["blame", str(file), "cup"]) == 2
     output = capsys.readouterr().err
-    assert "there is no object 'cup'; lab had it and was closed later: use --at " in output
+    assert "there is no object 'cup'; lab contained it and was closed later: use --at " in output
     assert main(["blame", str(file), "cup", "--at", output.split("--at ")[1].split(",")[0]]) == 0
     assert "cup was moved: by 1.000 m" in capsys.readouterr().out
     assert main(["blame", str(file), "cap"]) == 2

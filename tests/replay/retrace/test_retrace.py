@@ -167,7 +167,7 @@ def test_a_plan_with_a_wrong_syntax_is_told_at_no_line_of_another_file(plan: Pat
     wrong.write_text("import\n")
     difference = retraced(plan.with_suffix(".mcap"), wrong).difference
     assert difference is not None
-    assert "its end by SyntaxError: invalid syntax (wrong.py, line 1) where step 1 has" in difference.text
+    assert "its end with the failure SyntaxError: invalid syntax (wrong.py, line 1) where step 1 has" in difference.text
     assert not difference.line
 
 

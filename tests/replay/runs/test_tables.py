@@ -211,7 +211,7 @@ def test_what_is_no_run_is_named_and_left_out(runs: Path, capsys: pytest.Capture
     assert [each["name"] for each in found["skipped"]] == ["bad.mcap", "notes.mcap"]
     assert sum(found["others"].values()) == 1, "the recording of another plan is counted"
     assert "bad.mcap" in err
-    assert "notes.mcap: is no MCAP file" in err
+    assert "notes.mcap: isn't an MCAP file" in err
 
 
 def test_newer_recordings_links_and_damaged_attachments(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -234,7 +234,7 @@ def test_newer_recordings_links_and_damaged_attachments(runs: Path, capsys: pyte
     reasons = {each["name"]: each["reason"] for each in found["skipped"]}
     assert set(reasons) == {second.name, "dangling.mcap", "loop.mcap", "newer.mcap"}
     assert f"{attached.name} is damaged (its checksum differs)" in reasons[second.name]
-    assert "written by PyCRAM 9.0.0, which is newer than this one" in reasons["newer.mcap"]
+    assert "written by PyCRAM 9.0.0, which is newer than this release" in reasons["newer.mcap"]
 
 
 @pytest.mark.parametrize(
