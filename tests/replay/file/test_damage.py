@@ -166,7 +166,7 @@ def test_empty_and_foreign_files_are_reported_as_such(tmp_path: Path, capsys: py
     assert "directory" in complaint()
     file.rmdir()
     os.mkfifo(file)
-    assert "no regular file" in complaint()
+    assert "isn't a regular file" in complaint()
 
 
 def test_damaged_magic_bytes_lose_no_record(
