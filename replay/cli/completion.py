@@ -2,19 +2,56 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.terminal import files_ending
+from recorder.user_folders import cache_folder
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator
 
     from recorder.records import LoadBody
+    from recorder.terminal import Parser
     from replay.recording import Recording
 
 _LIMIT: Final = 0.1  # s that reading a long recording may take: names that come later aren't offered
+
+
+def add_cached(verb: str, module: str, parser: Parser, add: Callable[[argparse.ArgumentParser], None]) -> None:
+    """Add the arguments of a verb from the cache; importing the verb's module takes longer than completion may."""
+    source, folder = Path(__file__).with_name(f"{module}.py"), cache_folder()
+    file = None if folder is None else folder / f"completion-{verb}.json"
+    key = [str(source), source.stat().st_mtime_ns]
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        found, arguments = json.loads(file.read_text(encoding="utf-8")) if file is not None else (None, ())
+        if found == key:
+            for flags, options in arguments:
+                parser.add_argument(*flags, **options)
+            return
+    before = len(parser._actions)  # noqa: SLF001  argparse has no other list of arguments
+    add(parser)
+    arguments = [_plain(action) for action in parser._actions[before:]]  # noqa: SLF001  as above
+    with contextlib.suppress(OSError):
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(json.dumps([key, arguments]), encoding="utf-8")
+
+
+def _plain(action: argparse.Action) -> tuple[list[str], dict[str, object]]:
+    """Return what completion needs of an argument: its flags, and options for ``add_argument``."""
+    options: dict[str, object] = {"choices": action.choices and [*action.choices], "metavar": action.metavar}
+    if action.nargs == 0:
+        options = {"action": "store_true"}
+    elif action.nargs is not None:
+        options["nargs"] = action.nargs
+    if not action.option_strings:
+        return [action.dest], options
+    return [*action.option_strings], options | {"dest": action.dest}
 
 
 def _names(find: Callable[[Recording], Iterator[str]]) -> Callable[..., list[str]]:

@@ -202,7 +202,7 @@ def _examples(verb: str) -> Iterator[tuple[str, str]]:
 def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
     completers: Mapping[str, Callable[..., list[str]]] = {}
     if completing:
-        from replay.cli.completion import COMPLETERS  # noqa: PLC0415  only shells need them
+        from replay.cli.completion import COMPLETERS, add_cached  # noqa: PLC0415  only shells need them
 
         completers = COMPLETERS
     parser = Parser(
@@ -219,7 +219,9 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         examples = functools.partial(_examples, name)
         verb = verbs.add_parser(name, help=text, description=description, examples=examples, completers=completers)
         verb.add_argument("log", metavar="LOG", help=_LOG_HELP.get(name, "the recording"))
-        if name in arguments:
+        if name in arguments and completing:
+            add_cached(name, _FILES.get(name, name), verb, lambda parser: _verb(parser.prog.split()[-1]).add(parser))
+        elif name in arguments:
             _verb(name).add(verb)
         verb.add_argument("--json", action="store_true", help="print JSON")
     verbs.add_parser(_CHEAT, help="print a cheat sheet: what to type for which question")

@@ -225,6 +225,7 @@ def completions(line: str, folder: Path) -> list[str]:
         "_ARGCOMPLETE_STDOUT_FILENAME": str(file),
         "COMP_LINE": line,
         "COMP_POINT": str(len(line)),
+        "PYCRAM_CACHE": str(folder / ".cache"),
     }
     module = "pycram" if line.startswith("pycram ") else "replay"
     ended = subprocess.run([sys.executable, "-m", module], env=environment, cwd=folder, capture_output=True, check=True)
@@ -262,6 +263,7 @@ def test_shells_complete_verbs_options_files_and_recorded_names(
     (tmp_path / "plan.py").touch()
     (tmp_path / "runs").mkdir()
     found = completions(line, tmp_path)
+    assert sorted(completions(line, tmp_path)) == sorted(found)  # from the cache
     assert set(offered) <= set(found)
     assert not set(others) & set(found)
     assert offered or not found
@@ -290,3 +292,30 @@ def test_the_page_shows_the_help_and_the_cheat_sheet_that_are_printed(
     for command in (["why", "--help"], ["cheat"]):
         assert main(command) == 0
         assert f"\n{capsys.readouterr().out}```" in PAGE
+
+
+# --- progress ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["run", "--explore", "3", "plan.py"], "pycram: 1 of 3 orders"),
+        (["sweep", "plan.py", "--runs", "3", "-j", "1", "-o", "runs"], "pycram: 2 of 3 runs, 0 failed"),
+    ],
+)
+def test_progress_is_printed_in_lines_where_there_is_no_terminal(
+    arguments: list[str], line: str, tmp_path: Path
+) -> None:
+    (tmp_path / "plan.py").touch()
+
+    def messages(period: float) -> list[str]:
+        shutil.rmtree(tmp_path / "runs", ignore_errors=True)
+        program = "import sys, recorder.terminal as t; t.PERIOD = {}; import pycram.cli; sys.exit(pycram.cli.main({}))"
+        command = [sys.executable, "-c", program.format(period, [*arguments])]
+        ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=ENVIRONMENT, check=True)
+        return ended.stderr.splitlines()
+
+    assert line in messages(period=0)
+    assert not [each for each in messages(period=600) if " of 3 " in each]
