@@ -62,8 +62,12 @@ class _Pager(io.TextIOBase):
         self._target: IO[str] = terminal
         self._command = command
         self._held: list[str] | None = []  # None: passed on
+        self._columns = self._lines = 0
         self._process: subprocess.Popen[str] | None = None
-        self._columns, self._lines = shutil.get_terminal_size()
+        with contextlib.suppress(OSError):  # the terminal itself knows best: COLUMNS and LINES may be those of another
+            self._columns, self._lines = os.get_terminal_size(terminal.fileno())
+        if not (self._columns and self._lines):
+            self._columns, self._lines = shutil.get_terminal_size()
 
     def isatty(self) -> bool:
         return True

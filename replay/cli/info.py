@@ -41,7 +41,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         file = shlex.quote(str(log.path))
         verbs = (f"why {file}", f"tree {file}", f"view {file} --at failure")
         if not info.failure:
-            verbs = (f"tree {file}", f"state {file} last", f"view {file}")
+            verbs = (f"tree {file}", f"log {file}", f"view {file}")
         print_text("\n".join(["", "Next", *(f"  pycram-replay {verb}" for verb in verbs), "  pycram-replay cheat"]))
     return 0
 

@@ -168,7 +168,7 @@ def test_without_arguments_the_verbs_are_listed(capsys: pytest.CaptureFixture[st
     assert "run a plan many times" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("file", "verb"), [(FAILED, "why"), (FINE, "state")])
+@pytest.mark.parametrize(("file", "verb"), [(FAILED, "why"), (FINE, "log")])
 def test_a_recording_alone_is_summarised_with_next_steps(
     file: Path, verb: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
