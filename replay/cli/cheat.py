@@ -66,7 +66,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
         ),
         "restore": (
             ("run.mcap failure --shell", "the live world in a Python shell"),
-            ("run.mcap 100 --script test.py", "a script that runs in the world of step 100"),
+            ("run.mcap 100 --script test.py", "a script in the world of step 100"),
         ),
     },
     "Run it again": {
@@ -83,7 +83,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap --at 100 --plan new.py", "continue with an edited plan"),
         ),
         "debug": (
-            ("run.mcap", "a debugger at the failure that steps back"),
+            ("run.mcap", "a debugger that also steps back"),
             ("run.mcap task:pick-up@start", "a debugger at the start of a task"),
         ),
         "resume": (
@@ -97,7 +97,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("runs/ --html report.html", "a report with plots and pictures"),
         ),
         "separate": (
-            ("runs/", "facts that separate failed from successful runs"),
+            ("runs/", "what separates failures from successes"),
             ("runs/ --cause 1", "the same for one cause of failures"),
         ),
         "sql": (
@@ -111,7 +111,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
     },
     "Files": {
         "repair": (
-            ("run.mcap", "copy the readable parts of a damaged recording"),
+            ("run.mcap", "copy the readable parts"),
             ("run.mcap -o sound.mcap", "the same into sound.mcap"),
         ),
         "pack": (

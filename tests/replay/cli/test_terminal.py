@@ -203,7 +203,7 @@ def test_wrong_commands_and_files_get_suggestions(
         return capsys.readouterr().err.splitlines()[-1]
 
     assert told(pycram, "rnu", "x.py").endswith("; did you mean run?")
-    assert told(pycram, "demo", "set_the_tabel").endswith("; did you mean set_the_table?")
+    assert "; did you mean set_the_table" in told(pycram, "demo", "set_the_tabel")
     assert told(pycram, "run", "brekfast.py").endswith("brekfast.py: no such plan; did you mean breakfast.py?")
     assert told(pycram, "describe", "kitchn.urdf").endswith("kitchn.urdf: no such file; did you mean kitchen.urdf?")
     assert told(pycram, "describe", "robots/myrobot.urdf").endswith("; did you mean robots/my_robot.urdf?")
