@@ -88,7 +88,7 @@ def test_verify_does_not_call_it_a_divergence(dragged_log: Path, capsys: pytest.
         with log.world_at(step - 1, exact=True) as world:
             assert world.get_object("milk")
     assert main(["verify", str(dragged_log)]) == 0
-    assert "in lab an object was dragged by hand" in capsys.readouterr().out
+    assert "in lab, somebody dragged an object by hand" in capsys.readouterr().out
 
 
 def test_a_command_after_it_is_still_compared(dragged_log: Path, tmp_path: Path) -> None:
