@@ -54,7 +54,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
     "At a step": {
         "state": (
             ("run.mcap failure", "poses and attachments at the failure"),
-            ("run.mcap 12.5s pr2", "the robot's joints after 12.5 simulated seconds"),
+            ("run.mcap 12.5s pr2", "the robot's joints at 12.5 s"),
         ),
         "ask": (
             ("run.mcap failure", "the query of that step again"),
