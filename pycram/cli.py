@@ -62,7 +62,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
     given, arguments = given[:cut], given[cut + 1 :]  # argparse would parse the plan's options as ours
     given = ["--rerun=spawn" if word == "--rerun" else word for word in given]  # and the plan as the option's value
     if not given:
-        parser.print_help()
+        parser.print_help(sys.stderr)
         return WRONG_USAGE
     if given == ["--version"]:
         print(f"pycram {versions()['pycram']}")

@@ -118,7 +118,7 @@ def _command(arguments: list[str]) -> int:
     if (words := typed_words()) is not None:
         complete(_parser(words[:1], completing=True))
     if not arguments:
-        _parser(()).print_help()
+        _parser(()).print_help(sys.stderr)
         return USAGE
     first, *rest = arguments
     summarised = first not in VERBS and (first.endswith(".mcap") or Path(first).exists())
