@@ -1,4 +1,4 @@
-"""A cache of converted meshes in a folder of the user, shared by all processes.
+"""A cache of converted meshes and of convex hulls in a folder of the user, shared by all processes.
 
 Without it some robots take 1 to 3 s to load each time: COLLADA and OBJ are text, hulls of fine meshes are slow, and
 trimesh alone takes a second to import. An entry is named after the hash of everything that the conversion reads: the
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _WORTH: Final = 50_000  # bytes above which a binary STL takes longer to convert than to look up
 _LARGEST: Final = 1_000_000_000  # bytes of all entries; the least recently used entries are deleted
-_CODE: Final = ("canonical_urdf.py", "mesh.py", "object_urdf.py", "texture.py")
+_CODE: Final = ("canonical_urdf.py", "mesh.py", "object_urdf.py", "shapes.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
 _IMAGE: Final = re.compile(rb"<image\b(?:(?!</image>).)*?<init_from>\s*([^<]+?)\s*</init_from>", re.DOTALL)
 _MATERIALS: Final = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
@@ -55,11 +55,22 @@ def get(
     for name in _textures(file, content):
         if not (file.parent / os.fsdecode(name)).is_file():
             warn_of_missing(file, os.fsdecode(name))
-    needs_library = beside is not None or file.suffix.lower() != ".stl"
-    where = cache_folder() if needs_library or len(content) >= _WORTH else None
+    if beside is None and file.suffix.lower() == ".stl" and len(content) < _WORTH:
+        return convert()
+    textures = [file.parent / os.fsdecode(name) for name in _textures(file, content)]
+    besides = [*_materials(file, content), *(_content(other) for other in (*textures, *(beside or ())))]
+    return kept(kind, (os.fsencode(file.name), content, *besides), convert)
+
+
+def kept(kind: str, sources: Iterable[bytes], convert: Callable[[], Sequence[Piece]]) -> Sequence[Piece]:
+    """Return the pieces that a conversion makes of nothing but the given bytes: from the cache if it has them."""
+    where = cache_folder()
     if where is None:
         return convert()
-    entry = where / f"{_name(kind, file, content, beside or ())}.mesh"
+    digest = sha256(_code())
+    for part in (kind.encode(), *sources):
+        digest.update(b"%d:" % len(part) + part)
+    entry = where / f"{digest.hexdigest()}.mesh"
     with suppress(OSError, ValueError, LookupError, TypeError):  # the entry is missing or damaged
         pieces = _read(entry.read_bytes())
         os.utime(entry)
@@ -68,15 +79,6 @@ def get(
     with suppress(OSError):
         _write(entry, pieces)
     return pieces
-
-
-def _name(kind: str, file: Path, content: bytes, beside: Iterable[Path]) -> str:
-    digest = sha256(_code())
-    textures = [file.parent / os.fsdecode(name) for name in _textures(file, content)]
-    besides = [*_materials(file, content), *(_content(other) for other in (*textures, *beside))]
-    for part in (kind.encode(), os.fsencode(file.name), content, *besides):
-        digest.update(b"%d:" % len(part) + part)
-    return digest.hexdigest()
 
 
 @cache

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from pycram.models.shapes import convex_hull, pieces_of
+from pycram.models.shapes import convex_hulls, distinct, pieces_of
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def _between(edges: Array, low: float, high: float, *, fine: bool) -> Array:
 
 def _apart(values: Array) -> Array:
     """Return sorted values, without values within ``_GAP`` of their predecessor."""
-    ordered = np.unique(values)
+    ordered = distinct(values)
     kept: Array = ordered[np.concatenate([[True], np.diff(ordered) > _GAP])]
     return kept
 
@@ -290,11 +290,13 @@ def _through(planes: Array, starts: NDArray[np.intp], origins: Array, directions
 
 def pieces(path: Path, poses: Mapping[str, Pose]) -> Sequence[Piece]:
     """Return the convex pieces of the model with a canonical URDF, for poses of its links in the root link."""
-    found = []
+    links, every = [], []
     for link, corners in pieces_of(path):
         position, orientation = poses[link]
-        placed = corners @ geometry.to_matrix(orientation).T + position
-        hull = convex_hull(placed)
+        links.append(link)
+        every.append(corners @ geometry.to_matrix(orientation).T + position)
+    found = []
+    for link, placed, hull in zip(links, every, convex_hulls(every), strict=True):
         if hull is None:  # flat: objects don't stand on it safely
             continue
         planes = np.array(sorted(set(map(tuple, hull.planes.round(_SAME_PLANE).tolist()))))

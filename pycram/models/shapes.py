@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar, ov
 
 import numpy as np
 
-from pycram.models import mesh, store
+from pycram.models import conversion_cache, mesh, store
 from pycram.models.warming import notable
 from recorder import geometry
 from recorder.packages import LazyModule, needed
 from recorder.urdf import shapes_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -286,7 +286,8 @@ class Solids:
 def solids_of(path: Path) -> Solids:
     """Return the convex pieces of the model with a canonical URDF."""
     found = list(pieces_of(path))
-    planes = [_planes(corners) for _, corners in found]
+    hulls = convex_hulls([corners for _, corners in found])
+    planes = [_planes(corners, hull) for (_, corners), hull in zip(found, hulls, strict=True)]
     every = np.concatenate(planes) if planes else np.zeros((0, 4))
     return Solids(
         tuple(link for link, _ in found),
@@ -298,16 +299,20 @@ def solids_of(path: Path) -> Solids:
     )
 
 
-def _planes(corners: Array) -> Array:
-    """Return planes (n, 4) of the hull and of the bounding box of corners (m, 3); the box blunts sharp edges."""
+def _planes(corners: Array, hull: Hull | None) -> Array:
+    """Return planes (n, 4) of a hull and of the bounding box of corners (m, 3); the box blunts sharp edges."""
     box = np.column_stack(
         [np.vstack([np.eye(3), -np.eye(3)]), np.concatenate([corners.max(axis=0), -corners.min(axis=0)])]
     )
-    hull = convex_hull(corners)
     if hull is None:  # flat
         return box
-    planes: Array = np.unique(np.vstack([box, hull.planes * [1.0, 1.0, 1.0, -1.0]]).round(_PLANE_DECIMALS), axis=0)
-    return planes
+    return distinct(np.vstack([box, hull.planes * [1.0, 1.0, 1.0, -1.0]]).round(_PLANE_DECIMALS), axis=0)
+
+
+def distinct(values: Array, axis: int | None = None) -> Array:
+    """Return the sorted distinct values; without the counts, NumPy would load its masked arrays."""
+    found: Array = np.unique(values, return_counts=True, axis=axis)[0]
+    return found
 
 
 class Hull(NamedTuple):
@@ -319,21 +324,42 @@ class Hull(NamedTuple):
     with rounding errors."""
 
 
-def convex_hull(corners: Array) -> Hull | None:
-    """Return the convex hull of points (n, 3), m; None if the points are coplanar.
+def convex_hulls(every: Iterable[Array]) -> Sequence[Hull | None]:
+    """Return the convex hulls of sets of points (n, 3), m; None if the points of a set are coplanar.
 
-    Of few points, every choice of three is tried: it spans a side of the hull if no point is in front of it. Of many
-    points SciPy finds the hull; it takes a quarter of a second to load.
+    SciPy finds the hulls of many points. It takes a quarter of a second to load, so they are cached.
     """
-    if _MAX_CHOSEN < len(corners) <= _MAX_CHOSEN * _SHARED:
-        corners = np.unique(corners, axis=0)
-    if len(corners) > _MAX_CHOSEN:
-        spatial = _spatial()
-        try:
-            hull = spatial.ConvexHull(corners)
-        except spatial.QhullError:  # flat
-            return None
-        return Hull(corners[hull.vertices], hull.equations)
+    sets = [
+        distinct(corners, axis=0) if _MAX_CHOSEN < len(corners) <= _MAX_CHOSEN * _SHARED else corners
+        for corners in every
+    ]
+    large = [np.ascontiguousarray(corners) for corners in sets if len(corners) > _MAX_CHOSEN]
+    found = iter(_large_hulls(large) if large else ())
+    return [next(found) if len(corners) > _MAX_CHOSEN else _small_hull(corners) for corners in sets]
+
+
+def _large_hulls(every: Sequence[Array]) -> Iterator[Hull | None]:
+    """Yield the hulls of sets of many points: from the cache, else by SciPy."""
+
+    def find() -> Sequence[tuple[str, bytes, None]]:
+        spatial, found = _spatial(), []
+        for corners in every:
+            try:
+                hull = spatial.ConvexHull(corners)
+                parts: tuple[Array, ...] = corners[hull.vertices], hull.equations
+            except spatial.QhullError:  # flat
+                parts = np.zeros((0, 3)), np.zeros((0, 4))
+            found += [("", np.ascontiguousarray(part).tobytes(), None) for part in parts]
+        return found
+
+    cached = conversion_cache.kept("hulls", (corners.tobytes() for corners in every), find)
+    arrays = iter([np.frombuffer(content) for _, content, _ in cached])
+    for corners, planes in zip(arrays, arrays, strict=True):
+        yield Hull(corners.reshape(-1, 3), planes.reshape(-1, 4)) if len(planes) else None
+
+
+def _small_hull(corners: Array) -> Hull | None:
+    """Return a hull by trying every choice of three points: they span a side if no point is in front of it."""
     first, second, third = corners[_triples(len(corners))]
     u, v = second - first, third - first
     normals = u[:, _NEXT] * v[:, _OTHER] - u[:, _OTHER] * v[:, _NEXT]  # np.cross would take most of the time

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import ConvexHull
 
 from pycram.models import load
 from pycram.models.mesh import stl
-from pycram.models.shapes import convex_hull, piece_bounds, pieces_of, shapes_of
+from pycram.models.shapes import convex_hulls, piece_bounds, pieces_of, shapes_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -102,14 +103,14 @@ def test_hulls_have_the_planes_that_scipy_finds(model: str) -> None:
     every = [corners for _, corners in pieces_of(load.load(model).path)]
     assert every
     for corners in every:
-        hull = convex_hull(corners)
+        (hull,) = convex_hulls([corners])
         assert hull is not None
         assert _distinct(hull.planes) == _distinct(ConvexHull(corners).equations)
 
 
 def test_corners_may_be_repeated_or_inside_the_hull() -> None:
     cube = np.array([(x, y, z) for x in (0.0, 0.1) for y in (0.0, 0.2) for z in (0.0, 0.3)])
-    hull = convex_hull(np.concatenate([cube, cube, [[0.05, 0.1, 0.15], [0.05, 0.1, 0.3]]]))
+    (hull,) = convex_hulls([np.concatenate([cube, cube, [[0.05, 0.1, 0.15], [0.05, 0.1, 0.3]]])])
     assert hull is not None
     assert _distinct(hull.planes) == _distinct(ConvexHull(cube).equations)
 
@@ -117,7 +118,7 @@ def test_corners_may_be_repeated_or_inside_the_hull() -> None:
 @pytest.mark.parametrize("count", [2, 3, 30, 300])
 def test_coplanar_points_have_no_hull(count: int) -> None:
     corners = np.column_stack([np.random.default_rng(0).random((count, 2)), np.full(count, 0.7)])
-    assert convex_hull(corners) is None
+    assert convex_hulls([corners]) == [None]
 
 
 @pytest.mark.slow
@@ -137,6 +138,38 @@ print("scipy" in sys.modules)
     for loaded in (True, False):  # at first the mesh is converted
         ended = subprocess.run([sys.executable, "-c", program], cwd=repo, capture_output=True, text=True, check=True)
         assert ended.stdout == f"43 3\n{loaded}\n"
+
+
+@pytest.mark.slow
+def test_round_meshes_need_scipy_in_the_first_process_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYCRAM_CACHE", str(tmp_path / "cache"))
+    trimesh.creation.icosphere(subdivisions=3, radius=0.1).export(tmp_path / "ball.stl")
+    (tmp_path / "ball.urdf").write_text(URDF.format("collision", '<mesh filename="ball.stl"/>'))
+    program = """
+import sys
+from pycram.bullet_world import BulletWorld, Object
+from pycram.bullet_world_reasoning import blocking
+from pycram.models.shapes import solids_of
+with BulletWorld():
+    robot = Object("ur5", "robot", "ur5.urdf")
+    ball = Object("ball", "ball", sys.argv[1], [0.5, 0.1, 0.3])
+    blocking(ball, robot, next(iter(robot.description.arms.values())).tool_frame)
+    solids = solids_of(ball.model.path)
+print("scipy" in sys.modules, solids.normals.tobytes().hex(), solids.offsets.tobytes().hex())
+"""
+    command = [sys.executable, "-c", program, str(tmp_path / "ball.urdf")]
+
+    def scipy_and_planes() -> list[str]:
+        ended = subprocess.run(command, cwd=Path(__file__).parents[3], capture_output=True, text=True, check=True)
+        return ended.stdout.split()
+
+    loaded, *planes = scipy_and_planes()
+    assert loaded == "True"
+    assert len(planes[1]) == 1286 * 8 * 2
+    assert scipy_and_planes() == ["False", *planes]
+    for entry in (tmp_path / "cache").iterdir():
+        entry.write_bytes(entry.read_bytes()[:-1])
+    assert scipy_and_planes() == ["True", *planes]
 
 
 def _distinct(planes: np.ndarray) -> list[list[float]]:
