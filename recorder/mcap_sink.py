@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import io
 import os
 import re
@@ -27,6 +26,7 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
+from recorder import system
 from recorder.errors import RecordingError
 from recorder.mcap_writer import MAGIC, MODELS_METADATA, McapWriter, SharedModels
 from recorder.packages import versions
@@ -365,7 +365,7 @@ def open_output(path: Path) -> io.FileIO:
     with contextlib.ExitStack() as undoing:
         undoing.callback(file.close)
         try:
-            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            system.lock(file.fileno())
         except BlockingIOError as error:
             raise RecordingError(path, "another recording is writing it", "choose another path") from error
         except OSError as error:
@@ -389,8 +389,8 @@ def _open(path: Path) -> io.FileIO:
     except OSError:
         is_pipe = False
     if not is_pipe:
-        return io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666), "r+")
-    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a blocking open would wait for a reader
+        return io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | system.OPENED, 0o666), "r+")
+    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | system.OPENED)  # a blocking open would wait for a reader
     os.set_blocking(pipe, True)
     return io.FileIO(pipe, "w")
 
@@ -430,8 +430,8 @@ class WatchedFile:
 
     def sync_name(self) -> None:
         """Wait until the folder is on the disk, so that it lists the new file after a power loss."""
-        if self.is_regular:
-            folder = os.open(self._path.parent, os.O_RDONLY | os.O_CLOEXEC)
+        if self.is_regular and hasattr(os, "O_DIRECTORY"):  # Windows doesn't open folders
+            folder = os.open(self._path.parent, os.O_RDONLY | system.OPENED)
             try:
                 os.fsync(folder)
             finally:

@@ -317,4 +317,5 @@ def _leave_to_parent(sink: McapSink | None, log: Journal) -> None:
         if log is not None:
             journal.forget_journal(log)
 
-    os.register_at_fork(after_in_child=forget)
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=forget)

@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from recorder.system import HAS_OWNERS, user
+
 _ROOT: Final = 0  # the superuser can write anywhere
 
 
@@ -31,10 +33,12 @@ def is_own(folder: Path) -> bool:
     """Return whether only this user and the superuser can write into a folder; True for a missing folder."""
     try:
         of = folder.lstat()
-        if stat.S_ISLNK(of.st_mode) and of.st_uid in (os.getuid(), _ROOT):
+        if stat.S_ISLNK(of.st_mode) and of.st_uid in (user(), _ROOT):
             of = folder.stat()
     except FileNotFoundError:
         return True
     except OSError:
         return False
-    return stat.S_ISDIR(of.st_mode) and of.st_uid in (os.getuid(), _ROOT) and not of.st_mode & stat.S_IWOTH
+    if not HAS_OWNERS:  # Windows protects folders of users by other means
+        return stat.S_ISDIR(of.st_mode)
+    return stat.S_ISDIR(of.st_mode) and of.st_uid in (user(), _ROOT) and not of.st_mode & stat.S_IWOTH

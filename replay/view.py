@@ -25,6 +25,7 @@ from rerun.experimental import ViewerClient
 import recorder.viewer
 from recorder.errors import RecordingError
 from recorder.records.values import AssetFile
+from recorder.system import user
 from recorder.user_folders import cache_folder, is_own
 from recorder.viewer.connection import END_TIMEOUT, PORT, Target, ViewerGone, ViewerKind, ViewerWindow, address, answers
 from recorder.viewer.rerun_stream import stream_to_file
@@ -132,7 +133,7 @@ def temporary_file(name: str) -> Path:
     Raises:
         ReplayError: the folder can't be created, or is another user's.
     """
-    folder = Path(tempfile.gettempdir()) / f"pycram-{os.getuid()}"
+    folder = Path(tempfile.gettempdir()) / f"pycram-{user()}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
     except OSError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -22,7 +22,8 @@ def redirected(*descriptors: int, to: int) -> Iterator[None]:
             copy = os.dup(descriptor)
             restoring.callback(os.close, copy)
             restoring.callback(os.dup2, copy, descriptor)
-        restoring.callback(ctypes.CDLL(None).fflush, None)  # C buffers output to a pipe or a file
+        with suppress(TypeError):  # Windows doesn't give its C library without a name
+            restoring.callback(ctypes.CDLL(None).fflush, None)  # C buffers output to a pipe or a file
         for descriptor in descriptors:
             os.dup2(to, descriptor)
         yield

@@ -7,7 +7,6 @@ creates a store: each process holds a lock in its folder, which the kernel relea
 from __future__ import annotations
 
 import atexit
-import fcntl
 import os
 import shutil
 import stat
@@ -19,6 +18,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Final
 
+from recorder import system
 from recorder.records.values import AssetFile
 from recorder.tracing.interrupts import Uninterrupted, drop_pending
 from recorder.urdf import Urdf
@@ -45,7 +45,7 @@ def _make() -> Path:
     while True:
         made = Path(tempfile.mkdtemp(prefix=_PREFIX))
         with suppress(FileNotFoundError):
-            lock = os.open(made / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            lock = os.open(made / _LOCK, os.O_RDWR | os.O_CREAT | system.OPENED, 0o600)
             if _holds(lock) and (made / _LOCK).exists():
                 return made  # the lock is held until the process ends
             os.close(lock)
@@ -54,7 +54,7 @@ def _make() -> Path:
 def _holds(lock: int) -> bool:
     """Return whether this process got a lock; on a file system without locks, no store counts as abandoned."""
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        system.lock(lock)
     except BlockingIOError:
         return False
     except OSError:
@@ -67,11 +67,11 @@ def _remove_abandoned(where: Path) -> None:
     for found in where.glob(f"{_PREFIX}*"):
         with suppress(OSError):  # another user owns it, or another process was faster
             of = found.lstat()
-            if not stat.S_ISDIR(of.st_mode) or of.st_uid != os.getuid():
+            if not stat.S_ISDIR(of.st_mode) or of.st_uid != system.user():
                 continue
-            lock = os.open(found / _LOCK, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+            lock = os.open(found / _LOCK, os.O_RDWR | system.OPENED | system.NO_LINK)
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                system.lock(lock)
                 shutil.rmtree(found, ignore_errors=True)
             finally:
                 os.close(lock)

@@ -22,7 +22,15 @@ from pycram.foundation import checks
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.language.branch import name_of, run
-from pycram.projection.child import Child, ChildPool, ChildResult, limit_memory, obstacle, usable_cores
+from pycram.projection.child import (
+    Child,
+    ChildPool,
+    ChildResult,
+    can_limit_memory,
+    limit_memory,
+    obstacle,
+    usable_cores,
+)
 from pycram.scheduling.schedule import refuse_held
 from pycram.world import saved_state
 from pycram.world.object import Object
@@ -196,6 +204,8 @@ def _project_all(
     refuse_held()
     if cause := obstacle():
         raise NotProjectable(cause)
+    if room is not None and not can_limit_memory():
+        raise NotProjectable("this system can't limit the memory of a copy; leave out memory=")
     projections: dict[int, _Projection] = {}
     outcomes: dict[int, Outcome] = {}  # outcomes of candidates that have ended
     recorded: list[Outcome] = []

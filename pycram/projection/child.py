@@ -15,6 +15,7 @@ import sys
 import time
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Generic, NoReturn, TypeVar
 
 from pycram.language.nesting import nothing_open
@@ -33,6 +34,7 @@ Job = TypeVar("Job")
 
 GRACE: Final = 5.0  # seconds that an interrupted run of a plan is given to end
 _PR_SET_PDEATHSIG: Final = 1
+_SIZE: Final = "/proc/self/statm"  # of this process, in pages
 _BLOCK: Final = 1 << 20  # bytes of one read
 _CRASHED: Final = 70  # exit code of a child that has an error of its own
 _prctl: Any = None  # looked up once: in each child, the lookup would change half a megabyte of memory
@@ -170,11 +172,16 @@ def die_with(parent: int) -> None:
         os._exit(_CRASHED)
 
 
+def can_limit_memory() -> bool:
+    """Return whether this system limits the additional memory of a process; only Linux tells its present size."""
+    return Path(_SIZE).exists()
+
+
 def limit_memory(memory: int) -> None:
     """Limit the additional memory of this process, in bytes; larger requests raise MemoryError."""
     import resource  # noqa: PLC0415  only systems that can fork have it
 
-    with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123  of this very process
+    with open(_SIZE, encoding="ascii") as file:  # noqa: PTH123  of this very process
         pages = int(file.read().split()[0])
     limit = pages * resource.getpagesize() + memory
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

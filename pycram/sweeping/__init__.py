@@ -9,7 +9,6 @@ is locked while a sweep runs. Files whose names begin with a dot are being writt
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
@@ -28,10 +27,12 @@ from pycram.foundation import checks
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.plan_parameters import Variations
+from pycram.projection.child import can_limit_memory
 from pycram.running import MAX_SEED, RunSpec
 from pycram.scheduling.schedule import refuse_held
 from pycram.sweeping.local import Local, RunLost, RunOutcome, SweepSpec, Worker, WorkerLost
 from pycram.world.world import open_worlds
+from recorder import system
 from recorder.errors import similar_files
 from recorder.tracing import forking
 
@@ -175,6 +176,8 @@ def sweep(
         raise BadArgument("folder", str(folder), "a folder; a URL is for a Ray cluster (--ray)")
     if not hasattr(os, "fork"):
         raise SweepRefused("this system can't copy a process (os.fork)")
+    if memory and not can_limit_memory():
+        raise SweepRefused("this system can't limit the memory of a run; leave out the limit (memory, --memory)")
     with locked(Path(spec.folder)):
         return _sweep(spec, runs, cores, progress)
 
@@ -252,13 +255,13 @@ def locked(folder: Path) -> Iterator[None]:
         raise _in_use(folder, who.partition(" (")[0])
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+        lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | system.OPENED | system.NO_LINK, 0o666)
     except OSError as error:
         raise SweepRefused(f"{folder}: {error.strerror or error}") from error
     with os.fdopen(lock, "r+", encoding="utf-8", errors="replace") as file:
         try:
-            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # forks, which may outlive this process, don't hold it
-        except (BlockingIOError, PermissionError):
+            system.lock(lock, by_process=True)  # forks, which may outlive this process, don't hold it
+        except BlockingIOError:
             raise _in_use(folder, file.read(200).strip() or "another process") from None
         except OSError:  # a file system without locks
             pass

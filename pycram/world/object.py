@@ -11,7 +11,7 @@ from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldC
 from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.models import load
 from pycram.models.furniture import furniture_of
-from pycram.models.robots.description import RobotDescription, find_description
+from pycram.models.robots.description import Misfitting, RobotDescription, find_description, why_none
 from pycram.models.surfaces import NONE, Surface
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment, joints, overlaps
@@ -119,6 +119,8 @@ class Object(ReadOnlyAttributes):
             if description is not None:
                 description.check(self.urdf)
             self.description = description or find_description(self.urdf)
+            if self.description is None and model is None:  # a recorded robot had its warning when it was recorded
+                _warn_of_misfit(self)
         self.original_pose: Pose = pose
         self.original_joints: Mapping[str, float] = MappingProxyType({})
         self._attachments: dict[Object, BodyAttachment] = {}
@@ -444,3 +446,11 @@ def _object(argument: str, value: object) -> Object:
     if not isinstance(result, Object):
         raise BadArgument(argument, result, "an Object")
     return result
+
+
+def _warn_of_misfit(robot: Object) -> None:
+    """Warn if there is a description of a robot's name, but the robot's URDF has other parts."""
+    if misfit := why_none(robot.urdf):
+        remedy = "pycram describe writes one that fits, for Object(..., description=RobotDescription.load(FILE))"
+        text = f"{robot.name} has no description: that of {robot.urdf.name} doesn't fit its URDF ({misfit}); {remedy}"
+        warnings.warn_explicit(text, Misfitting, *call_site())

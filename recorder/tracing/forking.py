@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 #: Signals that are blocked during a fork: Python drops errors that signal handlers raise within the hooks of a fork.
-_INTERRUPTS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_INTERRUPTS: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 _WARNS: Final = sys.version_info >= (3, 12)  # whether Python warns if a process with threads forks
 

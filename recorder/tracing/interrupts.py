@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from typing import Self
 
 _SIGINT: Final = int(signal.SIGINT)
-_TERMINATING: Final = (int(signal.SIGTERM), int(signal.SIGHUP))
+_TERMINATING: Final = tuple(int(getattr(signal, name)) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class Terminated(SystemExit):

@@ -20,6 +20,7 @@ from typing import IO, TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
 from recorder.errors import RecordingError
+from recorder.system import user
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -114,7 +115,7 @@ def is_own(port: int) -> bool:
     entries = [line.split() for line in _SOCKETS.read_text(encoding="ascii").splitlines()[1:]]
     words = (int.from_bytes(socket.inet_aton(host), sys.byteorder) for host in (HOST, "0.0.0.0"))  # noqa: S104  either
     places = [f"{word:08X}:{port:04X}" for word in words]
-    return {entry[7] for entry in entries if entry[3] == _LISTENS and entry[1] in places} == {str(os.getuid())}
+    return {entry[7] for entry in entries if entry[3] == _LISTENS and entry[1] in places} == {str(user())}
 
 
 def free_port(preferred: int) -> int:

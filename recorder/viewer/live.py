@@ -32,6 +32,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
+from recorder.errors import RecordingError
 from recorder.records import TOPICS, Event, Fluent, Mutation, Output
 from recorder.records.values import AssetFile
 from recorder.tracing.forking import own
@@ -85,6 +86,9 @@ class RerunSink:
 
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
+        if not hasattr(os, "fork"):  # nor can a process inherit the pipe of records
+            hint = "record to a file, and show it with pycram-replay view"
+            raise RecordingError(live, "this system can't pass an open pipe to a process", hint)
         self._queue = LiveQueue()
         self._records = 0
         self._taken = 0

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
 
+from recorder import system
 from recorder.mcap_writer import MODELS_METADATA, MODELS_NAME
 from replay.errors import Damaged, MissingModels, NoSuchName
 from replay.file.index import Index
@@ -130,7 +131,7 @@ class Assets(Mapping[str, bytes]):
 
 _SHOWN: Final = 80  # largest length of an invalid name in messages
 #: With O_NONBLOCK, opening a pipe doesn't wait.
-_FLAGS: Final = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+_FLAGS: Final = os.O_RDONLY | system.OPENED | system.NO_LINK | getattr(os, "O_NONBLOCK", 0)
 
 
 class SharedFile:

@@ -16,6 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar, overload
 
+from recorder import system
 from recorder.errors import similar_files
 from recorder.mcap_writer import MODELS_LIBRARY
 from recorder.records import (
@@ -42,11 +43,6 @@ from replay.file.index import Index
 from replay.file.lifetimes import Lifetime, closes_world, lifetimes_of
 from replay.file.mcap_format import MAGIC
 from replay.file.repair import Losses, lost_before, range_text, write_sound
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -112,7 +108,7 @@ class RecordReader:
         """Reopen the file in a forked child; otherwise the child would share the parent's file position."""
         self.assets.close()
         descriptor = self._file.fileno()
-        own = os.open(self.path, os.O_RDONLY)
+        own = os.open(self.path, os.O_RDONLY | system.OPENED)
         os.lseek(own, os.lseek(descriptor, 0, os.SEEK_CUR), os.SEEK_SET)
         os.dup2(own, descriptor, inheritable=False)
         os.close(own)
@@ -435,15 +431,13 @@ def check_ours(path: Path, index: Index) -> None:
 
 def is_locked(file: BinaryIO) -> bool:
     """Return whether a recorder holds its lock on the file."""
-    if fcntl is None:
-        return False
     try:
-        fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        system.lock(file.fileno(), shared=True)
     except BlockingIOError:
         return True
-    except OSError:  # the file system has no locks
+    except OSError:  # the system or the file system has no locks
         return False
-    fcntl.flock(file.fileno(), fcntl.LOCK_UN)
+    system.unlock(file.fileno())
     return False
 
 

@@ -31,7 +31,7 @@ import duckdb
 import pyarrow as pa
 from pyarrow import compute, parquet
 
-from recorder import html
+from recorder import html, system
 from replay.errors import NotALog, ReplayError
 from replay.file.record_reader import RecordReader
 from replay.runs.rows import FOLDER, NEW, partial_rows, read_rows, tables_of, written_rows
@@ -44,12 +44,6 @@ if TYPE_CHECKING:
 
     import pandas as pd
     import polars as pl
-
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 
 _RUN_FIELD: Final = pa.field(RUN.name, pa.string())
@@ -276,8 +270,8 @@ class Folder:
         self.tables.mkdir(exist_ok=True)
         (self.tables / NEW).mkdir(exist_ok=True)
         with (self.tables / ".lock").open("w") as lock:
-            if fcntl is not None:
-                fcntl.flock(lock, fcntl.LOCK_EX)
+            with contextlib.suppress(OSError):  # some systems have no locks
+                system.lock(lock.fileno(), wait=True)
             yield
 
     def _hold(self) -> None:
@@ -354,13 +348,13 @@ def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
     Raises:
         BlockingIOError: another process holds it.
     """
-    if fcntl is None:
+    if not system.HAS_LOCKS:  # nor does it open folders
         yield
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(descriptor, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+            system.lock(descriptor, shared=not exclusive)
         except BlockingIOError:
             raise
         except OSError:  # some network file systems have no locks

@@ -39,6 +39,10 @@ _EVEN: Final = 0.01  # maximum bias of sides that close evenly
 _AIR: Final = 2e-3  # m, distance from a jaw that stands still: the engine pads shapes by less
 
 
+class Misfitting(UserWarning):
+    """A robot was loaded without a description, because the description of its name doesn't fit its URDF."""
+
+
 @dataclass(frozen=True, slots=True)
 class RobotDescription:
     """The description of a robot."""

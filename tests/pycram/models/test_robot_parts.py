@@ -16,7 +16,7 @@ from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
 from pycram.failures import AssetError, GraspFailed, LookingFailed, MissingPart, NotDrivable
-from pycram.models.robots.description import RobotDescription
+from pycram.models.robots.description import Misfitting, RobotDescription
 from pycram.process_module import NoProcessModule, ProcessModule
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.kinematics.inverse import Solver
@@ -238,7 +238,11 @@ def test_another_robot_with_a_known_name_says_why_its_description_does_not_fit(
     world: BulletWorld, tmp_path: Path
 ) -> None:
     (tmp_path / "other.urdf").write_text('<robot name="panda"><link name="base"/></robot>')
-    world.robot = made = Object("other", "robot", tmp_path / "other.urdf")
+    with pytest.warns(
+        Misfitting, match=r"other has no description: .*no link 'panda_link0'.*pycram describe"
+    ) as warned:
+        world.robot = made = Object("other", "robot", tmp_path / "other.urdf")
+    assert warned[0].filename == __file__
     assert made.description is None
     with pytest.raises(NoProcessModule, match=r"of panda doesn't fit it: .*no link 'panda_link0'") as raised:
         perform(type="looking", target=[1, 0, 1])

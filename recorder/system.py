@@ -1,0 +1,51 @@
+"""Parts of operating systems that Windows lacks: locks on files, owners of files, and flags of ``os.open``."""
+
+from __future__ import annotations
+
+import errno
+import os
+from typing import Final
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+HAS_LOCKS: Final = fcntl is not None
+HAS_OWNERS: Final = hasattr(os, "getuid")
+#: Flags of opened files: they aren't inherited, and their bytes aren't converted; 0 where a flag isn't needed.
+OPENED: Final = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)  # links aren't followed
+
+
+def lock(descriptor: int, *, shared: bool = False, wait: bool = False, by_process: bool = False) -> None:
+    """Lock a file; the system releases the lock when the file is closed or the process ends.
+
+    Args:
+        descriptor: of the file.
+        shared: whether others may hold shared locks at the same time.
+        wait: whether to wait for the other holders.
+        by_process: whether the lock belongs to the process instead of the open file, which forks share.
+
+    Raises:
+        BlockingIOError: another process holds the lock.
+        OSError: the system, or the file system, has no locks.
+    """
+    if fcntl is None:
+        raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
+    kind = (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB)
+    try:
+        (fcntl.lockf if by_process else fcntl.flock)(descriptor, kind)
+    except PermissionError as error:  # some systems report a lock of another process so
+        raise BlockingIOError(*error.args) from error
+
+
+def unlock(descriptor: int) -> None:
+    """Release a lock of :func:`lock`."""
+    if fcntl is not None:
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+
+
+def user() -> int:
+    """Return the number of the user that owns this process; 0, as owners of files have it, on a system without."""
+    return os.getuid() if HAS_OWNERS else 0
