@@ -8,6 +8,8 @@ of recordings as tables.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+import recorder  # noqa: F401  limits the threads of NumPy, so before NumPy
+
 if TYPE_CHECKING:
     from pathlib import Path
 

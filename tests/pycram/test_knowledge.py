@@ -255,9 +255,7 @@ def test_state_prints_what_is_believed_and_how_far_that_is_off(
         seen = moved_unseen(Bench(world))
     main(["state", str(path), str(seen + 1)])
     line = capsys.readouterr().out.splitlines()[-1]
-    expected = (
-        f"arm believes cup at [1.0000, 0.0000, 0.5000]: seen at step {seen}, at 0.000 s; it is 0.500 m from there"
-    )
+    expected = f"arm believes cup at [1.0000, 0.0000, 0.5000]: seen at step {seen}, at 0.000 s; its true position is 0.500 m away"
     assert line.strip() == expected
 
 
@@ -285,7 +283,7 @@ def test_what_is_believed_is_asked_of_a_step_and_compared_between_steps(
     assert "believed('cup'): yes" in capsys.readouterr().out.splitlines()
     main(["diff", str(path), str(seen - 1), str(again)])
     lines = capsys.readouterr().out.splitlines()
-    assert "bench: where arm believes cup nowhere -> [1, 0.5, 0.5]" in lines
+    assert "bench: where arm believes cup unknown -> [1, 0.5, 0.5]" in lines
     main(["diff", str(path), str(seen), str(again)])
     assert "bench: where arm believes cup [1, 0, 0.5] -> [1, 0.5, 0.5]" in capsys.readouterr().out
 

@@ -129,7 +129,7 @@ def test_a_failed_transport_is_explained_by_the_choice_that_could_not_be_made(
         assert not transport(seed, "unprojected").succeeded
     assert main(["why", str(log)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    tried = lines[lines.index("What transporting(object=thing, target=island) action tried") + 1 :]
+    tried = lines[lines.index("Attempts of transporting(object=thing, target=island) action") + 1 :]
     tried = [line.strip() for line in tried[: tried.index("")]]
     assert tried[-1].startswith(("no further choice: ", "the budget"))
     reasons = tried[1:-1:2]

@@ -160,7 +160,7 @@ def test_place_sets_down_upright_at_the_target(scene: BulletWorld) -> None:
     perform(type="move-arm-joints", left_arm="park")
     perform(type="pick-up", object=milk, arm="left")
     before = snapshot(scene)
-    with pytest.raises(PlaceFailed, match="nothing is within"):
+    with pytest.raises(PlaceFailed, match="there is no support within"):
         perform(type="place", object=milk, target=[0.9, 1.1, 1.0], arm="left")
     assert snapshot(scene) == before
     assert milk.carrier is scene.robot

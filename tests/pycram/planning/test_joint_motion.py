@@ -187,7 +187,7 @@ from pathlib import Path
 from pycram.bullet_world import BulletWorld, Object
 from pycram.planning import joint_motion
 from pycram.reasoning.collision import checker
-from pycram.reasoning.kinematics import solver
+from pycram.reasoning.kinematics import inverse
 from pycram.scheduling.schedule import seed_order
 from tests.pycram.planning.conftest import LEFT, RIGHT
 
@@ -227,15 +227,15 @@ def test_the_same_seed_finds_the_same_path_in_another_process_after_other_querie
 INTERRUPTED = """
 import sys
 from pycram.bullet_world import BulletWorld, Object
-from pycram.planning import clearance, joint_motion
+from pycram.planning import joint_motion, space
 from tests.pycram.planning.conftest import LEFT, RIGHT
 
-whole = clearance.Clearance.free
+whole = space.Clearance.free
 def free(self, rows):
     if self.checks > 1000:
         raise KeyboardInterrupt
     return whole(self, rows)
-clearance.Clearance.free = free
+space.Clearance.free = free
 
 with BulletWorld() as world:
     robot = Object("ur5", "robot", "ur5.urdf")

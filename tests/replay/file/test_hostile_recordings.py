@@ -625,7 +625,7 @@ def test_a_simulation_of_years_is_damage(tmp_path: Path) -> None:
 @pytest.mark.parametrize("deeper", [0, 1])
 def test_tasks_in_each_other_have_one_verdict(deeper: int, tmp_path: Path) -> None:
     file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", lambda records, _: tasks(records, MAX_DEPTH + deeper + 1))
-    says = f"nested more than {MAX_DEPTH} deep" if deeper else ""
+    says = f"nested more than {MAX_DEPTH} levels deep" if deeper else ""
     check(file, tmp_path, ["verify", "--static"], ["verify"], ["tree"], damaged=bool(deeper), says=says)
 
 

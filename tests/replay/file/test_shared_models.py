@@ -90,7 +90,7 @@ def test_models_are_in_one_file_beside_the_recordings(runs: Path, capsys: pytest
             assert verify(log).problem is None
         code, out, err = answer(capsys, "info", run(runs, number))
         assert (code, err) == (0, "")
-        assert f"or in {models(runs).name} beside it" in out
+        assert f"or in {models(runs).name} in the same folder" in out
     with Recording(run(runs, 2)) as log:  # what the first run didn't load is its own
         assert any(name.endswith("milk.stl") or "milk" in name for name in log._index.attachments)
         world = log.world_at(log.final_step())

@@ -116,7 +116,7 @@ def test_the_recorded_source_runs_where_the_files_are_others_now(
     file.unlink()
     steps.write_text(STEPS.replace("height", "height + 1"))
     with replay.open(log) as recording:
-        with pytest.raises(CantRetrace, match="run --recorded-source"):
+        with pytest.raises(CantRetrace, match="use --recorded-source"):
             retrace(recording)
         result = retrace(recording, recorded_source=True)
         assert result.identical
