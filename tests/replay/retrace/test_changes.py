@@ -162,7 +162,7 @@ def test_an_answer_is_given_to_the_next_query_that_fits(
         assert again.notes[-1] == result.notes[-1]  # a fork of that fork, which changes nothing more
     assert_runs_again(file)
     assert main(["log", str(file)]) == 0
-    assert "stable(object=milk): no, by the fork; else yes" in capsys.readouterr().out
+    assert "stable(object=milk): no, set by the fork (own answer: yes)" in capsys.readouterr().out
 
 
 @pytest.mark.costly
