@@ -47,9 +47,11 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _move(text: str) -> Move:
+    from replay.report.question import unquoted  # noqa: PLC0415  other verbs have no names in quotes
     from replay.restore.ask import Move  # noqa: PLC0415  imports the engine
 
     body, _, pose = text.rpartition("=")
+    body = unquoted(body)[0] or body
     expected = "OBJECT=X,Y,Z in m, or OBJECT=X,Y,Z,x,y,z,w with a quaternion"
     if not body:
         raise ReplayError(f"{text!r}: expected {expected}")

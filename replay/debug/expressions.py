@@ -2,17 +2,21 @@
 
 Names are bodies (``robot`` is the plan's robot) and arms. A body has ``x``, ``y``, ``z``, ``position``,
 ``orientation``, ``velocity``, ``carrier``, and its joints. If several worlds have a body, its name means the one in the
-last opened world; ``lab.milk.z`` means the body in the world ``lab``.
+last opened world; ``lab.milk.z`` means the body in the world ``lab``. A name that isn't an identifier is in quotes:
+``'milk carton'.z``, ``lab['milk carton'].z``.
 """
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from recorder.errors import did_you_mean, suggestion
 from recorder.records import Keyframe, Mutation
 from replay.errors import ReplayError
+from replay.report.question import written
 from replay.restore.recorded_world import description_of
 from replay.state.fold import apply, state_at
 
@@ -23,6 +27,7 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
     from replay.state.fold import WorldBuilder
 
+_PARTS: Final = ("x", "y", "z", "position", "orientation", "velocity", "carrier")
 _ROUNDING: Final = 1e-6  # m or rad; smaller changes of a number are ignored, as by ``blame``
 _FUNCTIONS: Final[Mapping[str, object]] = {
     each.__name__: each for each in (abs, all, any, len, max, min, round, sorted, sum, math.sqrt, math.degrees)
@@ -54,34 +59,71 @@ def value_changes(log: RecordReader, expression: str) -> list[ValueChange]:
         NoQuantity: the expression has no value at any step.
     """
     try:
-        code = compile(expression, "<watch>", "eval")
+        code = compile(_QuotedNames().visit(ast.parse(expression.strip(), mode="eval")), "<watch>", "eval")
     except (SyntaxError, ValueError) as error:
         raise NoQuantity(expression, f"it isn't an expression: {error}") from None
     worlds: dict[str, WorldBuilder] = {}
     found: list[ValueChange] = []
     latest: object = None
-    known, cause = False, "the recording has no state"
+    known, cause = False, ""
+    unknown, names = "", set[str]()
     for record in log.records((Mutation, Keyframe)):
         apply(worlds, record)
         try:
             value = _value(code, worlds)
+        except NameError as error:
+            value, cause, unknown = None, str(error), error.name or ""
+            names.update(name for world in worlds.values() for name in (world.name, *world.bodies))
+        except _NoWorld as error:
+            value, cause = None, cause or str(error)
         except Exception as error:  # noqa: BLE001  whatever the user's expression raises
-            cause = str(error)
-            value = None
+            value, cause = None, str(error)
         else:
             known = True
         if _differ(latest, value):
             found.append(ValueChange(record.seq, latest, value))
             latest = value
     if not known:
-        raise NoQuantity(expression, cause)
+        hint = f"; {suggestion(unknown, names)}" if unknown else ""
+        raise NoQuantity(expression, f"{cause or 'the recording has no state'}{hint}")
     return found
+
+
+class _NoWorld(LookupError):
+    """No world is open in a state."""
+
+
+class _QuotedNames(ast.NodeTransformer):
+    """Turns strings into names where an object or a world is meant: alone, before a dot or [], in distance()."""
+
+    def visit_Expression(self, node: ast.Expression) -> ast.AST:
+        node.body = _meant(node.body)
+        return self.generic_visit(node)
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        node.value = _meant(node.value)
+        return self.generic_visit(node)
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        node.value = _meant(node.value)
+        return self.generic_visit(node)
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        if isinstance(node.func, ast.Name) and node.func.id == "distance":
+            node.args = [_meant(each) for each in node.args]
+        return self.generic_visit(node)
+
+
+def _meant(node: ast.expr) -> ast.expr:
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return ast.copy_location(ast.Name(node.value, ast.Load()), node)
+    return node
 
 
 def _value(code: CodeType, worlds: Mapping[str, WorldBuilder]) -> object:
     opened = {name: _World(world) for name, world in worlds.items() if world.open}
     if not opened:
-        raise LookupError("no world is open")
+        raise _NoWorld("no world is open")
     value = eval(code, {"__builtins__": {}}, _Names(opened))  # noqa: S307  the user's own
     if isinstance(value, _World):
         raise TypeError("a world has no value; name a body of the world")
@@ -114,7 +156,7 @@ class _Names(dict[str, Any]):
         for known, world in self._worlds.items():
             if _is_called(known, name):
                 return world
-        raise NameError(f"no object is called {name}")
+        raise NameError(f"no object is called {name}", name=name)
 
 
 def _is_called(known: str, name: str) -> bool:
@@ -146,8 +188,11 @@ class _World:
     def __getattr__(self, name: str) -> object:
         found = self.find(name)
         if found is None:
-            raise AttributeError(f"no object of this world is called {name}")
+            raise AttributeError(f"no object of this world is called {name}{did_you_mean(name, self._world.bodies)}")
         return found
+
+    def __getitem__(self, name: str) -> object:
+        return self.__getattr__(name)
 
     def _arms(self) -> Mapping[str, Any]:
         robot = self._world.bodies.get(self._robot)
@@ -160,6 +205,8 @@ class _World:
         """Return the name of the object that the robot holds, like the fluent ``holding``."""
         links = None
         if arm is not None:
+            if arm not in self._arms():
+                raise LookupError(f"no arm is called {arm}{did_you_mean(arm, self._arms())}")
             described = self._arms()[arm]
             links = set(described.links()) - {described.base_link}
         for held in self._world.attachments.values():
@@ -186,7 +233,7 @@ class _Body:
     def __getattr__(self, joint: str) -> float:
         joints = self._world.bodies[self._name].joints
         if joint not in joints:
-            raise AttributeError(f"{self._name} has no {joint}")
+            raise AttributeError(f"{self._name} has no {joint}{did_you_mean(joint, (*_PARTS, *joints))}")
         return joints[joint]
 
 
@@ -200,8 +247,9 @@ def quantity_names(log: RecordReader, step: int) -> Iterator[str]:
     state = state_at(log, step)
     yield from (f"{each}(" for each in ("holding", "distance"))
     for world in state.worlds.values():
-        yield world.name
+        yield written(world.name)
         for body in world.bodies.values():
-            yield body.name
-            yield from (f"{body.name}.{part}" for part in ("x", "y", "z", "position", "orientation", "carrier"))
-            yield from (f"{body.name}.{joint}" for joint in body.joints)
+            name = written(body.name)
+            yield name
+            yield from (f"{name}.{part}" for part in _PARTS)
+            yield from (f"{name}.{joint}" for joint in body.joints)

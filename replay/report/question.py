@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 import warnings
 from dataclasses import dataclass, field
 from keyword import iskeyword
@@ -29,6 +30,7 @@ class Name:
     text: str
 
 
+_QUOTED: Final = re.compile(r"""\s*('(?:[^'\\\n]|\\.)+'|"(?:[^"\\\n]|\\.)+")\s*""")
 _LITERALS: Final[Mapping[str, bool | None]] = {"true": True, "false": False, "null": None}
 
 Term: TypeAlias = "Name | str | float | int | bool | list[Term] | None"
@@ -136,10 +138,20 @@ def _identifier(node: ast.expr) -> str:
     raise _NotATerm(f"{ast.unparse(node)} isn't a name")
 
 
+def written(name: str) -> str:
+    """Return a name as commands take it: in quotes, as in Python, if it isn't an identifier."""
+    return name if name.isidentifier() and not iskeyword(name) and name not in _LITERALS else repr(name)
+
+
+def unquoted(text: str) -> tuple[str, str]:
+    """Return the name in quotes at the start of a text, and the text after it; "" if the text starts without quotes."""
+    found = _QUOTED.match(text)
+    return ("", text) if found is None else (str(ast.literal_eval(found[0].strip())), text[found.end() :])
+
+
 def _text(term: Term) -> str:
     if isinstance(term, Name):
-        text = term.text
-        return text if text.isidentifier() and not iskeyword(text) and text not in _LITERALS else repr(text)
+        return written(term.text)
     if isinstance(term, list):
         return f"[{', '.join(map(_text, term))}]"
     return repr(term)

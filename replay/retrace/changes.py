@@ -36,15 +36,16 @@ from recorder.records import Change, Mutation, Query, from_json
 from recorder.tracing import interrupts, journal
 from recorder.tracing.forking import process
 from replay.errors import NoSuchName, ReplayError
-from replay.report.question import BadQuestion, Name, QueryCall, parse
+from replay.report.question import BadQuestion, Name, QueryCall, parse, unquoted
+from replay.restore.recorded_world import description_of
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pycram.reasoning.choosing import Question as Asked
     from pycram.world.world import BulletWorld
-    from recorder.records import Plain, Record
+    from recorder.records import LoadBody, Plain, Record
     from replay.file.record_reader import RecordReader
     from replay.report.question import Term
     from replay.retrace.guide import Guide
@@ -58,6 +59,8 @@ _FLUENT: Final = "fluent:"  # prefix of a fluent's name that looks like an objec
 #: Matches an ellipsis, which stands for the rest of a query's arguments.
 _ANY: Final = re.compile(r"([(,])\s*\.\.\.\s*\)$")
 _OF_MANY: Final = "Found[Verdict]"
+_OBJECTS: Final = ("object", "object1", "object2", "robot", "pose")  # arguments that are names of objects
+_PARTS: Final = ("gripper", "camera")  # arguments that are names of arms or links
 _OURS: Final = "pycram.reasoning.queries."
 
 ANSWERABLE: Final = tuple(name for name in btr.__all__ if hasattr(getattr(btr, name), "__wrapped__"))
@@ -160,7 +163,10 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
 
 def _is_of_fluent(log: RecordReader, text: str) -> bool:
     """Return whether a setting is for a fluent; a fluent's name may look like OBJECT.QUANTITY."""
+    quoted, rest = unquoted(text)
     name = text.partition("=")[0].strip()
+    if quoted:
+        return not rest.startswith(".")
     return (
         "." not in name
         or name.startswith(_FLUENT)
@@ -171,13 +177,18 @@ def _is_of_fluent(log: RecordReader, text: str) -> bool:
 def parse_setting(text: str, *, fluent: bool) -> Setting:
     """Parse ``milk.position=1,2,0.9``, ``pr2.torso_lift_joint=0.2`` or, for a fluent, ``battery=20``.
 
-    A fluent whose name has a dot, and isn't on record yet, is written ``fluent:left.battery=20``.
+    A fluent whose name has a dot, and isn't on record yet, is written ``fluent:left.battery=20``. Any name can be in
+    quotes: ``'milk carton'.position=1,2,0.9``.
 
     Raises:
         BadChange: the text has another form.
     """
-    left, _, right = (part.strip() for part in text.partition("="))
-    name, _, quantity = (left.removeprefix(_FLUENT), "", "") if fluent else left.rpartition(".")
+    quoted, rest = unquoted(text)
+    left, _, right = (part.strip() for part in rest.partition("="))
+    if quoted:
+        name, quantity = quoted, left.removeprefix(".").strip()
+    else:
+        name, _, quantity = (left.removeprefix(_FLUENT), "", "") if fluent else left.rpartition(".")
     if not name or not right or (not fluent and not quantity):
         raise BadChange(text, f"expected {_EXPECTED}")
     if fluent:
@@ -274,6 +285,36 @@ def parse_answer(text: str) -> GivenAnswer:
     if len(given) != 1 or not _can_be(given[0], kind):
         raise BadChange(text, f"its answer is {_ANSWERS[kind]}")
     return GivenAnswer(text, asked.query, _bound(asked, text), given[0])
+
+
+def check_names(log: RecordReader, given: GivenAnswer) -> None:
+    """Check that the recording has the objects, arms and links that an answer names.
+
+    Raises:
+        NoSuchName: an object is never loaded in the recording, or its robots have no such arm or link.
+    """
+    loaded: dict[str, LoadBody] = {}
+    for record in log.records((Mutation, records.Keyframe)):
+        if isinstance(record, records.Keyframe):
+            loaded |= {each.body: each for each in record.loaded}
+        elif isinstance(record, Mutation) and record.HasField("load_body"):
+            loaded[record.load_body.body] = record.load_body
+    answer = given.answer if isinstance(given.answer, list) else []
+    terms = [(each, given.arguments.get(each)) for each in (*_OBJECTS, *_PARTS)]
+    for argument, term in [*terms, *((_OBJECTS[0], each) for each in answer if not isinstance(each, bool))]:
+        if isinstance(term, Name | str):
+            known = (*loaded, "robot") if argument in _OBJECTS else _parts(log, loaded.values())
+            if _name(term) not in known:
+                raise NoSuchName(argument.rstrip("12"), _name(term), known)
+
+
+def _parts(log: RecordReader, loaded: Iterable[LoadBody]) -> Iterator[str]:
+    """Yield the arms and links of all robots."""
+    for robot in loaded:
+        description = description_of(robot.robot_description)
+        if description is not None:
+            yield from description.arms
+            yield from log.assets.urdf(f"{robot.assets[0].sha256}/{robot.assets[0].path}").links
 
 
 def _bound(asked: QueryCall, text: str) -> dict[str, Term]:

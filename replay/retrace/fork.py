@@ -15,7 +15,14 @@ from recorder.records import Change, Query, Run
 from recorder.records.values import LEFT_OUT
 from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
-from replay.retrace.changes import BadChange, change_text, parse_answer, seed_change, settings as settings_of
+from replay.retrace.changes import (
+    BadChange,
+    change_text,
+    check_names,
+    parse_answer,
+    seed_change,
+    settings as settings_of,
+)
 from replay.retrace.plan_process import PlanProcess
 from replay.retrace.retrace import compared, reads_before
 
@@ -131,7 +138,7 @@ def _changes(
 ) -> list[Change]:
     changes = settings_of(log, step, given, world)
     for text in answers:
-        parse_answer(text)
+        check_names(log, parse_answer(text))
         changes.append(Change(step=step, answer=text))
     if seed is not None:
         changes.insert(0, seed_change(step, seed))

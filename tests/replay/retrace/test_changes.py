@@ -91,7 +91,7 @@ def assert_runs_again(file: Path) -> None:
 def test_what_is_set_the_plan_finds(log: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "set.mcap"
     settings = (
-        *("milk.position=0,1,0.9", "cabinet.drawer_joint=0.2", "battery=20", "milk.orientation=0,0,1,0"),
+        *("milk.position=0,1,0.9", "'cabinet'.drawer_joint=0.2", "battery=20", "milk.orientation=0,0,1,0"),
         "fluent:left.busy=1",  # no record has it before
     )
     given = [word for text in settings for word in ("--set", text)]
@@ -119,7 +119,7 @@ def test_what_is_set_the_plan_finds(log: Recording, tmp_path: Path, capsys: pyte
     assert "by the fork" in said
     assert "by the plan itself" not in said.partition("Before that")[0]
     assert main(["info", str(file)]) == 0
-    assert f"after step {here(log)}, with milk.position=0,1,0.9, cabinet" in capsys.readouterr().out
+    assert f"after step {here(log)}, with milk.position=0,1,0.9, 'cabinet'" in capsys.readouterr().out
     assert main(["diff", str(log.path), str(file)]) == 1
     said = capsys.readouterr().out
     assert f"second step {here(log) + 2}: move body milk [0.000, 1.000, 0.900], by the fork" in said
@@ -208,6 +208,11 @@ def test_what_only_the_setter_knows_ends_the_fork(log: Recording, tmp_path: Path
         ({"answers": ["stable(milk)=[cup]"]}, BadChange, "its answer is true or false"),
         ({"answers": ["occluding(milk)=true"]}, BadChange, r"a list of objects, as \[milk, bowl\]"),
         ({"answers": ["stable(milk, who=cup)=true"]}, BadChange, "who"),
+        ({"answers": ["stable(mlik)=false"]}, NoSuchName, "no object 'mlik'; did you mean milk"),
+        ({"answers": ["stable('milk carton')=false"]}, NoSuchName, "no object 'milk carton'; did you mean milk"),
+        ({"answers": ["occluding(milk)=[cop]"]}, NoSuchName, "did you mean cup"),
+        ({"answers": ["visible(milk, camera)=true"]}, NoSuchName, "no camera 'camera'"),
+        ({"settings": ["'milc'.position=0,0,1"]}, NoSuchName, "'milc'; did you mean milk"),
         ({"answers": ["stable(milk)"]}, BadChange, r"expected QUERY\(ARGUMENTS\)=ANSWER"),
         ({"seed": -1}, BadChange, "a whole number from 0 to"),
     ],
