@@ -534,7 +534,10 @@ class ResolvedDesignator(Designator):
             except DesignatorError as error:
                 errors.append(error)
         if errors and not found:
-            raise chained(errors[-1], errors[:-1])
+            *earlier, last = errors
+            if earlier and last.slot == "type":  # only a resolver of the user's knows this type
+                earlier, last = [last, *earlier[:-1]], earlier[-1]
+            raise chained(last, earlier)
 
 
 class MotionDesignator(ResolvedDesignator):

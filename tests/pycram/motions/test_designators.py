@@ -72,6 +72,19 @@ def test_solutions_are_resolved_lazily() -> None:
         MotionDesignator([("type", "waving")]).reference()
 
 
+def test_what_the_only_resolver_of_a_type_says_is_what_the_plan_gets() -> None:
+    def resolver(designator: MotionDesignator) -> object:
+        if designator.type == "waving":
+            raise DesignatorError("waving takes the slot hand", type="waving", slot="hand")
+        return None
+
+    with MotionDesignator.resolvers.added(resolver):
+        with pytest.raises(DesignatorError, match="waving takes the slot hand"):
+            MotionDesignator([("type", "waving")]).reference()
+        with pytest.raises(DesignatorError, match="unknown type 'weaving'"):
+            MotionDesignator([("type", "weaving")]).reference()
+
+
 def test_moving_without_orientation_keeps_that_of_the_robot() -> None:
     with BulletWorld() as world:
         world.robot = Object("pr2", "robot", "pr2.urdf", [0, 0, 0], [0, 0, 0.6, 0.8])
