@@ -147,6 +147,11 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "an object is detached": (lambda t: t.milk.detach(t.spoon), "mutation", "detach body spoon from milk"),
     "gravity is set": (lambda t: t.world.set_gravity([0, 0, -1]), "mutation", "set gravity"),
     "real time begins": (Things.close_in_real_time, "mutation", "set realtime on"),
+    "an object is loaded in another unit": (
+        lambda _: Object("a", "b", "bowl.stl", [0, 9, 0], scale=0.5),
+        "mutation",
+        r"load body a \[0.*, scale 0\.5",
+    ),
     "a colour is set": (lambda t: t.cup.set_color([1, 0, 0, 1]), "mutation", "set color cup"),
     "a robot is chosen": (Things.perform, "mutation", "set robot ur5"),
     "time passes": (lambda t: t.world.simulate(0.1), "mutation", "simulate 24 steps"),

@@ -39,13 +39,15 @@ def _surfaces(name: str, value: Any) -> Surfaces:
 def _surfaces_of(name: str, value: Any) -> Surfaces:
     known = [(body, surface) for body in _furniture() for surface in body.surfaces.values()]
     if isinstance(value, Object):
-        return [(body, surface) for body, surface in known if body is value and not surface.container]
+        whole = [(body, surface) for body, surface in known if body is value and not surface.container]
+        return whole or [(value, surface) for surface in value.tops]
     if isinstance(value, str):
         named = [(body, surface) for body, surface in known if surface.name == value]
         whole = [(body, surface) for body, surface in known if body.name == value and not surface.container]
-        if not named and not whole:
+        things = [(body, surface) for body in _furniture() if body.name == value for surface in body.tops]
+        if not named and not whole and not things:
             raise UnknownName("surface", value, "the world", (surface.name for _, surface in known))
-        return named or whole
+        return named or whole or things
     owned = [(body, surface) for body, surface in known if surface == value]
     if not owned:
         raise BadArgument(name, value, "a surface of an object in this world, its name, or an object with surfaces")
@@ -97,7 +99,8 @@ _SLOTS: Final = SlotTable(
         Slot(
             "on",
             _surfaces,
-            text="A surface, its name, furniture (all of its surfaces that are in no container), or a list of these",
+            text="A surface, its name, furniture (all of its surfaces that are in no container), an object such as a "
+            "plate (its top), or a list of these",
         ),
         Slot("in", _inside, text="A container, its name, or an object with containers"),
         Slot("for", thing, text="the object that is to be put there; that of the action by default"),

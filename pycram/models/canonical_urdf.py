@@ -9,6 +9,7 @@ lines after 8,191 characters, even inside a number. Numbers keep their digits.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,6 +19,7 @@ from pycram.models.files import parse_urdf
 from recorder.urdf import finite
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from recorder.urdf import Urdf
@@ -55,8 +57,13 @@ _SHAPES: Final = {
 _MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
-def read(source: Path, content: str | bytes) -> ET.Element:
-    """Return the checked <robot> element of a URDF, without elements that URDF doesn't define.
+def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
+    """Return the checked <robot> element of a URDF, in metres, without elements that URDF doesn't define.
+
+    Args:
+        source: The file.
+        content: The text.
+        scale: Metres per unit of length of the file.
 
     Raises:
         AssetError: The text isn't XML, isn't a URDF, is xacro, or has a link that the engine can't use.
@@ -80,9 +87,43 @@ def read(source: Path, content: str | bytes) -> ET.Element:
         raise AssetError(source, "has no links")
     if not root.get("name", "").strip():
         raise AssetError(source, "its <robot> has no name")
+    _scale(root, scale)
     for link in root.findall("link"):
         check_link(source, link)
     return root
+
+
+def _scale(root: ET.Element, scale: float) -> None:
+    """Convert a URDF to metres: shapes, places, joints that slide and moments of inertia; masses stay in kg."""
+    if scale == 1.0:
+        return
+    for element in root.iter("origin"):
+        _multiply(element, ("xyz",), scale)
+    for geometry in root.iter("geometry"):
+        for shape in geometry:
+            if shape.tag == "mesh":
+                shape.set("scale", shape.get("scale", "1 1 1"))
+            _multiply(shape, ("size", "radius", "length", "scale"), scale)
+    for inertia in root.iter("inertia"):
+        _multiply(inertia, _MOMENTS, scale * scale)
+    units = {joint.get("name"): scale if joint.get("type") == "prismatic" else 1.0 for joint in root.findall("joint")}
+    for joint in root.findall("joint"):
+        unit = units[joint.get("name")]
+        for limit in joint.findall("limit"):
+            _multiply(limit, ("lower", "upper", "velocity"), unit)
+        for mimic in joint.findall("mimic"):
+            mimic.set("multiplier", mimic.get("multiplier", "1"))
+            _multiply(mimic, ("offset",), unit)
+            _multiply(mimic, ("multiplier",), unit / units.get(mimic.get("joint"), 1.0))
+
+
+def _multiply(element: ET.Element, attributes: Iterable[str], factor: float) -> None:
+    """Multiply the numbers of attributes; broken numbers stay, for the checks that report them."""
+    for attribute in attributes if factor != 1.0 else ():
+        with suppress(ValueError):
+            numbers = [finite(part) * factor for part in element.attrib.get(attribute, "").split()]
+            if numbers:
+                element.set(attribute, " ".join(map(repr, numbers)))
 
 
 def _expand_first(source: Path) -> AssetError:
@@ -170,7 +211,8 @@ def _numbers(source: Path, where: str, element: ET.Element, attribute: str, coun
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
         raise AssetError(source, f"{where}: {attribute} takes {wanted}, has {text!r}")
     if max(map(abs, values)) > LARGEST:
-        raise AssetError(source, f"{where}: {attribute} is {text!r}: the maximum is {LARGEST:g}")
+        question = "is the file in millimetres? Object(..., scale=0.001)"
+        raise AssetError(source, f"{where}: {attribute} is {text!r}: the maximum is {LARGEST:g}; {question}")
     return values
 
 

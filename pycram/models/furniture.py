@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models.corrections import SUFFIX, correct, read
-from pycram.models.level_faces import AREA, Face, faces, first_met, pieces
+from pycram.models.level_faces import AREA, THINGS, Face, faces, first_met, pieces
 from pycram.models.shapes import piece_bounds
 from pycram.models.store import stored_tree
 from pycram.models.surfaces import (
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from pycram.models.level_faces import Piece
     from pycram.models.load import Model
     from pycram.models.shapes import Ends
-    from recorder.geometry import Pose
+    from recorder.geometry import Pose, Quaternion
     from recorder.urdf import Urdf, UrdfJoint
 
 _HIGHEST: Final = 1.8  # m above the lowest point; higher surfaces are out of reach and out of sight
@@ -86,6 +86,24 @@ def find_furniture(path: Path, urdf: Urdf) -> Furniture:
     floor = min((float(piece.low[2]) for piece in every), default=0.0)
     offered = [face for face in faces(every) if _is_usable(face, floor, every)]
     return _Search(urdf, poses, every, offered).furniture()
+
+
+@lru_cache(maxsize=_CACHED_MODELS)
+def tops_of(path: Path, orientation: Quaternion) -> tuple[Surface, ...]:
+    """Return the surfaces on top of a free object, with everything closed: of a plate, a tray or a box.
+
+    Args:
+        path: A canonical URDF.
+        orientation: The object's, xyzw in the world: an object that lies on its side has another top.
+    """
+    urdf = stored_tree(path)
+    turned = (0.0, 0.0, 0.0), orientation
+    closed = urdf.link_poses({name: closed_position(urdf.joints[name]) for name in urdf.movable})
+    poses = {link: geometry.multiply(turned, pose) for link, pose in closed.items()}
+    every = pieces(path, poses)
+    found = [face for face in faces(every, THINGS) if face.clearance == math.inf] if every else []
+    names = distinct("top" for _ in found)
+    return tuple(surface_of(name, face, poses) for name, face in zip(names, found, strict=True))
 
 
 def _is_wide(path: Path, poses: Mapping[str, Pose]) -> bool:
@@ -196,7 +214,8 @@ class _Search:
             zip(order, distinct(readable(kept[number][0].link, self._urdf.name) for number in order), strict=True)
         )
         surfaces = [
-            self._surface(named[number], face, by_joint.get(opened, "")) for number, (face, opened) in enumerate(kept)
+            surface_of(named[number], face, self._poses, by_joint.get(opened, ""))
+            for number, (face, opened) in enumerate(kept)
         ]
         containers = [
             self._container(name, DRAWER if joint in drawers else DOOR, self._urdf.joints[joint], surfaces)
@@ -206,13 +225,6 @@ class _Search:
             MappingProxyType({surface.name: surface for surface in surfaces}),
             MappingProxyType({container.name: container for container in containers}),
         )
-
-    def _surface(self, name: str, face: Face, container: str) -> Surface:
-        x, y, z = face.middle.tolist()
-        pose = (x, y, z), geometry.from_rpy(0.0, 0.0, face.yaw)
-        position, orientation = geometry.multiply(geometry.invert(self._poses[face.link]), pose)
-        outline = tuple((float(a), float(b)) for a, b in face.outline)
-        return Surface(name, face.link, position, orientation, outline, face.clearance, container)
 
     def _container(self, name: str, kind: str, joint: UrdfJoint, surfaces: Sequence[Surface]) -> Container:
         inside = tuple(surface.name for surface in surfaces if surface.container == name)
@@ -231,6 +243,15 @@ class _Search:
         """Return the moved link with the name of a handle; "" if there is none."""
         moved = [link for link, mover in self._movers.items() if mover is joint and link != joint.child]
         return next((link for word in _HANDLE for link in moved if word in link.casefold()), "")
+
+
+def surface_of(name: str, face: Face, poses: Mapping[str, Pose], container: str = "") -> Surface:
+    """Return a face as a surface of its link."""
+    x, y, z = face.middle.tolist()
+    pose = (x, y, z), geometry.from_rpy(0.0, 0.0, face.yaw)
+    position, orientation = geometry.multiply(geometry.invert(poses[face.link]), pose)
+    outline = tuple((float(a), float(b)) for a, b in face.outline)
+    return Surface(name, face.link, position, orientation, outline, face.clearance, container)
 
 
 def readable(link: str, model: str, dropped: Iterable[str] = ()) -> str:

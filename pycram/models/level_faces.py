@@ -30,8 +30,17 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-AREA: Final = 0.02  # m^2, minimum area of a face
-_SIDE: Final = 0.06  # m, minimum width of a face: that of a glass
+
+class Least(NamedTuple):
+    """Sizes of the smallest face on which an object can stand."""
+
+    area: float  # m^2
+    side: float  # m
+
+
+AREA: Final = 0.02  # m^2, minimum area of a face of furniture
+FURNITURE: Final = Least(AREA, 0.06)  # as wide as a glass
+THINGS: Final = Least(0.0016, 0.04)  # of a plate, a box, or another object that robots carry
 _CLEARANCES: Final = (0.25, 0.05)
 """Minimum free heights in m. Faces with the first are searched for first: a low lamp then takes only its own area."""
 _LEVEL: Final = math.cos(math.radians(2.5))  # minimum z of the normal of a level face
@@ -61,15 +70,15 @@ class Face:
         return _area(self.outline)
 
 
-def faces(every: Sequence[Piece]) -> Iterator[Face]:
-    """Yield the faces that the pieces of a model have, link by link, from low to high."""
+def faces(every: Sequence[Piece], least: Least | None = None) -> Iterator[Face]:
+    """Yield the faces of a model's pieces, link by link, from low to high; by default those of furniture."""
     bounds = np.array([(piece.low, piece.high) for piece in every]).reshape(-1, 2, 3)
     by_link: dict[str, list[Piece]] = {}
     for piece in every:
         by_link.setdefault(piece.link, []).append(piece)
     for parts in by_link.values():
         for tops in _levels(parts):
-            yield from _faces_of(tops, every, bounds)
+            yield from _faces_of(tops, every, bounds, least or FURNITURE)
 
 
 def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
@@ -85,25 +94,26 @@ def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
     return levels
 
 
-def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array) -> Iterator[Face]:
+def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, least: Least) -> Iterator[Face]:
     """Yield the faces that pieces of one height form.
 
     Args:
         tops: The pieces.
         every: All pieces of the model.
         bounds: (k, 2, 3) lowest and highest corners of all pieces, m.
+        least: Sizes of the smallest face.
     """
     height = max(float(piece.high[2]) for piece in tops)
     yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
     cosine, sine = math.cos(yaw), math.sin(yaw)
     turn = np.array([[cosine, -sine], [sine, cosine]])  # corners @ turn: into the face's frame
     edges = np.concatenate([piece.corners[piece.corners[:, 2] > height - 2 * _THICK, :2] for piece in tops])
-    if (np.ptp(edges @ turn, axis=0) < _SIDE).any():
+    if (np.ptp(edges @ turn, axis=0) < least.side).any():
         return
     corners = edges @ turn
     rounded = geometry.convex_hull(corners)
     hull = corners[[np.abs(corners - corner).sum(axis=1).argmin() for corner in rounded]]
-    if _area(hull) < AREA:
+    if _area(hull) < least.area:
         return
     around = (bounds[:, 0, :2] < edges.max(axis=0)) & (bounds[:, 1, :2] > edges.min(axis=0))
     over = around.all(axis=1) & (bounds[:, 1, 2] > height + _ROUGH)
@@ -112,15 +122,15 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array) -> I
     middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in (rows, columns)), indexing="ij"), axis=-1)
     standing, clearance = _free(tops, above, height, middles @ turn.T)
     cells = np.outer(np.diff(rows), np.diff(columns))
-    for least in _CLEARANCES:
-        free = standing & (clearance >= least)
+    for height_above in _CLEARANCES:
+        free = standing & (clearance >= height_above)
         outlines = [(hull, free)]
         if cells[free].sum() < _WHOLE * _area(hull):
-            outlines = list(_rectangles(free, rows, columns))
+            outlines = list(_rectangles(free, rows, columns, least))
         for outline, within in outlines:
             standing = standing & ~within
             center = (outline.min(axis=0) + outline.max(axis=0)) / 2
-            if _area(outline) >= AREA:
+            if _area(outline) >= least.area:
                 middle = np.array([*(center @ turn.T), height])
                 yield Face(tops[0].link, middle, yaw, outline - center, float(clearance[within].min()))
 
@@ -138,9 +148,11 @@ def _free(
     return standing.reshape(shape), clearance.reshape(shape)
 
 
-def _rectangles(free: NDArray[np.bool_], rows: Array, columns: Array) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
+def _rectangles(
+    free: NDArray[np.bool_], rows: Array, columns: Array, least: Least
+) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
     """Yield corners (counter-clockwise) and cells of rectangles of free cells."""
-    for top, left, bottom, right in divide(free, rows, columns, _SIDE, AREA):
+    for top, left, bottom, right in divide(free, rows, columns, least.side, least.area):
         within = np.zeros_like(free)
         within[top:bottom, left:right] = True
         (a, b), (c, d) = rows[[top, bottom]], columns[[left, right]]

@@ -54,13 +54,16 @@ class Model:
     loading: Loading = NOW  # how the engine makes a body of the model
 
 
-def load(path: str | Path, color: Sequence[float] | None = None, packages: Sequence[str | Path] = ()) -> Model:
+def load(
+    path: str | Path, color: Sequence[float] | None = None, packages: Sequence[str | Path] = (), scale: float = 1.0
+) -> Model:
     """Check a model and make it canonical.
 
     Args:
         path: A .urdf, .stl, .obj or .dae file; see :func:`pycram.models.files.find`.
         color: RGBA 0..1 for a mesh; None keeps the colours of the file.
         packages: Folders of ROS packages that the URDF names, or their parents; see :mod:`pycram.models.files`.
+        scale: Metres per unit of length of the file.
 
     Raises:
         BadArgument: A folder of packages doesn't exist.
@@ -70,9 +73,9 @@ def load(path: str | Path, color: Sequence[float] | None = None, packages: Seque
     kind = file.suffix.lower()
     with Uninterrupted():  # libraries with lazy imports of each other swallow a Ctrl-C
         if kind == ".urdf":
-            return _corrected(file, _canonical(file, read_bytes(file), file.stem, check_packages(packages)))
+            return _corrected(file, _canonical(file, read_bytes(file), file.stem, check_packages(packages), scale))
         if kind in _MESH_SUFFIXES:
-            return _canonical(file, object_urdf.build(file, color), file.stem)
+            return _canonical(file, object_urdf.build(file, color, scale), file.stem)
     if kind == ".xacro":
         canonical_urdf.read(file, read_bytes(file))
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
@@ -88,8 +91,8 @@ def _corrected(file: Path, model: Model) -> Model:
     return replace(model, files=(*model.files, corrections.asset(beside.name, text.encode())))
 
 
-def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ...] = ()) -> Model:
-    meshes, textures = _file_names(source, content)
+def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ...] = (), scale: float = 1.0) -> Model:
+    meshes, textures = _file_names(source, content, scale)
     found = {name: find_mesh(source, name, packages) for name in meshes}
     for name in textures:
         try:
@@ -99,14 +102,14 @@ def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ..
     versions = tuple(
         (name, _FileVersion(file, of.st_mtime_ns, of.st_size)) for name, file in found.items() if (of := file.stat())
     )
-    return _cached_model(source, content, stem, versions)
+    return _cached_model(source, content, stem, versions, scale)
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
 @notable
-def _file_names(source: Path, content: bytes) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _file_names(source: Path, content: bytes, scale: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Check the links of a URDF; return the file names of its meshes and of its textures."""
-    root = canonical_urdf.read(source, content)
+    root = canonical_urdf.read(source, content, scale)
     meshes, textures = (
         dict.fromkeys(element.get("filename", "") for element in root.iter(tag)) for tag in ("mesh", "texture")
     )
@@ -122,9 +125,11 @@ class _FileVersion(NamedTuple):
 
 @lru_cache(maxsize=_CACHED_MODELS)
 @notable
-def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...]) -> Model:
+def _cached_model(
+    source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...], scale: float
+) -> Model:
     """Return the model of a URDF with these versions of its files; without a cache, worlds load much more slowly."""
-    root = canonical_urdf.read(source, content)
+    root = canonical_urdf.read(source, content, scale)
     files = dict(versions)
     used: dict[str, AssetFile] = {}
     named = {material.get("name"): material for material in root.findall("material")}

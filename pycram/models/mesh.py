@@ -38,11 +38,10 @@ else:
         collada, trimesh = LazyModule("collada"), LazyModule("trimesh")
 
 _LARGE: Final = 5000  # faces
-_FAR: Final = 1e9  # maximum coordinate of an STL, in the file's unit, which a URDF may scale
+_FAR: Final = 1e9  # maximum coordinate of a mesh, in the file's unit, which a URDF may scale
 _HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
 _STL_HEADER: Final = 84
 _STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
-_MAX_COORDINATE: Final = 1e4  # m; larger coordinates are not in metres
 _MAX_LINE: Final = 8000  # bytes of a line of OBJ: PyBullet splits lines after 8,192
 
 
@@ -63,7 +62,7 @@ def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[
         cover: Content of a texture for faces without a material.
 
     Raises:
-        AssetError: The content can't be parsed, or a number isn't finite or is too large for metres.
+        AssetError: The content can't be parsed, or a number isn't finite or is too large.
     """
     with _parsing(file):
         image = None if cover is None else read_image(io.BytesIO(cover))
@@ -180,8 +179,8 @@ def _rgba(color: Iterable[float] | None) -> Rgba | None:
 def _check_vertices(file: Path, vertices: Array) -> None:
     if not np.isfinite(vertices).all():
         raise AssetError(file, "has vertices that are not finite numbers")
-    if np.abs(vertices).max() > _MAX_COORDINATE:
-        raise AssetError(file, f"has vertices more than {_MAX_COORDINATE:g} m away from its origin")
+    if np.abs(vertices).max() > _FAR:
+        raise AssetError(file, f"has vertices more than {_FAR:g} away from its origin")
 
 
 @contextmanager

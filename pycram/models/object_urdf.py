@@ -16,7 +16,7 @@ import numpy as np
 from pycram.foundation.checks import number
 from pycram.foundation.failures import AssetError
 from pycram.models import conversion_cache, store
-from pycram.models.canonical_urdf import DENSITY
+from pycram.models.canonical_urdf import DENSITY, LARGEST
 from pycram.models.files import parse_toml, read_text
 from pycram.models.mesh import convert, convert_visual, parse
 from pycram.models.warming import notable
@@ -33,18 +33,21 @@ _MIN_CONVEXITY: Final = 0.9  # share of the hull's volume that a convex mesh fil
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 
 
-def build(file: Path, color: Sequence[float] | None) -> bytes:
+def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> bytes:
     """Return the URDF of an object, and store its meshes.
 
     Args:
         file: The mesh.
         color: RGBA 0..1 of the object; None for the colours of the mesh, or grey.
+        scale: Metres per unit of length of the mesh, and of meshes next to it.
 
     Raises:
-        AssetError: The mesh or a file next to it is broken.
+        AssetError: The mesh or a file next to it is broken, or the object is too large for the engine.
     """
     kind = f"object {None if color is None else [float(part) for part in color]}"
-    *meshes, (_, urdf, _) = conversion_cache.get(kind, file, lambda: [*_files(file, color)], _read_besides(file))
+    if scale != 1.0:
+        kind = f"{kind} scale {scale!r}"
+    *meshes, (_, urdf, _) = conversion_cache.get(kind, file, lambda: [*_files(file, color, scale)], _read_besides(file))
     for name, content, _ in meshes:
         store.write_mesh(name, content)
     return urdf
@@ -58,12 +61,14 @@ def _read_besides(file: Path) -> Iterator[Path]:
         yield file.parent / str(part["mesh"])
 
 
-def _files(file: Path, color: Sequence[float] | None) -> Iterator[tuple[str, bytes, None]]:
+def _files(file: Path, color: Sequence[float] | None, scale: float) -> Iterator[tuple[str, bytes, None]]:
     """Yield name and content of the meshes and, last, of the URDF, which names the meshes by their keys.
 
     The URDF has one link with convex collision shapes, mass, centre of mass and inertia.
     """
     shape = parse(file)
+    if scale != 1.0:
+        shape.vertices = shape.vertices * scale
     spread = np.linalg.svd(shape.vertices - shape.vertices.mean(axis=0), compute_uv=False)
     if len(spread) < 3 or spread[2] <= 1e-9 * spread[0]:
         raise AssetError(file, "is flat: it encloses no volume")
@@ -72,19 +77,27 @@ def _files(file: Path, color: Sequence[float] | None) -> Iterator[tuple[str, byt
     entry = _properties(file)
     if "friction" in entry:
         ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=repr(entry["friction"]))
-    _add_inertia(link, shape, entry)
+    _add_inertia(file, link, shape, entry)
     for name, content, rgba in _visuals(file, color, entry):
         visual = ET.SubElement(link, "visual")
-        ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=AssetFile(name, content).key)
+        mesh = ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=AssetFile(name, content).key)
+        _set_scale(mesh, scale)
         yield name, content, None
         material = ET.SubElement(visual, "material", name=name)
         ET.SubElement(material, "color", rgba=" ".join(f"{part:g}" for part in rgba))
     collision = ET.SubElement(ET.SubElement(link, "collision"), "geometry")
     name, content = _collision(file, shape)
-    ET.SubElement(collision, "mesh", filename=AssetFile(name, content).key)
+    mesh = ET.SubElement(collision, "mesh", filename=AssetFile(name, content).key)
+    if _pieces(file).is_file():
+        _set_scale(mesh, scale)
     yield name, content, None
     # escaped: names may contain bytes of the file's name that aren't UTF-8
     yield f"{file.stem}.urdf", escaped(ET.tostring(robot, encoding="unicode")).encode(), None
+
+
+def _set_scale(mesh: ET.Element, scale: float) -> None:
+    if scale != 1.0:
+        mesh.set("scale", " ".join([repr(scale)] * 3))
 
 
 def _visuals(
@@ -152,7 +165,7 @@ def _parsed(text: str, table: Path) -> Mapping[str, object]:
     return parse_toml(text, table)
 
 
-def _add_inertia(link: ET.Element, shape: trimesh.Trimesh, entry: Mapping[str, object]) -> None:
+def _add_inertia(file: Path, link: ET.Element, shape: trimesh.Trimesh, entry: Mapping[str, object]) -> None:
     if "mass" in entry:
         mass = number("mass", entry["mass"])
     else:
@@ -160,6 +173,9 @@ def _add_inertia(link: ET.Element, shape: trimesh.Trimesh, entry: Mapping[str, o
         mass = float(max(abs(solid.volume) * DENSITY, 1e-3))
     solid = shape if shape.is_watertight and shape.volume > 0 else shape.convex_hull
     tensor = solid.moment_inertia * (mass / solid.volume)
+    if max(mass, abs(tensor).max()) > LARGEST:
+        size = " x ".join(f"{length:.3g}" for length in shape.extents)
+        raise AssetError(file, f"is {size} m large: is it in millimetres? Object(..., scale=0.001)")
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in solid.center_mass), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(mass))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -10,11 +11,11 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.models import load
-from pycram.models.furniture import furniture_of
+from pycram.models.furniture import furniture_of, tops_of
 from pycram.models.robots.description import Misfitting, RobotDescription, find_description, why_none
 from pycram.models.surfaces import NONE, Surface
 from pycram.scheduling.future import unwrap
-from pycram.world import attachment, joints, overlaps
+from pycram.world import attachment, joints, overlaps, sizes
 from pycram.world.transaction import ReadOnlyAttributes, update
 from recorder import geometry, records
 from recorder.tracing.call_stack import call_site
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 #: None where a world, robot or description may be missing; type checkers accept any use, so plans need no assertions.
 MaybeNone: TypeAlias = Any
 
+_SCALES = (1e-6, 1e6)  # m per unit of length
 ENVIRONMENT = "environment"
 ROBOT = "robot"
 
@@ -61,6 +63,7 @@ class Object(ReadOnlyAttributes):
         description: Description of a robot; by default found by the name in its URDF.
         packages: Folders of ROS packages with the URDF's meshes (``package://``), or parents of such folders. Other
             packages are searched for as in :mod:`pycram.models.files`.
+        scale: Metres per unit of length of the file: 0.001 for a file in millimetres. Masses of a URDF stay in kg.
         model: A model that was loaded from a recording, not from the path.
 
     Raises:
@@ -95,6 +98,7 @@ class Object(ReadOnlyAttributes):
         *,
         description: RobotDescription | None = None,
         packages: Sequence[str | Path] = (),
+        scale: float = 1.0,
         model: Model | None = None,
     ) -> None:
         from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds hold objects
@@ -112,7 +116,8 @@ class Object(ReadOnlyAttributes):
         self.path = str(path)
         pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
         self.color = None if color is None else checks.color("color", color)
-        self.model = model or load.load(path, self.color, packages)
+        self.scale = checks.in_range("scale", scale, *_SCALES)
+        self.model = model or load.load(path, self.color, packages, self.scale)
         self.urdf: Urdf = self.model.urdf
         self.description: RobotDescription | MaybeNone = None
         if self.is_robot:
@@ -129,8 +134,14 @@ class Object(ReadOnlyAttributes):
         self.overlaps: Sequence[records.Overlap] = ()
         self._seal(Object)
         self.world.add(self)
-        if self.overlaps and model is None:  # a recorded object had its warning when it was recorded
+        if model is not None:  # a recorded object had its warnings when it was recorded
+            return
+        if self.overlaps:
             warnings.warn_explicit(overlaps.warning(self.name, self.overlaps), overlaps.Overlapping, *call_site())
+        is_mesh = not self.path.lower().endswith(".urdf")  # a URDF has units
+        width = sizes.width(self.model.path) if is_mesh and not self.fixed else 0.0
+        if width > sizes.WIDEST:
+            warnings.warn_explicit(sizes.warning(self.name, width), sizes.Oversized, *call_site())
 
     def __repr__(self) -> str:
         return f"Object({self.name!r}, {self.type!r})"
@@ -213,6 +224,7 @@ class Object(ReadOnlyAttributes):
             robot_description=self.description.text if self.description else "",
             overlaps=self.overlaps,
             loading=model.loading.to_record(),
+            scale=0.0 if self.scale == 1.0 else self.scale,
         )
 
     def get_joint_id(self, name: str) -> int:
@@ -258,6 +270,14 @@ class Object(ReadOnlyAttributes):
     def containers(self) -> Mapping[str, Container]:
         """Drawers and doors by name; a robot has none."""
         return NONE.containers if self.is_robot else furniture_of(self.model).containers
+
+    @property
+    @refusing("object")
+    def tops(self) -> tuple[Surface, ...]:
+        """Surfaces on top of a free object as it lies now: of a plate, a box or a tray; none for what is fixed."""
+        x, y, z, w = self.get_orientation()
+        found = () if self.fixed else tops_of(self.model.path, (x, y, z, w))
+        return tuple(replace(surface, name=f"{surface.name} of {self.name}") for surface in found)
 
     def surface(self, name: str) -> Surface:
         """Return the surface with a name."""

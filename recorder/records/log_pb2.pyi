@@ -182,7 +182,7 @@ class Loading(_message.Message):
     def __init__(self, undamped: bool = ..., clamped: bool = ..., mimic: bool = ..., inertia: bool = ..., armature: _Optional[float] = ..., gain: _Optional[float] = ..., strength: _Optional[float] = ...) -> None: ...
 
 class LoadBody(_message.Message):
-    __slots__ = ("body", "type", "path", "assets", "position", "orientation", "color", "fixed_base", "joints", "robot_description", "loading", "overlaps")
+    __slots__ = ("body", "type", "path", "assets", "position", "orientation", "color", "fixed_base", "joints", "robot_description", "loading", "overlaps", "scale")
     BODY_FIELD_NUMBER: _ClassVar[int]
     TYPE_FIELD_NUMBER: _ClassVar[int]
     PATH_FIELD_NUMBER: _ClassVar[int]
@@ -195,6 +195,7 @@ class LoadBody(_message.Message):
     ROBOT_DESCRIPTION_FIELD_NUMBER: _ClassVar[int]
     LOADING_FIELD_NUMBER: _ClassVar[int]
     OVERLAPS_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
     body: str
     type: str
     path: str
@@ -207,7 +208,8 @@ class LoadBody(_message.Message):
     robot_description: str
     loading: Loading
     overlaps: _containers.RepeatedCompositeFieldContainer[Overlap]
-    def __init__(self, body: _Optional[str] = ..., type: _Optional[str] = ..., path: _Optional[str] = ..., assets: _Optional[_Iterable[_Union[Asset, _Mapping]]] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., color: _Optional[_Iterable[float]] = ..., fixed_base: bool = ..., joints: _Optional[_Iterable[str]] = ..., robot_description: _Optional[str] = ..., loading: _Optional[_Union[Loading, _Mapping]] = ..., overlaps: _Optional[_Iterable[_Union[Overlap, _Mapping]]] = ...) -> None: ...
+    scale: float
+    def __init__(self, body: _Optional[str] = ..., type: _Optional[str] = ..., path: _Optional[str] = ..., assets: _Optional[_Iterable[_Union[Asset, _Mapping]]] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., color: _Optional[_Iterable[float]] = ..., fixed_base: bool = ..., joints: _Optional[_Iterable[str]] = ..., robot_description: _Optional[str] = ..., loading: _Optional[_Union[Loading, _Mapping]] = ..., overlaps: _Optional[_Iterable[_Union[Overlap, _Mapping]]] = ..., scale: _Optional[float] = ...) -> None: ...
 
 class RemoveBody(_message.Message):
     __slots__ = ("body",)

@@ -217,6 +217,7 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; other com
     "open_world": lambda command: str(command.mode),
     "load_body": lambda command: (
         f"{command.body} {_numbers(command.position)}"
+        + (f", scale {command.scale:g}" if command.scale else "")
         + "".join([f", {each.depth * 1e3:.0f} mm inside of {each.body}" for each in command.overlaps[:]])
     ),
     "remove_body": lambda command: command.body,

@@ -162,6 +162,7 @@ def load_body(
         world,
         list(loaded.color if color is None else color) or None,
         description=description_of(loaded.robot_description),
+        scale=loaded.scale or 1.0,
         model=model_of(log, loaded),
     )
 

@@ -71,7 +71,7 @@ _COARSE: Final = 0.1  # m between points of a surface for which the reach is est
 def free_places(
     body: Object,
     *,
-    on: Sequence[tuple[Object, Surface | str]],
+    on: Sequence[Object | tuple[Object, Surface | str]],
     near: Sequence[float] | None = None,
     side: str | tuple[str, Object] | None = None,
     orientation: Sequence[float] | None = None,
@@ -87,7 +87,7 @@ def free_places(
 
     Args:
         body: upright; its present place doesn't matter.
-        on: surfaces or their names, each with its furniture: (kitchen, "island").
+        on: surfaces or their names, each with its furniture: (kitchen, "island"); or objects: the top of a plate.
         near: xyz or xy in m of a point, at most 1 m away.
         side: "front", "back", "left" or "right" of each surface, or (side, object) for a side of an object, as the
             robot sees it.
@@ -104,9 +104,13 @@ def free_places(
     """
     body, robot = unwrap(body), unwrap(reachable_for)
     surfaces = []
-    for each, surface in on:
+    for item in on:
+        each, surface = item if isinstance(item, tuple | list) else (item, None)
         furniture = unwrap(each)
         world_of(furniture)
+        if surface is None:
+            surfaces += [(furniture, top) for top in furniture.tops]
+            continue
         surfaces.append((furniture, surface if isinstance(surface, Surface) else furniture.surface(surface)))
     if not surfaces:
         raise BadArgument("on", on, "at least one surface with its furniture")
@@ -278,7 +282,10 @@ class SurfaceSearch(Search):
         """
         clone = clone_of(self._body.world, "reach")
         carried = held(self._robot) if self._robot else ()
-        others = [each for each in self._body.world.objects if each not in self._own and each not in carried]
+        left_out = {*self._own, *carried}
+        if searched.surface.name not in searched.furniture.surfaces:  # the outline of a top leaves out its rim
+            left_out.add(searched.furniture)
+        others = [each for each in self._body.world.objects if each not in left_out]
         (_, _, height), _ = searched.pose()
         size = float(np.ptp(self._turned_corners(self._turn)[:, 2]))
         boxes = concatenate([_parked(each) if each.is_robot else clone.boxes(each) for each in others])

@@ -51,6 +51,22 @@ def test_the_pr2_brings_the_milk_to_the_island_past_what_stands_before_it(shared
     assert kinds.count("fetching") >= 1 <= kinds.count("delivering")
 
 
+@pytest.mark.parametrize("by_name", [False, True])
+def test_the_pr2_puts_the_cup_on_the_plate(by_name: bool) -> None:
+    with BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("floor", "environment", "plane.urdf")
+        Object("kitchen", "environment", "kitchen.urdf")
+        plate = Object("plate", "plate", "plate.stl", [-0.8, 1.2, 0.87])
+        cup = Object("cup", "cup", "cup.stl", [-0.8, 1.6, 0.9])
+        world.robot = Object("pr2", "robot", "pr2.urdf", [0, 1, 0])
+        world.settle()
+        transport("cup", "plate" if by_name else LocationDesignator(on=plate))
+        assert cup.carrier is None
+        assert btr.supporting(plate, cup)
+        assert btr.stable(cup)
+
+
 def test_what_lies_in_a_closed_drawer_is_fetched_by_opening_it(shared_scene: BulletWorld) -> None:
     know(shared_scene)
     spoon, kitchen = shared_scene.get_object("spoon"), shared_scene.get_object("kitchen")

@@ -43,4 +43,4 @@ def test_commands_of_the_guide_to_models_work(tmp_path: Path, monkeypatch: pytes
         world = names.get("world")
         if isinstance(world, BulletWorld):
             world.exit()
-    assert shown == 3
+    assert shown == 5

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument, NoPlace, UnknownName
 from pycram.reasoning.places import free_places
@@ -246,3 +247,40 @@ def test_impossible_constraints_are_refused_immediately(room: BulletWorld, table
         free_places(cup, on=on(table), reachable_for=table)
     with pytest.raises(BadArgument, match="near"):
         free_places(cup, on=on(table), near=[math.nan, 0])
+
+
+@pytest.mark.slow
+def test_a_cup_put_down_on_a_plate_stands_on_the_plate(room: BulletWorld) -> None:
+    saved = room.save()
+    plate = Object("plate", "plate", "plate.stl", [0.3, -0.5, TOP + 0.012])
+    cup = room.get_object("cup")
+    room.simulate(0.3)
+    (top,) = plate.tops
+    assert top.name == "top of plate"
+    for place in some(2, free_places(cup, on=[plate], seed=3)):
+        assert place.surface == "top of plate"
+        cup.set_position_and_orientation(place.position, place.orientation)
+        room.simulate(0.5)
+        assert btr.supporting(plate, cup)
+        assert btr.stable(cup)
+        assert math.dist(cup.get_position(), place.position) < 0.01
+    cup.set_position([3.0, 3.0, 0.1])
+    with pytest.raises(NoPlace, match="cereal on top of plate"):  # it is wider than the plate's bottom
+        next(free_places(room.get_object("cereal"), on=[plate], seed=3))
+    plate.remove()
+    room.restore(saved)
+
+
+@pytest.mark.slow
+def test_the_top_of_a_thing_is_what_is_on_top_as_it_lies(room: BulletWorld) -> None:
+    cereal = room.get_object("cereal")
+    saved = room.save()
+    (upright,) = cereal.tops
+    cereal.set_position_and_orientation([0.6, 0.5, TOP + 0.04], geometry.from_rpy(math.pi / 2, 0, 0))
+    (lying,) = cereal.tops
+    assert math.prod(lying.size) > 1.5 * math.prod(upright.size)
+    (_, _, height), turn = cereal.surface_pose(lying)
+    assert height == pytest.approx(cereal.get_AABB()[1][2], abs=0.005)
+    assert geometry.rotate(turn, (0, 0, 1)) == pytest.approx((0, 0, 1), abs=1e-6)
+    room.restore(saved)
+    assert room.get_object("table").tops == ()  # furniture has surfaces

@@ -151,7 +151,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Altered]:
         world.set_gravity([0, 0, -9.8])
         Object("floor", "environment", "plane.urdf")
         cabinet = Object("cabinet", "environment", str(CABINET), [1.3, 0.7, 0.6])
-        cup = Object("cup", "cup", "cup.stl", [1.3, 0.6, 1.0], color=[1, 0, 0, 1])
+        cup = Object("cup", "cup", "cup.stl", [1.3, 0.6, 1.0], color=[1, 0, 0, 1], scale=1.1)
         with pytest.warns(match=" mm inside of "):
             apple = Object("apple", "apple", "apple.stl", [1.3, 0.6, 1.0])
         event, hunger = Event("dinner", "cook"), Fluent(1, "hunger")

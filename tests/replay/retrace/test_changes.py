@@ -209,7 +209,11 @@ def test_what_only_the_setter_knows_ends_the_fork(log: Recording, tmp_path: Path
         ({"answers": ["occluding(milk)=true"]}, BadChange, r"a list of objects, as \[milk, bowl\]"),
         ({"answers": ["stable(milk, who=cup)=true"]}, BadChange, "who"),
         ({"answers": ["stable(mlik)=false"]}, NoSuchName, "no object 'mlik'; did you mean milk"),
-        ({"answers": ["stable('milk carton')=false"]}, NoSuchName, "no object 'milk carton'; did you mean milk"),
+        (
+            {"answers": ["stable('milk carton')=false"]},
+            NoSuchName,
+            "no object 'milk carton'; there are cabinet, cup, floor, milk",
+        ),
         ({"answers": ["occluding(milk)=[cop]"]}, NoSuchName, "did you mean cup"),
         ({"answers": ["visible(milk, camera)=true"]}, NoSuchName, "no camera 'camera'"),
         ({"settings": ["'milc'.position=0,0,1"]}, NoSuchName, "'milc'; did you mean milk"),

@@ -1,0 +1,34 @@
+"""Sizes of objects: an object that no hand can hold is probably in another unit than metres."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from pycram.models.shapes import piece_bounds
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+WIDEST: Final = 10.0
+"""Width in m above which the mesh of a free object is probably in another unit."""
+
+
+class Oversized(UserWarning):
+    """The mesh of a free object is wider than 10 m; it is probably in another unit than metres."""
+
+
+def width(model: Path) -> float:
+    """Return the largest extent of a link of a canonical URDF, in m."""
+    lows: dict[str, list[float]] = {}
+    highs: dict[str, list[float]] = {}
+    for link, (low, high) in piece_bounds(model):
+        lows[link] = [*map(min, low, lows.get(link, low))]
+        highs[link] = [*map(max, high, highs.get(link, high))]
+    return max(
+        (top - bottom for link in lows for bottom, top in zip(lows[link], highs[link], strict=True)), default=0.0
+    )
+
+
+def warning(body: str, wide: float) -> str:
+    """Return the message of the warning that an object is oversized."""
+    return f"{body} is {wide:.3g} m wide: is its file in millimetres? Object(..., scale=0.001)"
