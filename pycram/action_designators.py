@@ -196,7 +196,7 @@ def navigating(
 
     Args:
         target: A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame.
-        orientation: A quaternion [x, y, z, w] of its base, world frame; that of the place, else the present one.
+        orientation: A quaternion [x, y, z, w] of its base, world frame; by default as the place has it, else unchanged.
         budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
             of the action around it.
         projected: Whether the best choices are imagined first; False by default.

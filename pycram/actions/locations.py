@@ -94,7 +94,7 @@ def _reachable(name: str, value: Any) -> Any:
 _SLOTS: Final = SlotTable(
     "location",
     (
-        Slot("position", POSITION, text="[x, y, z] in m, world frame: a place that is known"),
+        Slot("position", POSITION, text="[x, y, z] in m, world frame: a known place"),
         Slot("orientation", ORIENTATION, text="a quaternion [x, y, z, w], world frame, there"),
         Slot(
             "on",
@@ -108,12 +108,12 @@ _SLOTS: Final = SlotTable(
         Slot(
             "side",
             _side,
-            text='Of the surface, or (side, object), as the robot sees it: "front", "back", "left" or "right"',
+            text='Side of the surface, or (side, object), as the robot sees it: "front", "back", "left" or "right"',
         ),
         Slot(
             "reachable-for",
             _reachable,
-            text="What the robot is to reach: an object, or [x, y, z] in m; of a place for an object, the robot",
+            text="Target that the robot must reach: an object, or [x, y, z] in m; for an object's place, the robot",
         ),
         Slot("visible-for", thing, text="the object that the robot's camera is to see from there"),
         Slot("away-from", _near, text="an object or a point that it is to be at least 0.4 m away from"),

@@ -1,7 +1,7 @@
 """Failures of worlds and motions (out of reach, not seen, in collision), and all usage errors.
 
-See :mod:`pycram.foundation.errors` for how to write one. By default, lengths are in m, angles in rad, positions xyz in
-the world frame, and orientations quaternions xyzw.
+See :mod:`pycram.foundation.errors` for how to write a failure. By default, lengths are in m, angles in rad,
+positions xyz in the world frame, and orientations quaternions xyzw.
 """
 
 from __future__ import annotations
