@@ -196,7 +196,7 @@ _redirect: Callable[[Run], Sink | None] | None = None
 
 @contextmanager
 def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
-    """Redirect recordings that begin in the block from files and viewers to other sinks.
+    """Write recordings that begin inside the ``with`` block to other sinks instead of files and viewers.
 
     The block runs a program from its start, so its recordings are numbered from 1. Recordings of forked processes, such
     as projections, aren't redirected.

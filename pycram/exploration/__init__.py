@@ -408,7 +408,7 @@ class Ending:
         return mine == others
 
     def differences(self, other: Ending) -> Iterator[str]:
-        """Yield the differences of its state from another ending's, in words."""
+        """Yield descriptions of how the state at this ending differs from the state at another ending."""
         bodies = {**self.bodies, **other.bodies}
         several = len({key.partition("/")[0] for key in bodies}) > 1
         for key in sorted(bodies):

@@ -123,7 +123,7 @@ class Block:
         """Reject a premature change of a world by the body; a body that runs in place makes none."""
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
-        """Reject the body's action in an outer block while earlier actions of the body are pending."""
+        """Reject an action that this body adds to an outer block while its own earlier actions are pending."""
 
     # --- branches ---------------------------------------------------------------------------------------------------
 

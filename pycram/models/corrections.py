@@ -65,7 +65,7 @@ class Corrections:
 
 
 def asset(name: str, content: bytes) -> AssetFile:
-    """Return a TOML file as one of the files of a model."""
+    """Return the entry of a TOML file in the list of a model's files."""
     return AssetFile(name, content, "application/toml")
 
 

@@ -26,7 +26,7 @@ from pycram.foundation.failures import BadArgument, UsageError
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
-#: Turns in a row after which a branch, such as one that polls, lets all others run first.
+#: A branch that takes this many turns in a row, for example because it polls, then lets all other branches run.
 MOST_IN_A_ROW: Final = 100
 ADDED: Final = "added"
 OUTSIDE: Final = "0"

@@ -110,7 +110,7 @@ def put_back(carrier: Object, body: Object, saved: records.Attachment, transacti
 
 
 def renew(body: Object, transaction: Transaction) -> None:
-    """Give an object that was moved by itself its new relative pose, if another object carries it."""
+    """Update the pose of a carried object relative to its carrier, after a move without the carrier."""
     carrier = body.carrier
     if carrier is not None:
         old = carrier.attachments[body]

@@ -32,7 +32,7 @@ DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
 FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
 CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # the fields start, end, offset, length, and bytes of the following map
-#: Bytes of the message indexes, and of the following name of the compression.
+#: Sizes in bytes of the message indexes, and of the name of the compression, which follows them.
 _INDEX_LENGTH: Final = struct.Struct("<QI")
 _CHUNK: Final = int(Opcode.CHUNK)
 _MESSAGE_INDEX: Final = HEADER + 6  # bytes of a channel's message index before its entries

@@ -46,7 +46,7 @@ class Blame:
 
     world: str
     other_worlds: tuple[str, ...]  # other open worlds that contain a body with that name
-    default_world: str  # the last opened world, if it has no such body; "" otherwise
+    default_world: str  # name of the world that was opened last, if the body isn't in it; else ""
     body: str
     joint: str  # name of the joint; "": the body's pose changed
     #: "command" (on the body itself), "load", "carried" (by its holder), "along" (with the body that it lies on or in),

@@ -205,7 +205,7 @@ def overlapping_pairs(
         axes: (n, k, 3, 3) axes of the boxes.
         half_extents: (k, 3) half extents of the boxes, m.
         a: (m,) numbers of the first boxes of pairs.
-        b: (m,) numbers of the second boxes of pairs.
+        b: (m,) index of the second box of each pair.
 
     Returns:
         Numbers of postures, and of the pairs that overlap in them, in order.
