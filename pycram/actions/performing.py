@@ -23,6 +23,7 @@ from pycram.motions.process_module import current_environment
 from pycram.motions.slots import DesignatorError
 from pycram.process_module import ProcessModule
 from pycram.projection import Outcome, project_all
+from pycram.reasoning.places.remedies import aside
 from pycram.scheduling.cancellation import Binding, checkpoint
 from pycram.world.world import BulletWorld
 from recorder.records import Decision, format_error
@@ -146,7 +147,8 @@ class ActionFailed(PlanFailure):
     ) -> None:
         count = f"{len(tried)} {'try' if len(tried) == 1 else 'tries'}"
         ending = "the budget is spent" if spent else "there is nothing else to try"
-        super().__init__(f"{action} failed after {count}, {ending}{_summary(tried, last)}")
+        remedy = _remedy(tried)
+        super().__init__(f"{action} failed after {count}, {ending}{_summary(tried, last)}{remedy and '; ' + remedy}")
         self.action = action  # type of the action
         self.tried = list(tried)  # the failed choices, in order, each with its failure
         self.spent = spent  # whether the budget was spent: there may be other choices
@@ -157,15 +159,26 @@ export("pycram.actions", ActionFailed)
 
 
 def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
-    """Return the failures of tries as text; equal failures are counted."""
+    """Return the failures of tries as text, the commonest first; equal failures are counted."""
     groups: dict[str, int] = {}
     for each in tried:
         reason = _reason(each.failure)
         groups[reason] = groups.get(reason, 0) + 1
-    reasons = [f"{count} times: {text}" if count > 1 else text for text, count in list(groups.items())[:_MAX_REASONS]]
+    commonest = sorted(groups.items(), key=lambda group: -group[1])[:_MAX_REASONS]
+    reasons = [f"{count} times: {text}" if count > 1 else text for text, count in commonest]
     reasons += [f"and {len(groups) - _MAX_REASONS} other failures"] if len(groups) > _MAX_REASONS else []
     reasons += [_reason(last)] if last is not None else []
     return ": " + "; ".join(reasons) if reasons else ""
+
+
+def _remedy(tried: Sequence[Try]) -> str:
+    """Return the advice to move objects aside that were in the way in each try; "" without such objects."""
+    world = BulletWorld.current_bullet_world
+    blocking = [getattr(each.failure, "bodies", None) for each in tried]
+    if world is None or not blocking or not all(blocking):
+        return ""
+    every = [name for name in blocking[0] or () if all(name in (bodies or ()) for bodies in blocking)]
+    return aside(every, world.objects)
 
 
 def _reason(failure: BaseException) -> str:

@@ -225,12 +225,15 @@ class NoPlace(PlanFailure):
     wanted: str  # the purpose of the place
     excluded: Mapping[str, int] = kept_as(dict)  # number of places that each constraint excluded, in their order
     last: str  # the constraint that excluded the last places
+    _: KW_ONLY
+    _why: str = ""  # the commonest reason of that constraint, and what would help; part of the message alone
 
     def _message(self) -> str:
         counts = ", ".join(f"{count} by {name}" for name, count in self.excluded.items())
         total = sum(self.excluded.values())
         considered = f"of {total} places {counts} were excluded" if counts else "no place was left"
-        return f"no place for {self.wanted}: {considered}; the last by {self.last}"
+        why = f"; {self._why}" if self._why else ""
+        return f"no place for {self.wanted}: {considered}; the last by {self.last}{why}"
 
 
 @dataclass_error

@@ -308,13 +308,18 @@ def _named(candidate: Candidate) -> str:
 def reason_text(candidate: Candidate) -> str:
     """Return the reason for a rejection in words; for a user's own reason, its type and values."""
     data: Mapping[str, Any] = argument_values(candidate.data)
-    phrase = _REASONS.get(candidate.reason)
-    try:
-        text = phrase(data) if phrase is not None else ""
-    except (KeyError, TypeError, ValueError, AttributeError):  # the data is damaged or comes from another release
-        text = ""
+    text = rejection_text(candidate.reason, data)
     several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
     return text + several or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
+
+
+def rejection_text(reason: str, data: Mapping[str, Any]) -> str:
+    """Return a reason for a rejection in words, from its type and data; "" for a user's own, or one with other data."""
+    phrase = _REASONS.get(reason)
+    try:
+        return phrase(data) if phrase is not None else ""
+    except (KeyError, TypeError, ValueError, AttributeError):  # the data is damaged or comes from another release
+        return ""
 
 
 def pair_text(pair: Mapping[str, object]) -> str:

@@ -389,6 +389,9 @@ class SurfaceSearch(Search):
             return "room", NoRoom("the place is taken, or leaves no room for a finger")
         return None
 
+    def _drives(self) -> bool:
+        return not self._stays()
+
     def _stays(self) -> bool:
         """Return whether the place must be in reach of a robot that can't drive."""
         return self._robot is not None and not drives(self._robot)

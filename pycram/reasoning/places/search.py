@@ -17,6 +17,7 @@ import numpy as np
 from pycram.foundation.failures import NoPlace, NotDrivable
 from pycram.reasoning.choosing import Choice
 from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.places.remedies import Reasons
 from recorder import geometry, records
 from recorder.tracing import journal
 
@@ -121,6 +122,7 @@ class Search(ABC):
         self._over = False  # whether the search has ended
         self._counts: dict[str, int] = {}  # number of places that each constraint excluded
         self._last = ""  # the constraint that excluded the last place
+        self._reasons = Reasons()
 
     def places(self) -> Iterator[FoundPlace]:
         """Yield places until the search has ended.
@@ -135,7 +137,8 @@ class Search(ABC):
                 clone_of(self._world, "reach").sync()
                 place = self._next(batch, number)
                 if place is None and self._over and not found:
-                    raise NoPlace(self._wanted, self._counts, self._last)
+                    why = self._reasons.text(self._last, self._world.objects, drives=self._drives())
+                    raise NoPlace(self._wanted, self._counts, self._last, _why=why)
             if place is not None:
                 found = True
                 yield place
@@ -151,12 +154,14 @@ class Search(ABC):
 
         All cells are 0 if the constraints exclude each other.
         """
-        scores = np.ones(1)
-        for constraint, score in maps:
+        scores, factors = np.ones(1), list(maps)
+        for constraint, score in factors:
             left = scores.any()
             scores = scores * score
             if left and not scores.any() and not self._counts:
                 self._counts[constraint], self._last = len(scores), constraint
+                others = [factor for name, factor in factors if name != constraint]
+                self._reasons.excluded_by_maps(constraint, alone=bool(np.prod(others, axis=0).any()))
         best = float(scores.max())
         return scores / (best or 1.0), best
 
@@ -164,6 +169,11 @@ class Search(ABC):
         batch.reject(spot.name, reason)
         self._counts[constraint] = self._counts.get(constraint, 0) + 1
         self._last = constraint
+        self._reasons.add(constraint, reason)
+
+    def _drives(self) -> bool:
+        """Return whether the robot of the search can drive."""
+        return True
 
 
 def drives(robot: Object) -> bool:

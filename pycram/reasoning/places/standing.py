@@ -287,6 +287,9 @@ class StandingSearch(Search):
             batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": place.arms})
         return place
 
+    def _drives(self) -> bool:
+        return drives(self._robot)
+
     def _exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
         """Count a place that a constraint excludes; it isn't drawn again."""
         self._rejected.append(spot.pose[0])

@@ -123,6 +123,9 @@ def test_a_full_surface_has_no_room(room: BulletWorld, table: Object, sink: Memo
     with pytest.raises(NoPlace, match="cup on mat") as refused:
         next(free_places(room.get_object("cup"), on=[(table, mat)], seed=0))
     assert refused.value.last == "room"
+    assert str(refused.value).endswith("; the surface is full; take objects off it, or name another one") or str(
+        refused.value
+    ).endswith("; take objects off the surface, or name another one")
     assert set(refused.value.excluded) <= {"room", "edge"}
     (*_, record) = sink.of(Query)
     assert record.failure.type.endswith("NoPlace")
@@ -138,7 +141,9 @@ def test_constraints_that_exclude_each_other_are_named(room: BulletWorld, table:
     finally:
         bowl.set_position(bowl_was)
     assert refused.value.last == "side back"
-    assert "the last by side back" in str(refused.value)
+    remedy = "without side back, the other constraints leave places: change it or leave it out"
+    assert str(refused.value).endswith(f"the last by side back; {remedy}")
+    next(free_places(cup, on=on(table), seed=0))
 
 
 def test_an_object_too_high_for_a_shelf_has_no_place(room: BulletWorld, table: Object) -> None:
@@ -150,6 +155,7 @@ def test_an_object_too_high_for_a_shelf_has_no_place(room: BulletWorld, table: O
         with pytest.raises(NoPlace) as refused:
             next(free_places(room.get_object("cereal"), on=[surface], seed=0))
         assert refused.value.last == "clearance"
+        assert "higher than the free height above the surface" in str(refused.value)
     finally:
         kitchen.remove()
 

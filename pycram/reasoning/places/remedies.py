@@ -1,0 +1,95 @@
+"""The commonest reason against the places of a search, and what would help.
+
+A remedy follows from the reason, or from a check of the maps: nothing is suggested that might not help.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unseen
+from recorder.records.text import rejection_text
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterable, Sequence
+
+    from pycram.reasoning.rejections import Rejection
+    from pycram.world.object import Object
+
+#: Reasons and remedies by the constraint whose map excludes a whole surface.
+_SURFACE: Final = {
+    "clearance": "it is higher than the free height above the surface; name another surface",
+    "edge": "the surface is too small for it; name a larger one",
+    "room": "the surface is full; take objects off it, or name another one",
+}
+
+
+class Reasons:
+    """The reasons of a search against its places, by constraint."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, dict[Hashable, tuple[int, Rejection]]] = {}
+        self._maps = ""  # why the maps left no place, and the remedy
+
+    def add(self, constraint: str, reason: Rejection) -> None:
+        """Count a reason; of equal ones, the narrowest miss is kept."""
+        group = self._found.setdefault(constraint, {})
+        key = type(reason), reason.alike()
+        count, nearest = group.get(key, (0, reason))
+        group[key] = count + 1, min(nearest, reason, key=lambda each: each.miss())
+
+    def excluded_by_maps(self, constraint: str, *, alone: bool) -> None:
+        """Remember the constraint that left no place on the maps; ``alone`` if the others leave places without it."""
+        self._maps = _SURFACE.get(constraint, "")
+        if not self._maps and alone and constraint.startswith(("near", "away-from", "side")):
+            self._maps = f"without {constraint}, the other constraints leave places: change it or leave it out"
+
+    def text(self, constraint: str, objects: Sequence[Object], *, drives: bool) -> str:
+        """Return the commonest reason of a constraint, and the remedy; "" if neither is known.
+
+        Args:
+            constraint: The constraint that excluded the last places.
+            objects: The objects of the world.
+            drives: Whether the robot can drive; else the target must come to it.
+        """
+        group = self._found.get(constraint)
+        if group is None:
+            return self._maps
+        _, reason = max(group.values(), key=lambda each: each[0])
+        words = _words(reason)
+        remedy = _remedy(reason, objects, drives=drives)
+        return f"most often: {words}{remedy and '; ' + remedy}" if words else ""
+
+
+def _words(reason: Rejection) -> str:
+    if isinstance(reason, OutOfReach):
+        return (
+            "it is out of reach"
+            if reason.distance is None
+            else f"it is out of reach by {_centimetres(reason)} cm or more"
+        )
+    return rejection_text(type(reason).__name__, reason.data())
+
+
+def _remedy(reason: Rejection, objects: Sequence[Object], *, drives: bool) -> str:
+    if isinstance(reason, Touching):
+        return aside((pair.body for pair in reason.pairs if pair.body != pair.mover), objects)
+    if isinstance(reason, Unseen):
+        return aside(reason.hidden_by, objects)
+    if isinstance(reason, OutOfReach) and reason.distance and not drives:
+        return f"the base is fixed: bring it at least {_centimetres(reason)} cm closer"
+    if isinstance(reason, NoRoom) and "taken" in reason.reason:
+        return "take objects off the surface, or name another one"
+    return ""
+
+
+def aside(names: Iterable[str], objects: Iterable[Object]) -> str:
+    """Return the advice to move objects aside; "" if one of them can't be moved, or there are none."""
+    wanted = list(dict.fromkeys(names))
+    movable = {each.name for each in objects if not each.fixed and not each.is_robot}
+    return f"move {' and '.join(wanted)} aside" if wanted and movable.issuperset(wanted) else ""
+
+
+def _centimetres(reason: OutOfReach) -> int:
+    return math.ceil((reason.distance or 0.0) * 100)
