@@ -239,7 +239,9 @@ def test_wrong_arguments_are_refused_before_anything_is_done(
 def test_a_plan_that_declares_no_parameters_says_how(tmp_path: Path) -> None:
     plan = tmp_path / "bare.py"
     plan.write_text("print(1)\n")
-    with pytest.raises(pycram.UnknownParameter, match=r"declares none: pycram.parameters\(name=default\)"):
+    with pytest.raises(
+        pycram.UnknownParameter, match=r"declares no parameters; declare them with pycram.parameters\(name=default\)"
+    ):
         pycram.sweep(plan, 2, tmp_path / "runs", set={"x": [1]})
 
 
