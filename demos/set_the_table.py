@@ -145,7 +145,7 @@ def move_object(object_type: str, furniture: Object, waiting: tuple[str, ...] = 
         waiting = (*waiting, object_type)
         if blocking[0].type in waiting:
             circle = " and ".join(waiting[waiting.index(blocking[0].type) :])
-            raise btr.ReasoningError(f"{circle} block each other: none can go first")
+            raise btr.ReasoningError(f"{circle} block each other, so none can be cleared away first")
         print(f"{object_type}: {blocking[0].type} is in the way and goes first")
         move_object(blocking[0].type, furniture, waiting)
         go(counter)
