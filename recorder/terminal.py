@@ -106,7 +106,8 @@ class _Pager(io.TextIOBase):
     def finish(self) -> None:
         """Print what is still held, and wait until the user quits the pager."""
         try:
-            self._print_held() if self._held is not None else None
+            if self._held is not None:
+                self._print_held()
             self._target.flush()
         finally:
             while self._process is not None:

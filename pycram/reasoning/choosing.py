@@ -141,7 +141,7 @@ class Choice(Question):
         numbers: dict[str, int] = {}
         groups: dict[object, list[tuple[Rejection, str, int]]] = {}
         for name, (reason, count) in self._rejected.items():
-            groups.setdefault((type(reason), reason.alike()), []).append((reason, name, count))
+            groups.setdefault(reason.group(), []).append((reason, name, count))
         for group in list(groups.values())[:_MAX_GROUPS]:
             group.sort(key=lambda item: item[0].miss())
             numbers |= dict.fromkeys((name for _, name, _ in group), len(record.candidates))

@@ -27,6 +27,10 @@ class Rejection:
         """Return the property that candidates of one group share, besides the type of their reason."""
         return ()
 
+    def group(self) -> Hashable:
+        """Return the group of the reason: equal for reasons that are counted together."""
+        return type(self), self.alike()
+
     def miss(self) -> float:
         """Return the size of the miss; a group's record has the reason with the smallest one."""
         return 0.0
@@ -86,6 +90,10 @@ class Uneven(Rejection):
     def miss(self) -> float:
         """Return the height."""
         return self.height or 0.0
+
+
+TAKEN: Final = "the place is taken, or leaves no room for a finger"
+"""Reason of a :class:`NoRoom`, which fewer objects on the surface would remove."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from pycram.reasoning.places.goals import PutDown, PutDownGoal, description_of
 from pycram.reasoning.places.maps import Grid, arm_reach, draw_cells, random_generator, room
 from pycram.reasoning.places.search import Batch, FoundPlace, Search, Spot, drives
 from pycram.reasoning.queries.query import world_of
-from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
+from pycram.reasoning.rejections import TAKEN, NoRoom, OutOfReach, Touching
 from pycram.scheduling.future import unwrap
 from recorder import geometry
 
@@ -386,7 +386,7 @@ class SurfaceSearch(Search):
             return "edge", NoRoom(f"it would stick out over the edge of {searched.surface.name}")
         wide = _widened(own, FINGERS)
         if any(len(geometry.polygon_intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
-            return "room", NoRoom("the place is taken, or leaves no room for a finger")
+            return "room", NoRoom(TAKEN)
         return None
 
     def _drives(self) -> bool:

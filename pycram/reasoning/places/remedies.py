@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unseen
+from pycram.reasoning.rejections import TAKEN, NoRoom, OutOfReach, Touching, Unseen
 from recorder.records.text import rejection_text
 
 if TYPE_CHECKING:
@@ -35,9 +35,8 @@ class Reasons:
     def add(self, constraint: str, reason: Rejection) -> None:
         """Count a reason; of equal ones, the narrowest miss is kept."""
         group = self._found.setdefault(constraint, {})
-        key = type(reason), reason.alike()
-        count, nearest = group.get(key, (0, reason))
-        group[key] = count + 1, min(nearest, reason, key=lambda each: each.miss())
+        count, nearest = group.get(reason.group(), (0, reason))
+        group[reason.group()] = count + 1, min(nearest, reason, key=lambda each: each.miss())
 
     def excluded_by_maps(self, constraint: str, *, alone: bool) -> None:
         """Remember the constraint that left no place on the maps; ``alone`` if the others leave places without it."""
@@ -79,7 +78,7 @@ def _remedy(reason: Rejection, objects: Sequence[Object], *, drives: bool) -> st
         return aside(reason.hidden_by, objects)
     if isinstance(reason, OutOfReach) and reason.distance and not drives:
         return f"the base is fixed: bring it at least {_centimetres(reason)} cm closer"
-    if isinstance(reason, NoRoom) and "taken" in reason.reason:
+    if isinstance(reason, NoRoom) and reason.reason == TAKEN:
         return "take objects off the surface, or name another one"
     return ""
 
