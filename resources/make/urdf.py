@@ -45,6 +45,7 @@ class Shape:
         material: Name in the table of materials.
         solid: Whether it collides.
         round_about: Axis ``x``, ``y`` or ``z`` of the visible cylinder; it collides as a box all the same.
+        collides: Extents of what collides, metres; None for the same as ``size``.
     """
 
     centre: Triple
@@ -52,6 +53,7 @@ class Shape:
     material: str
     solid: bool = True
     round_about: str = ""
+    collides: Triple | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +113,7 @@ def _link(link: Link, materials: Mapping[str, Material]) -> list[str]:
         lines.append(f"    <visual>{_origin(shape)}<geometry>{_seen(shape)}</geometry>{colour}</visual>")
     for shape in link.shapes:
         if shape.solid:
-            box = f'<box size="{_row(shape.size)}"/>'
+            box = f'<box size="{_row(shape.collides or shape.size)}"/>'
             lines.append(f'    <collision><origin xyz="{_row(shape.centre)}"/><geometry>{box}</geometry></collision>')
     return [*lines, "  </link>"]
 

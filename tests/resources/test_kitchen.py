@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 UPPER_DRAWER = "sink_area_left_upper_drawer_main"
 FIXED, PRISMATIC = 4, 1
+THINGS = ("milk", "bowl", "spoon", "plate")
 TUCKED = {
     "shoulder_pan": 1.71,
     "shoulder_lift": -0.26,
@@ -147,8 +148,19 @@ def test_the_floor_is_at_zero_and_wide(resources: Path, bench: Bench) -> None:
     floor = bench.fixed(resources / "plane.urdf")
 
     assert list(bench.names(floor)[1]) == ["floor"]
-    for x, y in ((0.0, 0.0), (14.9, -14.9)):
+    for x, y in ((0.0, 0.0), (14.9, -14.9), (9_990.0, -9_990.0)):
         assert bench.touched_below(x, y, 1.0) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_things_lie_on_the_floor_ten_kilometres_away_as_in_the_middle(resources: Path, bench: Bench) -> None:
+    bench.fixed(resources / "plane.urdf")
+    places = ((0, 0), (9_990, 1), (2_000, -9_990))
+    things = [[bench.thing(name, [x + k, y, 0.1]) for x, y in places] for k, name in enumerate(THINGS)]
+
+    bench.simulate(2.0)
+    for name, (middle, *far) in zip(THINGS, things, strict=True):
+        height = bench.pose(middle)[0][2]
+        assert [bench.pose(thing)[0][2] for thing in far] == pytest.approx([height] * 2, abs=2e-5), name
 
 
 def test_nothing_touches_its_neighbours_wherever_it_is_opened(resources: Path, bench: Bench) -> None:
