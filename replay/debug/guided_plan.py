@@ -184,7 +184,7 @@ class GuidedPlan:
         if found is not None:
             difference = FirstDifference(**found)
             self.last = difference.step - 1
-            self.parted = "; ".join((difference.text, *likely_reasons(self._log, difference)))
+            self.parted = "; ".join((difference.text, *message["notes"], *likely_reasons(self._log, difference)))
         return Arrival(self.step, message["reason"], self.parted if found else "", message["changes"])
 
     def ask(self, what: str, **arguments: object) -> Any:

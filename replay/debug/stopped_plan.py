@@ -421,6 +421,7 @@ class StoppingSink(NullSink):
                 "step": self._step,
                 "reason": reason,
                 "difference": found,
+                "notes": self.guided.guide.notes(),
                 "changes": self._conditions.changes,
                 "can_wait": can_wait,
                 "between": between,

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 class NotForked(ReplayError):
     """The plan differs from the recording before the step of the fork."""
 
-    def __init__(self, step: int, difference: FirstDifference) -> None:
-        reads = "".join(f"; {each}" for each in reads_before(difference))
+    def __init__(self, step: int, difference: FirstDifference, notes: Sequence[str] = ()) -> None:
+        reads = "".join(f"; {each}" for each in (*notes, *reads_before(difference)))
         super().__init__(f"the plan differs before step {step}: at step {difference.step} {difference.text}{reads}")
         self.step = step  # step of the fork
         self.difference = difference
@@ -119,9 +119,9 @@ def fork(
             undoing.callback(unchanged.stop)
         controlling = None if unchanged is None else beside.submit(compared, unchanged, log)
         try:
-            difference = process.run(file=file, changes=changes).difference
-            if difference is not None:
-                raise NotForked(step, difference)
+            guided = process.run(file=file, changes=changes)
+            if guided.difference is not None:
+                raise NotForked(step, guided.difference, guided.notes)
         except ReplayError:
             file.unlink(missing_ok=True)
             raise
@@ -129,7 +129,7 @@ def fork(
         undoing.pop_all()
     with RecordReader(file) as forked:
         end = forked[-1]
-        notes += tuple(_unasked(forked))
+        notes += (*guided.notes, *_unasked(forked))
         return Fork(file, step, len(forked), getattr(end, "succeeded", False), notes, controlled)
 
 

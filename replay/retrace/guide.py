@@ -6,25 +6,30 @@ The order of records is compared, but not clocks, durations, ids of tasks and so
 
 from __future__ import annotations
 
+import re
 import threading
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Run, Task, format_failure
+from recorder.records import Keyframe, Mutation, Run, Task, format_failure
 from recorder.records.text import text_of, values
 from recorder.tracing.journal import NullSink
 from replay.compare import differing
 from replay.retrace.plan_process import FirstDifference
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from google.protobuf.message import Message
 
-    from recorder.records import Plain, Record
+    from recorder.records import LoadBody, Plain, Record
     from recorder.records.values import AssetFile
     from recorder.tracing.journal import Sink
     from replay.file.record_reader import RecordReader
+
+#: Fields with an object's files. If another file matters, a pose, a contact or an answer differs, too.
+_FILES: Final = re.compile(r"(?:load_body|loaded\[(\d+)\])\.(?:assets|robot_description)\b")
 
 _Stack: TypeAlias = "tuple[str, ...]"  # the plan's lines that called one another, outermost first
 
@@ -57,6 +62,7 @@ class Guide(NullSink):
         self._strikes: dict[int, Collection[int]] | None = None
         self.equal = 0  # number of equal records so far
         self.recorded_ns = 0  # time of the last equal record, by the recording's clock
+        self._other_files: dict[str, str] = {}  # file names by object, where the files differ from the recorded ones
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
         """Compare a record."""
@@ -73,6 +79,9 @@ class Guide(NullSink):
             return
         before, now = _stack(recorded, self._stacks[0]), _stack(record, self._stacks[1])
         fields = differing(recorded, record)
+        for path, loaded in [*_other_files(record, fields)]:
+            del fields[path]
+            self._other_files[loaded.body] = PurePath(loaded.path).name
         if fields:
             failed = isinstance(record, Run) and record.HasField("failure")  # the line of a failure may be unknown
             self._end(_difference(recorded, record, fields, now if failed else now or before))
@@ -81,6 +90,11 @@ class Guide(NullSink):
         self.recorded_ns = recorded.monotonic_ns
         if recorded.seq == self._until or (isinstance(record, Run) and record.phase == Run.FINISHED):
             self._end(None)
+
+    def notes(self) -> tuple[str, ...]:
+        """Return a note in words if objects have other files than in the recording."""
+        files = ", ".join(f"{file} of {body}" for body, file in self._other_files.items())
+        return (f"other files than recorded: {files}",) if files else ()
 
     def upcoming(self) -> Record | None:
         """Return the next recorded record; None at the end, or if it is lost."""
@@ -124,6 +138,16 @@ class Guide(NullSink):
     def _end(self, difference: FirstDifference | None) -> None:
         self._ended = True
         self._report(self.equal, difference)
+
+
+def _other_files(record: Record, fields: Iterable[str]) -> Iterator[tuple[str, LoadBody]]:
+    """Yield the fields that differ because an object has other files, each with the object's load record."""
+    for path in fields:
+        found = _FILES.match(path)
+        if found and isinstance(record, Mutation):
+            yield path, record.load_body
+        elif found and isinstance(record, Keyframe):
+            yield path, record.loaded[int(found[1])]
 
 
 def _difference(

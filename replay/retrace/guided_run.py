@@ -205,5 +205,6 @@ class _ReportedRun:
 
     def _send(self, **facts: object) -> None:
         self._sent = True
-        answer = {"equal": self._equal, "taken": self._guided.answers.taken, **facts}
+        taken, notes = self._guided.answers.taken, self._guided.guide.notes()
+        answer = {"equal": self._equal, "taken": taken, "notes": notes, **facts}
         os.write(self._result, json.dumps(answer).encode() + b"\n")

@@ -86,6 +86,7 @@ class GuidedResult:
     equal: int  # number of equal records before the first difference
     difference: FirstDifference | None  # None if all compared records are equal
     taken: int  # number of answers that were taken from the recording
+    notes: tuple[str, ...] = ()  # differences from the recorded conditions that were found on the way
 
 
 class PlanProcess:
@@ -216,7 +217,8 @@ class PlanProcess:
         if "error" in answer:
             raise ReplayError(answer["error"])
         found = answer["difference"]
-        return GuidedResult(answer["equal"], None if found is None else FirstDifference(**found), answer["taken"])
+        difference = None if found is None else FirstDifference(**found)
+        return GuidedResult(answer["equal"], difference, answer["taken"], tuple(answer["notes"]))
 
     def stop(self) -> None:
         """Stop the run from another thread; :meth:`run` then raises `CantRetrace`."""

@@ -101,6 +101,7 @@ def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = Fa
     start = time.perf_counter()
     outcome = process.run(take_answers=take_answers)
     seconds = time.perf_counter() - start
+    notes += outcome.notes
     if outcome.difference is not None:
         notes += tuple(likely_reasons(log, outcome.difference))
     return Retracing(process.program, len(log), outcome.equal, outcome.difference, notes, seconds, outcome.taken)

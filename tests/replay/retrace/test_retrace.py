@@ -441,6 +441,43 @@ def test_of_several_recordings_the_others_are_retraced_where_one_cant_be(
     assert "there is no such plan" in results[0]["error"]
 
 
+SHELF = """\
+<robot name="shelf"><link name="board">
+  <visual><geometry><box size="1 1 {0}"/></geometry><material name="m"><color rgba="{1} 1"/></material></visual>
+  <collision><geometry><box size="1 1 {0}"/></geometry></collision>
+</link></robot>
+"""
+PUT_ON_IT = """\
+from pycram.bullet_world import BulletWorld, Object
+with BulletWorld() as world:
+    world.set_gravity([0, 0, -9.8])
+    Object("board", "environment", "shelf.urdf")
+    Object("milk", "milk", "milk.stl", [0, 0, 0.2])
+    world.simulate(0.5)
+"""
+
+
+def test_another_file_of_an_object_is_a_difference_only_where_it_matters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, shelf, on = tmp_path / "plan.py", tmp_path / "shelf.urdf", tmp_path / "on.mcap"
+    file.write_text(PUT_ON_IT)
+    shelf.write_text(SHELF.format(0.1, "1 1 1"))
+    log = record(file)
+    shelf.write_text(SHELF.format(0.1, "0 0 1"))
+    assert main(["retrace", str(log)]) == 0
+    assert capsys.readouterr().out.splitlines()[1:] == ["note       other files than recorded: shelf.urdf of board"]
+    assert main(["fork", str(log), "--at", "4", "-o", str(on)]) == 0
+    assert "note  other files than recorded: shelf.urdf of board" in capsys.readouterr().out
+    shelf.write_text(SHELF.format(0.12, "1 1 1"))
+    assert main(["retrace", str(log)]) == 1
+    different, *_, note = capsys.readouterr().out.splitlines()
+    assert "simulate 120 steps" in different
+    assert note == "note       other files than recorded: shelf.urdf of board"
+    assert main(["fork", str(log), "--at", "last", "-o", str(on)]) == 2
+    assert "; other files than recorded: shelf.urdf of board" in capsys.readouterr().err
+
+
 def test_what_a_person_or_the_clock_decides_is_refused_before_it_runs(tmp_path: Path) -> None:
     file = tmp_path / "plan.py"
     file.write_text(
