@@ -25,7 +25,7 @@ from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from pycram.models.robots.description import Arm
@@ -131,7 +131,7 @@ class Execution(ABC):
         """Lift an object, just grasped, off its support; return None if it stays in place."""
 
     @abstractmethod
-    def settle(self, world: BulletWorld) -> Sequence[Object]:
+    def settle(self, world: BulletWorld) -> Collection[Object]:
         """Let simulated time pass until everything is at rest, at most :data:`TIMEOUT`; return restless objects.
 
         Raises:
@@ -221,7 +221,7 @@ class InstantExecution(Execution):
         """Leave the object in place."""
         return None
 
-    def settle(self, world: BulletWorld) -> Sequence[Object]:
+    def settle(self, world: BulletWorld) -> Collection[Object]:
         """Simulate, as one change of the world."""
         restless, completed = simulation.settle(world, TIMEOUT * STEPS_PER_SECOND)
         if world.exiting and not completed:
@@ -341,7 +341,7 @@ class ContinuousExecution(Execution):
         line = _line(robot, arm, _now(robot, arm.joints), (_UP,))
         return None if line is None else partial(_along, (robot, line))
 
-    def settle(self, world: BulletWorld) -> Sequence[Object]:
+    def settle(self, world: BulletWorld) -> Collection[Object]:
         """Wait until everything is at rest, while other motions continue."""
         with world.lock:
             detector, end = RestDetector(world), world.sim_step + TIMEOUT * STEPS_PER_SECOND

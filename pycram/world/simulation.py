@@ -11,7 +11,10 @@ import threading
 import time
 from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
 
 from pycram.foundation.failures import ChangeRefused, WorldClosed
 from pycram.scheduling.cancellation import current_scope, join, raise_if_cancelled, uninterruptible
@@ -24,6 +27,8 @@ from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from pycram.physics.body import Snapshot
     from pycram.scheduling.cancellation import CancelScope
@@ -38,7 +43,10 @@ SLOW_TURN: Final = 2e-2
 INTERVALS: Final = 4
 """Number of consecutive intervals in which an object at rest is slow."""
 _GAIN: Final = 1.15  # gain of speed over the intervals: a 2 m high shelf that begins to tip gains more, creep less
+_STRAY: Final = 0.25  # s at slow speed: an object at rest may stray that far
 _NOISE: Final = 0.1  # share of the slow speed: the speeds of solver noise go up and down
+
+_MAX_LISTED: Final = 5  # largest number of objects in a warning
 
 _SAMPLE_STEPS: Final = records.STEPS_PER_SECOND // 30
 _SAMPLE_TOLERANCE: Final = 1e-5  # m, rad: smaller movements between two samples aren't visible
@@ -262,7 +270,22 @@ def _is_needed(world: BulletWorld, scope: CancelScope | None) -> bool:
 # --- coming to rest --------------------------------------------------------------------------------------------------
 
 
-def settle(world: BulletWorld, steps: int) -> tuple[list[Object], bool]:
+class Restless(UserWarning):
+    """Objects weren't at rest when :meth:`.BulletWorld.settle` ended.
+
+    Args:
+        seconds: Duration of the simulation.
+        speeds: Speeds of these objects.
+    """
+
+    def __init__(self, seconds: float, speeds: Mapping[Object, Speed]) -> None:
+        self.speeds = {body.name: speed for body, speed in sorted(speeds.items(), key=itemgetter(1), reverse=True)}
+        listed = [f"{name} ({speed})" for name, speed in itertools.islice(self.speeds.items(), _MAX_LISTED)]
+        more = f" and {len(speeds) - _MAX_LISTED} more" if len(speeds) > _MAX_LISTED else ""
+        super().__init__(f"not at rest after {seconds:.3g} s of simulation: {', '.join(listed)}{more}")
+
+
+def settle(world: BulletWorld, steps: int) -> tuple[dict[Object, Speed], bool]:
     """Simulate until everything is at rest or all steps are done, as one transaction.
 
     Returns:
@@ -277,20 +300,35 @@ def settle(world: BulletWorld, steps: int) -> tuple[list[Object], bool]:
 
 
 def separate(world: BulletWorld) -> None:
-    """Lift the later loaded of two overlapping free objects out of the other: the engine would jam or throw them."""
+    """Lift the later loaded of two overlapping free objects out of the other: the engine would jam or throw them.
+
+    Pairs are tried in the order of loading. Only pairs whose boxes overlap are asked for, and after a lift only those
+    of the lifted object again.
+    """
     free = [body for body in world.objects if not body.fixed and not body.attachments]
-
-    def overlap(pair: tuple[Object, Object]) -> bool:
-        deepest = world.engine.deepest(pair[0].handle, pair[1].handle)
-        return deepest is not None and -deepest.distance > DEEP
-
-    for _ in free:
-        pair = next(filter(overlap, itertools.combinations(free, 2)), None)
-        if pair is None:
-            return
-        earlier, later = pair
+    boxes = np.array([body.get_AABB() for body in free]).reshape(-1, 2, 3)
+    possible = np.triu(_overlap(boxes[:, None], boxes), 1)  # pairs that may overlap, earlier loaded first
+    lifts = 0
+    while lifts < len(free) and possible.any():
+        first, second = np.unravel_index(possible.argmax(), possible.shape)
+        earlier, later = free[first], free[second]
+        deepest = world.engine.deepest(earlier.handle, later.handle)
+        if deepest is None or -deepest.distance <= DEEP:
+            possible[first, second] = False
+            continue
         x, y, z = later.get_position()
         later.set_position([x, y, z + earlier.get_AABB()[1][2] - later.get_AABB()[0][2]])
+        lifts += 1
+        boxes[second] = later.get_AABB()
+        touched = _overlap(boxes, boxes[second])
+        possible[:second, second], possible[second, second + 1 :] = touched[:second], touched[second + 1 :]
+
+
+def _overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which boxes, (..., 2, 3), overlap."""
+    along = (a[..., 0, :] <= b[..., 1, :]) & (b[..., 0, :] <= a[..., 1, :])
+    overlapping: NDArray[np.bool_] = np.logical_and.reduce(along, axis=-1)
+    return overlapping
 
 
 def at_rest(speeds: Sequence[float]) -> bool:
@@ -298,20 +336,35 @@ def at_rest(speeds: Sequence[float]) -> bool:
     return speeds[-1] <= max(speeds[0] * _GAIN, _NOISE) and max(speeds) < 1.0
 
 
+class Speed(NamedTuple):
+    """The greatest speed of an object: of its base, of its turn, or of a joint."""
+
+    ratio: float  # multiple of the slow speed
+    joint: str = ""  # "" for the base
+    unit: str = "m/s"  # or "rad/s"
+
+    def __str__(self) -> str:
+        fast = f"{self.ratio * SLOW * 1e3:.2g} mm/s" if self.unit == "m/s" else f"{self.ratio * SLOW_TURN:.2g} rad/s"
+        return f"{self.joint} {fast}".lstrip()
+
+
 class RestDetector:
     """Detects when everything in a world has come to rest.
 
-    An object is at rest if it moved by less than 2 mm/s and 0.02 rad/s in each of the last four intervals of 1/30 s,
-    and didn't gain speed: a tall object that begins to tip is slow at first. Poses are compared, not velocities, as
-    solvers let some resting objects tremble. Robots, objects that they hold, and objects that are attached to a fixed
-    base are ignored; joints of furniture aren't.
+    An object comes to rest if it moved by less than 2 mm/s and 0.02 rad/s in each of the last four intervals of
+    1/30 s, and didn't gain speed: a tall object that begins to tip is slow at first. It stays at rest while it is that
+    slow and within 0.5 mm and 5 mrad of where it came to rest: among many objects, solvers let one or another tremble
+    at any moment. So poses are compared, too, not velocities. Robots, objects that they hold, and objects that are
+    attached to a fixed base are ignored; joints of furniture aren't.
     """
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
         self._last: tuple[int, Mapping[Object, Snapshot]] = self._snapshots()
-        self._speeds: deque[Mapping[Object, float]] = deque(maxlen=INTERVALS)
-        self.restless = list(self._last[1])  # the objects that weren't at rest at the last sample
+        self._speeds: deque[Mapping[Object, Speed]] = deque(maxlen=INTERVALS)
+        self._rested: dict[Object, Snapshot] = {}  # states in which objects came to rest
+        #: The objects that weren't at rest at the last sample.
+        self.restless: dict[Object, Speed] = dict.fromkeys(self._last[1], Speed(0.0))
 
     def sample(self) -> bool:
         """Compare all poses after 1/30 s of simulation, and return whether everything is at rest."""
@@ -320,13 +373,22 @@ class RestDetector:
         if now > step:
             seconds = (now - step) / records.STEPS_PER_SECOND
             known = [body for body in after if body in before]  # other branches take and load objects meanwhile
-            self._speeds.append({body: _distance(body, before[body], after[body]) / seconds for body in known})
-        self.restless = [body for body in after if not self._rests(body)]
+            self._speeds.append({body: _speed(body, before[body], after[body], seconds) for body in known})
+        self._rested = {
+            body: rested for body, state in after.items() if (rested := self._rest(body, state)) is not None
+        }
+        last = self._speeds[-1] if self._speeds else {}
+        self.restless = {body: last.get(body, Speed(0.0)) for body in after if body not in self._rested}
         return len(self._speeds) == INTERVALS and not self.restless
 
-    def _rests(self, body: Object) -> bool:
-        speeds = [known[body] for known in self._speeds if body in known]
-        return len(speeds) == INTERVALS and at_rest(speeds)
+    def _rest(self, body: Object, state: Snapshot) -> Snapshot | None:
+        """Return the state in which an object came to rest; None if it isn't at rest."""
+        speeds = [known[body].ratio for known in self._speeds if body in known]
+        if len(speeds) == INTERVALS and at_rest(speeds):
+            return state
+        rested = self._rested.get(body)
+        stays = rested is not None and speeds[-1] < 1.0 and _speed(body, rested, state, 1.0).ratio <= _STRAY
+        return rested if stays else None
 
     def _snapshots(self) -> tuple[int, Mapping[Object, Snapshot]]:
         return self._world.sim_step, {body: take_snapshot(body) for body in self._world.objects if _must_rest(body)}
@@ -337,13 +399,15 @@ def _must_rest(body: Object) -> bool:
     return not root.is_robot and (not root.fixed or (root is body and bool(body.joints)))
 
 
-def _distance(body: Object, before: Snapshot, after: Snapshot) -> float:
-    """Return how far an object, or the fastest of its joints, has moved, as a multiple of the slow speed times 1 s."""
-    moved = math.dist(before.pose[0], after.pose[0]) / SLOW
-    turned = geometry.angle(before.pose[1], after.pose[1]) / SLOW_TURN
-    joints = zip(body.handle.joints.values(), before.positions, after.positions, strict=True)
-    slid = (abs(b - a) / (SLOW if joint.kind == "prismatic" else SLOW_TURN) for joint, a, b in joints)
-    return max(moved, turned, *slid)
+def _speed(body: Object, before: Snapshot, after: Snapshot, seconds: float) -> Speed:
+    """Return the speed of an object, or of the fastest of its joints, between two states."""
+    moved = Speed(math.dist(before.pose[0], after.pose[0]) / SLOW / seconds)
+    turned = Speed(geometry.angle(before.pose[1], after.pose[1]) / SLOW_TURN / seconds, "", "rad/s")
+    fastest = max(moved, turned)
+    for joint, a, b in zip(body.handle.joints.values(), before.positions, after.positions, strict=True):
+        slow, unit = (SLOW, "m/s") if joint.kind == "prismatic" else (SLOW_TURN, "rad/s")
+        fastest = max(fastest, Speed(abs(b - a) / slow / seconds, joint.name, unit))
+    return fastest
 
 
 # --- real time -------------------------------------------------------------------------------------------------------

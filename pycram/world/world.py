@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import warnings
 from contextlib import ExitStack, nullcontext
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, cast
@@ -26,10 +27,11 @@ from pycram.world.driving import Trajectories
 from pycram.world.event import Event
 from pycram.world.object import Object
 from pycram.world.overlaps import overlaps
-from pycram.world.simulation import RealtimeClock, Waits
+from pycram.world.simulation import RealtimeClock, Restless, Waits
 from pycram.world.transaction import ReadOnlyAttributes, TransactionManager, update
 from recorder import html, records
 from recorder.tracing import context, journal
+from recorder.tracing.call_stack import call_site
 from recorder.tracing.context import current_name
 
 if TYPE_CHECKING:
@@ -397,6 +399,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
     def settle(self, timeout: float = 5.0) -> bool:
         """Simulate until everything is at rest (:class:`~pycram.world.simulation.RestDetector`); return whether it is.
 
+        If it isn't, a warning (:class:`~pycram.world.simulation.Restless`) names the moving objects and their speeds.
         Free objects that are more than 5 mm inside of each other are lifted apart first.
 
         Args:
@@ -411,6 +414,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             restless, completed = simulation.settle(self, steps)
         if self.exiting and not completed:
             raise WorldClosed(self.name, "continue its simulation")
+        if restless:
+            warnings.warn_explicit(Restless(steps / records.STEPS_PER_SECOND, restless), Restless, *call_site())
         return not restless
 
     def begin_trajectory(self, body: Object, trajectory: Trajectory, search: records.PathSearch | None = None) -> int:

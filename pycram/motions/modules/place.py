@@ -27,7 +27,7 @@ from pycram.world.world import BulletWorld
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
@@ -190,7 +190,7 @@ def _reasons(
     wanted: Pose,
     orientation: Sequence[float] | None,
     neighbours: Mapping[Object, PoseLike],
-    restless: Sequence[Object],
+    restless: Collection[Object],
 ) -> list[str]:
     """Return the reasons why a placing failed; none if it succeeded.
 

@@ -11,6 +11,7 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument
+from pycram.world.simulation import SLOW_TURN, Restless
 from recorder.records import Mutation
 from replay.restore.verify import verify
 
@@ -47,9 +48,13 @@ def test_what_rolls_on_is_not_at_rest(world: BulletWorld, sink: MemorySink) -> N
     Object("floor", "environment", "plane.urdf")
     bottle = Object("bottle", "bottle", "bottle.stl", [0, 0, 0.039], [0, math.sqrt(0.5), 0, math.sqrt(0.5)])
     world.set_gravity([0, 0.3, -9.8])  # a slight slope
-    assert not world.settle(1.5)
+    Object("milk", "milk", "milk.stl", [1, 0, 0.11])
+    with pytest.warns(Restless, match=r"not at rest after 1\.5 s of simulation: bottle \(\d.* rad/s\)$") as warned:
+        assert not world.settle(1.5)
+    assert warned[0].filename == __file__
+    (speed,) = warned[0].message.speeds.values()  # type: ignore[union-attr]
     assert world.sim_step == 360
-    assert turn_within(world, bottle, 0.5)[1] > 0.1
+    assert turn_within(world, bottle, 0.1)[1] == pytest.approx(0.1 * speed.ratio * SLOW_TURN, rel=0.2)
     simulated = [r for r in sink.records if isinstance(r, Mutation) and r.WhichOneof("command") == "simulate"]
     assert simulated[0].simulate.HasField("settled")
     assert not simulated[0].simulate.settled
