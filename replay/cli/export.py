@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple, get_type_hints
 
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
+from recorder.records.fold import apply
 from recorder.records.motion import BASE_COORDINATES, has_ended, time_of
 from replay.cli.console import print_message, print_result
 from replay.errors import Damaged, ReplayError
-from replay.state.fold import apply
+from replay.state.fold import world_of
 
 if TYPE_CHECKING:
     import argparse
@@ -27,11 +28,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from recorder.records import BeginTrajectory, BodyState
+    from recorder.records.fold import FoldedWorld
     from replay.file.record_reader import RecordReader
     from replay.recording import Recording
     from replay.runs.folder import Runs
     from replay.runs.lerobot import Draw
-    from replay.state.fold import WorldBuilder
     from replay.state.state import Body, World
 
 
@@ -166,11 +167,11 @@ def motion_rows(log: RecordReader) -> Iterator[MotionRow]:
     Raises:
         Damaged: a record is inconsistent.
     """
-    worlds: dict[str, WorldBuilder] = {}
+    worlds: dict[str, FoldedWorld] = {}
     for record in log.records((Mutation, Keyframe)):
         try:
             if isinstance(record, Mutation) and record.simulate.driven and record.world in worlds:
-                yield from _driven(worlds[record.world].build(), record)
+                yield from _driven(world_of(worlds[record.world]), record)
             apply(worlds, record)
             if isinstance(record, Mutation) and record.HasField("begin_trajectory"):
                 yield from _planned(record)

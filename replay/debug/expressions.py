@@ -15,17 +15,18 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from recorder.errors import did_you_mean, suggestion
 from recorder.records import Keyframe, Mutation
+from recorder.records.fold import apply
 from replay.errors import ReplayError
 from replay.report.question import written
 from replay.restore.recorded_world import description_of
-from replay.state.fold import apply, state_at
+from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from types import CodeType
 
+    from recorder.records.fold import FoldedWorld
     from replay.file.record_reader import RecordReader
-    from replay.state.fold import WorldBuilder
 
 _PARTS: Final = ("x", "y", "z", "position", "orientation", "velocity", "carrier")
 _ROUNDING: Final = 1e-6  # m or rad; smaller changes of a number are ignored, as by ``blame``
@@ -62,7 +63,7 @@ def value_changes(log: RecordReader, expression: str) -> list[ValueChange]:
         code = compile(_QuotedNames().visit(ast.parse(expression.strip(), mode="eval")), "<watch>", "eval")
     except (SyntaxError, ValueError) as error:
         raise NoQuantity(expression, f"it isn't an expression: {error}") from None
-    worlds: dict[str, WorldBuilder] = {}
+    worlds: dict[str, FoldedWorld] = {}
     found: list[ValueChange] = []
     latest: object = None
     known, cause = False, ""
@@ -120,7 +121,7 @@ def _meant(node: ast.expr) -> ast.expr:
     return node
 
 
-def _value(code: CodeType, worlds: Mapping[str, WorldBuilder]) -> object:
+def _value(code: CodeType, worlds: Mapping[str, FoldedWorld]) -> object:
     opened = {name: _World(world) for name, world in worlds.items() if world.open}
     if not opened:
         raise _NoWorld("no world is open")
@@ -164,7 +165,7 @@ def _is_called(known: str, name: str) -> bool:
 
 
 class _World:
-    def __init__(self, world: WorldBuilder) -> None:
+    def __init__(self, world: FoldedWorld) -> None:
         self._world = world
 
     @property
@@ -218,7 +219,7 @@ class _World:
 class _Body:
     """A body of a world, with its quantities as attributes."""
 
-    def __init__(self, world: WorldBuilder, name: str) -> None:
+    def __init__(self, world: FoldedWorld, name: str) -> None:
         self._world = world
         self._name = name
         body = world.bodies[name]

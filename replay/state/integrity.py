@@ -16,15 +16,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Envelope, Event, Keyframe, Mutation, Query, Run, Task
-from replay.state.fold import apply
+from recorder.records.fold import apply
+from replay.state.fold import world_of
 from replay.state.json_data import message_data, world_data
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from recorder.records import Plain, Record
+    from recorder.records.fold import FoldedWorld
     from replay.file.record_reader import RecordReader
-    from replay.state.fold import WorldBuilder
     from replay.state.state import World
 
 
@@ -96,11 +97,11 @@ class Integrity:
         self.resumed = False  # whether records were missing before the last record
         self._time = self._monotonic = 0
         self._events: set[int] = set()
-        self._worlds: dict[str, WorldBuilder] = {}
+        self._worlds: dict[str, FoldedWorld] = {}
 
     def world(self, name: str) -> World:
         """Return the current state of a known world."""
-        return self._worlds[name].build()
+        return world_of(self._worlds[name])
 
     def knows(self, world: str) -> bool:
         """Return whether a world's state is known: since missing records, it was opened or had a keyframe."""
@@ -129,7 +130,7 @@ class Integrity:
             cause = self.tasks.check_run(record)
         deviation = None
         before = (
-            self._worlds[record.world].build() if isinstance(record, Keyframe) and self.knows(record.world) else None
+            world_of(self._worlds[record.world]) if isinstance(record, Keyframe) and self.knows(record.world) else None
         )
         if isinstance(record, Mutation | Keyframe | Query) and not cause:
             cause = self._apply_change(record)
@@ -167,7 +168,7 @@ class Integrity:
         states: list[Plain] = [body.body for body in frame.bodies]
         if loaded != states:
             return Deviation("bodies", states, loaded)
-        return first_deviation(_plain(self._worlds[frame.world].build()), _plain(before), frame.world)
+        return first_deviation(_plain(world_of(self._worlds[frame.world])), _plain(before), frame.world)
 
 
 def _plain(world: World) -> Plain:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from recorder import html
 from recorder.records import STEPS_PER_SECOND
+from recorder.records.fold import Attachment as Attachment  # noqa: PLC0414, TC001  a part of a state
 from replay.errors import NoSuchName
 from replay.file.lifetimes import title
 
@@ -60,18 +61,6 @@ class Body:
         if name not in self.joints:
             raise NoSuchName(f"movable joint of {self.name}", name, self.joints)
         return self.joints[name]
-
-
-@dataclass(frozen=True, slots=True)
-class Attachment:
-    """The attachment of a body to its carrier."""
-
-    carrier: str
-    carrier_link: str  # "": its base
-    body: str
-    body_link: str  # the held link; "": its base
-    position: Vector  # of the carried body's base in the carrier's link, m
-    orientation: Quaternion  # of the same, xyzw
 
 
 @dataclass(frozen=True, slots=True)

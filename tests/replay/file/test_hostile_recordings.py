@@ -28,12 +28,12 @@ from pycram.models import store
 from recorder.mcap_writer import FREE, MAX_RATIO, McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, BodyState, Grid, Keyframe, Mutation, Picture, Query, Run, Task
+from recorder.records.fold import FAR
 from recorder.records.values import MAX_CHARACTERS, MAX_DIGITS, MAX_NESTING
 from recorder.viewer.queries import MAX_PIXELS
 from replay.cli.main import main
 from replay.file.chunks import MAX_STEP
 from replay.file.mcap_format import MAX_INFLATED, MAX_PARTS
-from replay.state.fold import FAR
 from replay.state.integrity import MAX_DEPTH
 from tests.measures import seeded
 from tests.replay import forked, hostile
