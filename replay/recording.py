@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from PIL import Image
 
     from pycram.world.world import BulletWorld
+    from recorder.properties import Property
     from recorder.tasks import Tree
+    from replay.explain.check import CheckedProperty
     from replay.explain.why import Why
     from replay.history.blame import Blame
     from replay.report.question import QueryCall
@@ -126,6 +128,25 @@ class Recording(RecordReader):
         from replay.history.blame import blame  # noqa: PLC0415  as above
 
         return blame(self, target, None if step is None else self.step(step), world)
+
+    def check(self, *properties: str | Property) -> list[CheckedProperty]:
+        """Check properties, such as ``never contact(pr2, kitchen)`` (docs/properties.md).
+
+        The results are true where a property holds. Only contacts need the executor.
+
+        Raises:
+            BadProperty: a text isn't in the language, or has an unknown name.
+        """
+        from recorder.properties import parse  # noqa: PLC0415  slow to import
+        from replay.explain.check import check  # noqa: PLC0415  as above
+
+        parsed = [parse(each) if isinstance(each, str) else each for each in properties]
+        geometry = None
+        if any(each.needs_geometry for each in parsed):
+            from replay.restore.recorded_world import contacts_of  # noqa: PLC0415  needs the executor
+
+            geometry = contacts_of(self)
+        return check(self, parsed, geometry)
 
     # --- these import their modules late: they need more than reading does -----------------------------------------
 

@@ -191,7 +191,7 @@ class FoldedWorld:
 class FoldedBody:
     """The state of a body; fields as in :class:`replay.state.state.Body`."""
 
-    __slots__ = ("color", "joint_velocities", "joints", "loaded", "orientation", "position", "velocity")
+    __slots__ = ("color", "joint_velocities", "joints", "loaded", "orientation", "position", "velocity", "version")
 
     def __init__(self, loaded: records.LoadBody) -> None:
         self.loaded = loaded
@@ -201,9 +201,11 @@ class FoldedBody:
         self.joints = dict.fromkeys(loaded.joints, 0.0)
         self.joint_velocities = dict.fromkeys(loaded.joints, 0.0)
         self.color = tuple(loaded.color)
+        self.version = 0  # changes with its state
 
     def set_state(self, state: records.BodyState) -> None:
         """Set the fields that a record contains."""
+        self.version += 1
         if state.position:
             self.position, self.velocity = vector(state.position), _AT_REST
         if state.orientation:

@@ -42,6 +42,10 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap", "why the plan failed"),
             ("run.mcap task:pick-up@end", "why this task failed"),
         ),
+        "check": (
+            ("run.mcap 'never contact(pr2, kitchen)'", "whether a property holds, else its first violation"),
+            ("runs/ -f table.properties", "in how many runs each property holds"),
+        ),
         "blame": (
             ("run.mcap milk", "the last change of the milk, and its cause"),
             ("run.mcap pr2.torso_lift_joint --at 100", "the last change of a joint until step 100"),

@@ -42,6 +42,7 @@ VERBS: Final = {
     "diff": "compare two steps, two recordings, or two folders of recordings",
     "blame": "find the last change of an object or a joint, and its cause",
     "why": "explain why the plan failed",
+    "check": "check properties, such as 'never contact(pr2, kitchen)', and find the first violation",
     "ask": "answer a reasoning query at a step, also with objects moved before",
     "render": "draw a picture of the scene at a step, without a viewer",
     "view": "show the recording in the Rerun viewer: scene, tasks, queries, curves",
@@ -61,12 +62,26 @@ VERBS: Final = {
 #: Verbs that share the file of another verb, with functions of their own: ``add_fork``, ``run_fork``.
 _FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"}
 _CHEAT: Final = "cheat"  # the only verb that takes no recording
-_READ: Final = ("info", "log", "source", "show", "tree", "state", "diff", "blame", "why", "sql", "stats", "separate")
+_READ: Final = (
+    "info",
+    "log",
+    "source",
+    "show",
+    "tree",
+    "state",
+    "diff",
+    "blame",
+    "why",
+    "check",
+    "sql",
+    "stats",
+    "separate",
+)
 """Verbs whose output is paged."""
 _TAKE_INCOMPLETE: Final = ("debug", "resume")  # verbs that are made for incomplete recordings
 _FOLDER: Final = "the folder of recordings"
 _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.fromkeys(
-    ("info", "diff", "why", "view", "export"), "the recording, or a folder of recordings"
+    ("info", "diff", "why", "check", "view", "export"), "the recording, or a folder of recordings"
 )
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130

@@ -93,7 +93,7 @@ class GuidedPlan:
         #: unknown
         self.parted = ""
         self._log = log
-        log.check()  # after this check, all losses of the recording are known
+        log.check_file()  # after this check, all losses of the recording are known
         gap = next(iter(log.lost()), None)
         if gap is not None:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"

@@ -61,7 +61,7 @@ def _lines(change: Blame, printed: list[Sequence[Line]], *, is_earlier: bool = F
     yield _headline(change)
     yield f"  step {change.record.seq}: {phrases.record_line(change.record)}"
     if not getattr(change.record, "by_fork", False):  # its line names the fork
-        yield from _because(change.causes, "  ", printed)
+        yield from because(change.causes, "  ", printed)
     for carried in change.carried:
         yield from _held(carried, printed)
     if change.other_worlds and not is_earlier:
@@ -101,7 +101,8 @@ def _value(value: Pose | float) -> str:
     return phrases.number(value) if isinstance(value, float) else phrases.vector(value[0])
 
 
-def _because(causes: CausingTasks, indent: str, printed: list[Sequence[Line]]) -> Iterator[str]:
+def because(causes: CausingTasks, indent: str, printed: list[Sequence[Line]]) -> Iterator[str]:
+    """Yield the tasks around a record, and the plan's lines that led to it."""
     for started in (task.started for task in causes.tasks):
         called = phrases.task(started.kind, started.name, argument_values(started.parameters))
         by = "by" if started.kind == "handler" else "in"
@@ -118,4 +119,4 @@ def _held(carried: Carried, printed: list[Sequence[Line]]) -> Iterator[str]:
         yield f"  {phrases.carrier(held)} already held {held.body} when the recording began"
         return
     yield f"  {phrases.carrier(held)} has held {held.body} since step {carried.step}"
-    yield from _because(carried.causes, "    ", printed)
+    yield from because(carried.causes, "    ", printed)

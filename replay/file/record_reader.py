@@ -303,7 +303,7 @@ class RecordReader:
 
     # --- completeness ----------------------------------------------------------------------------------------------
 
-    def check(self) -> str:
+    def check_file(self) -> str:
         """Read everything once, and return :attr:`problems`."""
         last = -1
         for number in range(len(self._chunks)):
@@ -335,7 +335,7 @@ class RecordReader:
 
     def write_sound(self, file: BinaryIO) -> Losses:
         """Write a sound copy of the readable part; see :func:`replay.file.repair.write_sound`."""
-        self.check()
+        self.check_file()
         return write_sound(file, self._index, self._chunks, self.assets, self.problems, self.missing())
 
     def write_packed(self, file: BinaryIO) -> None:
@@ -347,7 +347,7 @@ class RecordReader:
         """
         if cause := self.assets.missing(look=True):
             raise MissingModels(self.path, cause)
-        if problems := self.check():
+        if problems := self.check_file():
             raise ReplayError(
                 f"{self.path}: the recording isn't sound ({problems}); use repair, which packs the readable part"
             )

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 
 #: Smaller changes in simulation, in m (or rad of a joint) and in rad, mean that an object settles.
-_SETTLING: Final = 5e-3, math.radians(5)
+SETTLING: Final = 5e-3, math.radians(5)
+"""m and rad."""
 #: Smaller changes, in m and rad, are rounding: a turn of the head moves an object in a resting hand by this amount.
 _ROUNDING: Final = 1e-6, 1e-6
 
@@ -203,7 +204,7 @@ class _Search:
         """Return whether a change is more than settling, or than rounding."""
         if commanded(record) == self._body:
             return True
-        limits = _SETTLING if is_physics(record) else _ROUNDING
+        limits = SETTLING if is_physics(record) else _ROUNDING
         if part == "orientation":
             return turn(before, after) >= limits[1]
         return math.dist(before, after) >= limits[0]

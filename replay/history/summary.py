@@ -58,7 +58,7 @@ def summary(log: RecordReader) -> Summary:
     """
     size = log.path.stat().st_size
     checked = size <= MAX_CHECKED
-    problems = log.check() if checked else log.problems
+    problems = log.check_file() if checked else log.problems
     first, last = next(log.records(), None), next(log.backwards(), None)
     if first is None or last is None:
         raise Unreadable(log.path, f"has no record that can be read: {problems}")

@@ -15,6 +15,7 @@ from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from pycram.models.load import Model
+    from pycram.reasoning.queries.measured import ContactClient
     from recorder.records import LoadBody
     from replay.file.record_reader import RecordReader
     from replay.state.state import World
@@ -61,6 +62,13 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
     except AssetError as error:
         cause = f"{PurePath(error.path).name}: {error.cause}"
         raise Damaged(log.path, f"the model of {loaded.body}", cause) from error
+
+
+def contacts_of(log: RecordReader) -> ContactClient:
+    """Return a client that measures contacts in states of a recording; it needs the engine."""
+    from pycram.reasoning.queries.measured import ContactClient  # noqa: PLC0415  drawing needs no engine
+
+    return ContactClient(lambda _, loaded: model_of(log, loaded))
 
 
 @cache

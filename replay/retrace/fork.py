@@ -99,7 +99,7 @@ def fork(
         Damaged: steps up to that step are lost.
         ReplayError: the folder of the new recording doesn't exist.
     """
-    log.check()  # all losses are known only after this check
+    log.check_file()  # all losses are known only after this check
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         raise Damaged(log.path, f"the part before step {step}", f"step {gap.start} is lost; fork before it")

@@ -386,7 +386,7 @@ class Verifier:
 
     def run(self, progress: Callable[[int], None] | None) -> Verification:
         """Run all checks of reading, and check the records."""
-        self.log.check()
+        self.log.check_file()
         problem = self._first_problem(progress)
         return Verification(
             self.integrity.steps,

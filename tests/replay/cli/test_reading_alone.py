@@ -47,6 +47,7 @@ READING = [
     ("diff", "8", "last"),
     ("blame", "milk"),
     ("why",),
+    ("check", "eventually milk.z > 0"),
     ("verify", "--static"),
 ]
 HIDING = """

@@ -65,7 +65,7 @@ def test_golden_recordings_are_small() -> None:
 
 def test_golden_recording_is_complete(log: Recording) -> None:
     assert log.complete
-    assert log.check() == ""
+    assert log.check_file() == ""
     assert [record.seq for record in log] == list(range(len(log)))
     assert log.metadata["plan"] == "plan"
     assert log.metadata["pybullet"]

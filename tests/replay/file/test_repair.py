@@ -115,7 +115,7 @@ def test_what_is_left_of_a_repaired_recording_verifies(tmp_path: Path, capfd: py
         assert main(["repair", str(file)]) == 3
         with replay.open(tmp_path / f"{number}.sound.mcap") as log:
             verdict = verify(log)
-            assert log.check() == verdict.incomplete
+            assert log.check_file() == verdict.incomplete
         assert verdict.sound, (number, verdict)
         assert "were lost before it was repaired" in verdict.incomplete
     capfd.readouterr()

@@ -1,0 +1,88 @@
+"""Contacts between bodies of folded worlds, live or recorded, measured in a physics client of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from pycram.physics.engine import Engine
+from pycram.reasoning.queries.contact import MARGIN
+from recorder.properties.expressions import RANGE, Touch, Truth
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from pycram.models.load import Model
+    from pycram.physics.body import ClosestPoint, LoadedBody
+    from recorder.records import LoadBody
+    from recorder.records.fold import FoldedBody, FoldedWorld
+
+
+@dataclass(slots=True)
+class _Copy:
+    """A body of the client."""
+
+    model: Model
+    body: LoadedBody
+    original: FoldedBody | None = None  # the body whose state the copy has
+    version: int = -1  # version of that state
+
+
+@dataclass(slots=True)
+class ContactClient:
+    """Measures contacts; ``model_of`` returns the model of a loaded body, given the name of its world."""
+
+    model_of: Callable[[str, LoadBody], Model]
+    _engine: Engine | None = None
+    _copies: dict[tuple[str, str, str], _Copy] = field(default_factory=dict)  # by world, body and model
+    _known: dict[object, tuple[object, list[ClosestPoint]]] = field(default_factory=dict)  # latest results by pairs
+
+    def touch(self, world: FoldedWorld, one: tuple[str, str], other: tuple[str, str]) -> Touch:
+        """Return the nearest points of two bodies, or of one link of each."""
+        bodies = world.bodies[one[0]], world.bodies[other[0]]
+        key, state = (world.name, one[0], other[0]), tuple((id(body), body.version) for body in bodies)
+        if self._known.get(key, (None,))[0] != state:
+            self._known[key] = state, self._points(world, *bodies)
+        near = [
+            point for point in self._known[key][1] if one[1] in ("", point.link_b) and other[1] in ("", point.link_a)
+        ]
+        return Touch(_truth(near), _truth(point for point in near if point.carries))
+
+    def owner(self, world: FoldedWorld, link: str) -> str:
+        """Return the body with a link of this name; "" if there is none."""
+        return next((name for name, body in world.bodies.items() if link in self._copy(world, body).body.links), "")
+
+    def _points(self, world: FoldedWorld, one: FoldedBody, other: FoldedBody) -> list[ClosestPoint]:
+        a, b = (self._placed(world, body) for body in (other, one))  # a point "carries" if its second body is on top
+        return self._client().closest_points(a, b, RANGE)
+
+    def _client(self) -> Engine:
+        if self._engine is None:
+            self._engine = Engine()
+        return self._engine
+
+    def _copy(self, world: FoldedWorld, body: FoldedBody) -> _Copy:
+        loaded = body.loaded
+        key = world.name, loaded.body, loaded.assets[0].sha256 if loaded.assets else ""
+        if key not in self._copies:
+            model, engine = self.model_of(world.name, loaded), self._client()
+            copy = engine.load(model.path, (body.position, body.orientation), fixed=True, loading=model.loading)
+            engine.ghost(copy)
+            self._copies[key] = _Copy(model, copy)
+        return self._copies[key]
+
+    def _placed(self, world: FoldedWorld, body: FoldedBody) -> LoadedBody:
+        copy = self._copy(world, body)
+        if (copy.original, copy.version) != (body, body.version):
+            engine = self._client()
+            engine.set_pose(copy.body, (body.position, body.orientation))
+            joints = {name: value for name, value in body.joints.items() if name in copy.body.joints}
+            if joints:
+                engine.pose_joints(copy.body, joints)
+            copy.original, copy.version = body, body.version
+        return copy.body
+
+
+def _truth(points: Iterable[ClosestPoint]) -> Truth:
+    distance = min((point.distance for point in points), default=RANGE + MARGIN)
+    return Truth(MARGIN - distance, distance <= MARGIN)

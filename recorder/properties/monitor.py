@@ -1,0 +1,370 @@
+"""Follows the records of a run, and reports where properties are violated.
+
+The values of a world are piecewise constant: they change with records, and with the samples inside a stretch of
+simulation, 30 a simulated second. Times are simulated seconds, of all worlds together.
+
+An episode is a part of the run in which a property has to hold: the whole run, or the parts that ``during``, ``after``
+and ``before`` select. In an episode, the margin of "always" is the smallest one of the moments, and that of
+"eventually" the largest. The margin of a property is the smallest one of its episodes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from recorder.errors import suggestion
+from recorder.properties.expressions import BadProperty, NoValue, Scene, Truth
+from recorder.properties.language import ALWAYS, AT_END, EVENTUALLY, NEVER
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
+from recorder.records.fold import FoldedWorld, apply
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from recorder.properties.expressions import Expression, Geometry
+    from recorder.properties.language import Moments, Property
+    from recorder.records import Record
+
+_BEST, _WORST = Truth(math.inf, True), Truth(-math.inf, False)
+FOLLOWED: Final = (Task, Mutation, Keyframe)
+"""The records that a monitor follows."""
+_ENDS: Final = (Task.FINISHED, Task.LEFT)
+
+
+class Moment(NamedTuple):
+    """A moment of a run."""
+
+    step: int
+    sim_step: int  # simulated steps of the record's world, for a sample in a record those until the sample
+    time: float  # s that all worlds together were simulated
+    world: str = ""  # the world of the record
+    task: int = 0  # the record's task
+    sampled: bool = False  # whether it is within the record
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A moment at which a property is violated."""
+
+    statement: Property
+    moment: Moment
+    margin: float  # negative; 0 if a limit is met that must not be
+    values: dict[str, Any]  # values of the property's quantities, by their texts
+    cause: str = ""  # why the moment is a violation, if not because of the values
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The result of a property for a whole run."""
+
+    statement: Property
+    margin: float  # how far it was from the other answer, in its unit; infinite if only names matter
+    closest: Moment | None  # where that was; None without an episode
+    values: dict[str, Any]  # values there
+    violations: list[Violation]
+    episodes: int  # number of parts of the run for which it said something
+    note: str = ""  # why it said nothing
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is never violated."""
+        return not self.violations
+
+
+class Monitor:
+    """Watches properties over the records of a run, from its first record or from keyframes of all worlds.
+
+    Args:
+        geometry: measures contacts; None without the executor.
+    """
+
+    def __init__(self, properties: Sequence[Property], geometry: Geometry | None = None) -> None:
+        self.worlds: dict[str, FoldedWorld] = {}
+        scene = Scene(self.worlds, geometry)
+        self._watches = [_Watch(each, scene) for each in properties]
+        self._clocks: dict[str, int] = {}
+        self._total = 0  # simulated steps of all worlds
+        self._names: dict[int, tuple[str, ...]] = {}  # names of the running tasks, outermost first
+        self._last = Moment(0, 0, 0.0)
+        self._known: dict[str, None] = {}  # names of all tasks
+
+    def feed(self, record: Record) -> list[Violation]:
+        """Follow the next record, and return the violations at it."""
+        if isinstance(record, Task):
+            return self._task(record)
+        if not isinstance(record, Mutation | Keyframe):
+            return []
+        name = record.world
+        if isinstance(record, Keyframe) and name in self.worlds:
+            return []
+        found: list[Violation] = []
+        if isinstance(record, Mutation) and record.effect.samples and name in self.worlds:
+            for sample in record.effect.samples[:]:
+                self.worlds[name].apply_sample(sample)
+                found += self._look(record, sample.sim_step)
+        if isinstance(record, Mutation) and record.HasField("open_world"):
+            self._clocks[name] = 0
+        apply(self.worlds, record)
+        return found + self._look(record, record.sim_step)
+
+    def finish(self) -> list[Violation]:
+        """End the run, and return the violations that its end shows."""
+        return [violation for watch in self._watches for violation in watch.finish(self._last)]
+
+    def verdicts(self) -> list[Verdict]:
+        """Return the results after the end.
+
+        Raises:
+            BadProperty: a property never had a value, for example because of an unknown name.
+        """
+        return [watch.verdict(self._known) for watch in self._watches]
+
+    def _moment(self, record: Record, sim_step: int) -> Moment:
+        name = record.world
+        if name in self.worlds:
+            self._total += max(0, sim_step - self._clocks.get(name, 0 if sim_step == 0 else sim_step))
+            self._clocks[name] = sim_step
+        self._last = Moment(
+            record.seq, sim_step, self._total / STEPS_PER_SECOND, name, record.task, sim_step != record.sim_step
+        )
+        return self._last
+
+    def _look(self, record: Record, sim_step: int) -> list[Violation]:
+        moment = self._moment(record, sim_step)
+        return [violation for watch in self._watches for violation in watch.look(moment)]
+
+    def _task(self, record: Task) -> list[Violation]:
+        path = self._names.get(record.task)
+        if record.phase == Task.STARTED:
+            path = self._names[record.task] = (*self._names.get(record.parent, ()), record.name.casefold())
+            self._known[record.name] = None
+        elif record.phase in _ENDS:
+            self._names.pop(record.task, None)
+        if path is None or record.phase not in (Task.STARTED, *_ENDS):
+            return []
+        moment = Moment(record.seq, record.sim_step, self._total / STEPS_PER_SECOND, record.world, record.task)
+        started = record.phase == Task.STARTED
+        return [
+            violation
+            for watch in self._watches
+            if watch.has_tasks
+            for violation in watch.task(record.task, path, moment, started=started)
+        ]
+
+
+@dataclass(slots=True)
+class _Episode:
+    """A part of a run in which a property has to hold."""
+
+    start: float  # s
+    key: object = None  # the task; None for others
+    margin: Truth = _BEST
+    closest: Moment | None = None
+    values: dict[str, Any] = field(default_factory=dict)
+    bad: bool = False  # whether it is violated now
+    held: Truth = _BEST  # for "until": the smallest margin of the body so far
+    done: bool = False  # for "until" and "eventually": whether it was fulfilled
+    past: deque[tuple[float, Truth]] = field(default_factory=deque)  # for "stays": values, and until when they held
+    latest: Truth | None = None
+
+
+class _Watch:
+    """The state of one property."""
+
+    def __init__(self, watched: Property, scene: Scene) -> None:
+        self._property = watched
+        self._scene = scene
+        self.has_tasks = any(each.task for each in watched.moments)
+        self._episodes: list[_Episode] = []
+        self._ended: list[_Episode] = []
+        self._were: dict[str, bool] = {}  # whether the expressions of scopes held
+        self._over = False  # whether ``before`` has come, without ``after``
+        self._violations: list[Violation] = []
+        self._missing: NoValue | None = None
+        self._known: dict[str, None] = {}
+        self._begun = False
+        self._valued: Moment | None = None  # the last moment at which the property had a value
+
+    # --- episodes -----------------------------------------------------------------------------------------------------
+
+    def look(self, moment: Moment) -> Iterator[Violation]:
+        """Evaluate the property in the present state."""
+        watched = self._property
+        if not self._begun:
+            self._begun = True
+            if watched.during is None and watched.after is None:
+                self._begin(moment)
+        for word in ("before", "during", "after"):
+            moments: Moments | None = getattr(watched, word)
+            if moments is not None and moments.expression is not None:
+                yield from self._edge(word, moments.expression, moment)
+        for episode in list(self._episodes):
+            if watched.within is not None and moment.time > episode.start + watched.within + 1e-9:
+                yield from self._end(episode, moment, f"not within {watched.within:g} s")
+        if self._episodes:
+            value = self._truth(watched.body, moment)
+            other = self._truth(watched.until, moment) if watched.until is not None else None
+            for episode in self._episodes:
+                yield from self._follow(episode, moment, value, other)
+
+    def _edge(self, word: str, expression: Expression, moment: Moment) -> Iterator[Violation]:
+        value = self._truth(expression)
+        before, now = self._were.get(word, False), value is not None and value.holds
+        self._were[word] = now
+        if now and not before:
+            if word == "before":
+                yield from self._end_all(moment)
+            else:
+                self._begin(moment)
+        elif before and not now and word == "during":
+            yield from self._end_all(moment)
+
+    def task(self, number: int, path: tuple[str, ...], moment: Moment, *, started: bool) -> Iterator[Violation]:
+        """Notice the start or end of a task."""
+        watched = self._property
+        for word in ("during", "after", "before"):
+            moments: Moments | None = getattr(watched, word)
+            if moments is None or not moments.task or path[-len(moments.task) :] != moments.task:
+                continue
+            if word == "before" and started:
+                yield from self._end_all(moment)
+            elif (word == "during" and started) or (word == "after" and not started):
+                self._begin(moment, number if word == "during" else None)
+                yield from self.look(moment)
+            elif word == "during":
+                for episode in [each for each in self._episodes if each.key == number]:
+                    yield from self._end(episode, moment)
+
+    def _begin(self, moment: Moment, key: object = None) -> None:
+        if not self._over and not self._were.get("before"):
+            start = _Episode(moment.time, key)
+            if self._property.kind == EVENTUALLY or self._property.until is not None:
+                start.margin = _WORST
+            self._episodes.append(start)
+
+    def _end_all(self, moment: Moment) -> Iterator[Violation]:
+        self._over = self._property.after is None and self._property.during is None
+        for episode in list(self._episodes):
+            yield from self._end(episode, moment)
+
+    def finish(self, moment: Moment) -> Iterator[Violation]:
+        """End all episodes with the run."""
+        for episode in list(self._episodes):
+            yield from self._end(episode, self._valued or moment, "not until the end")
+
+    # --- one episode --------------------------------------------------------------------------------------------------
+
+    def _truth(self, expression: Expression, moment: Moment | None = None) -> Truth | None:
+        try:
+            value = expression.truth(self._scene)
+        except NoValue as error:
+            if error.name or self._missing is None:
+                self._missing = error
+            self._known.update(dict.fromkeys(error.known))
+            return None
+        self._valued = moment or self._valued
+        return value
+
+    def _follow(
+        self, episode: _Episode, moment: Moment, value: Truth | None, other: Truth | None = None
+    ) -> Iterator[Violation]:
+        watched = self._property
+        if watched.until is not None:
+            yield from self._until(episode, moment, value, other)
+            return
+        if watched.stays:
+            value = self._stayed(episode, moment.time, value)
+        if value is None:
+            return
+        if watched.kind == NEVER:
+            value = value.negated()
+        if watched.kind in (ALWAYS, NEVER):
+            if value < episode.margin or episode.closest is None:
+                self._note(episode, moment, value)
+            if not value.holds and not episode.bad:
+                yield self._violated(moment, value)
+            episode.bad = not value.holds
+        elif watched.kind == AT_END or value > episode.margin or episode.closest is None:
+            self._note(episode, moment, value)
+            episode.done |= value.holds
+
+    def _until(
+        self, episode: _Episode, moment: Moment, value: Truth | None, other: Truth | None = None
+    ) -> Iterator[Violation]:
+        if episode.done:
+            return
+        if other is not None and (reached := min(other, episode.held)) >= episode.margin:
+            self._note(episode, moment, reached)
+            if reached.holds:
+                episode.done = True
+                return
+        if value is not None:
+            episode.held = min(episode.held, value)
+            if not value.holds:
+                episode.done = episode.bad = True
+                self._note(episode, moment, value)
+                yield self._violated(moment, value)
+
+    def _stayed(self, episode: _Episode, now: float, value: Truth | None) -> Truth | None:
+        """Return the smallest margin of the last ``stays`` seconds before now; None in the first of an episode."""
+        length, past = self._property.stays, episode.past
+        if episode.latest is not None:
+            while past and past[-1][1] >= episode.latest:
+                past.pop()
+            past.append((now, episode.latest))
+        while past and past[0][0] <= now - length + 1e-9 and len(past) > 1:
+            past.popleft()
+        episode.latest = value if value is not None else episode.latest
+        return past[0][1] if past and now - episode.start >= length - 1e-9 else None
+
+    def _note(self, episode: _Episode, moment: Moment, value: Truth) -> None:
+        episode.margin, episode.closest = value, moment
+        episode.values = self._values()
+
+    def _values(self) -> dict[str, Any]:
+        watched = self._property
+        found = watched.body.values(self._scene)
+        return found if watched.until is None else found | watched.until.values(self._scene)
+
+    def _violated(
+        self, moment: Moment, value: Truth, cause: str = "", values: dict[str, Any] | None = None
+    ) -> Violation:
+        found = Violation(self._property, moment, value.margin, self._values() if values is None else values, cause)
+        self._violations.append(found)
+        return found
+
+    def _end(self, episode: _Episode, moment: Moment, cause: str = "") -> Iterator[Violation]:
+        self._episodes.remove(episode)
+        watched = self._property
+        if watched.stays and episode.latest is not None:
+            yield from self._follow(episode, moment, episode.latest)
+        self._ended.append(episode)
+        if watched.kind == EVENTUALLY or watched.until is not None:
+            failed = not episode.done and (self._valued is not None or self._missing is None)
+        else:
+            failed = watched.kind == AT_END and episode.closest is not None and not episode.margin.holds
+        if failed and not episode.bad:
+            episode.bad = True
+            at_end = watched.kind == AT_END and episode.closest is not None
+            at, cause = (episode.closest, "at the end") if at_end else (moment, cause)
+            yield self._violated(at or moment, episode.margin, cause, episode.values)
+
+    def verdict(self, tasks: dict[str, None]) -> Verdict:
+        """Return the result after the end."""
+        watched = self._property
+        if self._missing is not None and self._valued is None:
+            missing = self._missing
+            hint = f"; {suggestion(missing.name, self._known)}" if missing.name and self._known else ""
+            raise BadProperty(watched.text, f"{missing}{hint}", watched.source)
+        said = [each for each in self._ended if each.closest is not None]
+        note = "" if said else f"{' and '.join(each.text for each in watched.moments) or 'the run'} never came"
+        task = next((each.task[-1] for each in watched.moments if each.task), "")
+        if not said and task and task not in map(str.casefold, tasks):
+            note = f"no task is called {task}; {suggestion(task, tasks)}"
+        worst = min(said, key=lambda each: each.margin, default=None)
+        if worst is None:
+            return Verdict(watched, math.inf, None, {}, self._violations, 0, note)
+        return Verdict(watched, worst.margin.margin, worst.closest, worst.values, self._violations, len(said), note)

@@ -1,0 +1,77 @@
+"""``check``: whether properties hold in a recording, or in each recording of a folder."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from recorder.properties import BadProperty, parse, parse_file
+from replay.cli.console import print_message, print_result, print_text
+from replay.errors import ReplayError
+from replay.explain.check import lines
+from replay.recording import Recording
+from replay.report import report
+from replay.report.phrases import plural
+
+if TYPE_CHECKING:
+    import argparse
+
+    from recorder.properties import Property
+    from replay.explain.check import CheckedProperty
+    from replay.runs.folder import Runs
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the properties."""
+    parser.epilog = "Exit code 1: a property is violated. docs/properties.md explains the language."
+    parser.add_argument("properties", metavar="PROPERTY", nargs="*", help="such as 'never contact(pr2, kitchen)'")
+    parser.add_argument(
+        "-f", "--file", action="append", default=[], help="a file with a property on each line; # begins a comment"
+    )
+
+
+def run(log: Recording, options: argparse.Namespace) -> int:
+    """Print the result of each property."""
+    found = _check(log, _given(options))
+    print_result(lambda: report.data(found), (line for each in found for line in lines(each)), as_json=options.json)
+    return int(not all(found))
+
+
+def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+    """Print for each property in how many recordings it holds, and the first violations."""
+    properties = _given(options)
+    rows: list[tuple[str, list[CheckedProperty]]] = []
+    for name in runs.folder.runs:
+        with Recording(runs.path / name) as log:
+            try:
+                rows.append((name, _check(log, properties)))
+            except ReplayError as error:  # this run may have ended before an object was loaded
+                print_message(f"left out: {name}: {error}")
+    if options.json:
+        print_result(lambda: {name: report.data(found) for name, found in rows}, (), as_json=True)
+    held = Counter(each.verdict.statement.text for _, found in rows for each in found if each)
+    for number, each in enumerate(() if options.json else properties):
+        violated = [name for name, found in rows if not found[number]]
+        shown = f"; violated in {', '.join(violated[:3])}{', ...' if violated[3:] else ''}" if violated else ""
+        print_text(f"{each}: holds in {held[each.text]} of {plural(len(rows), 'run')}{shown}")
+    return int(not all(each for _, found in rows for each in found))
+
+
+def _given(options: argparse.Namespace) -> list[Property]:
+    try:
+        found = [parse(text) for text in options.properties]
+        found += [each for file in options.file for each in parse_file(file)]
+    except BadProperty as error:
+        raise ReplayError(str(error)) from None
+    except OSError as error:
+        raise ReplayError(f"{error.filename}: {error.strerror}") from None
+    if not found:
+        raise ReplayError("give a property, such as 'always milk.z > 0.5', or a file with -f")
+    return found
+
+
+def _check(log: Recording, properties: list[Property]) -> list[CheckedProperty]:
+    try:
+        return log.check(*properties)
+    except BadProperty as error:
+        raise ReplayError(str(error)) from None

@@ -1,0 +1,166 @@
+"""``check``: properties of a recording, with the task and the line of the plan that violated them."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from recorder import html
+from recorder.properties.expressions import RANGE
+from recorder.properties.monitor import FOLLOWED, Monitor
+from recorder.records import STEPS_PER_SECOND
+from replay.errors import ReplayError
+from replay.explain.blame_report import because
+from replay.history.blame import SETTLING, blame
+from replay.history.tasks import causing_tasks
+from replay.report import phrases, report
+from replay.state.fold import state_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from recorder.properties import Property, Verdict
+    from recorder.properties.expressions import Geometry
+    from recorder.properties.monitor import Moment
+    from recorder.records import Record
+    from replay.file.record_reader import RecordReader
+    from replay.history.tasks import CausingTasks
+
+_UNITS: Final = {"m": phrases.length, "rad": phrases.degrees, "s": "{:.3f} s".format}
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class CheckedProperty:
+    """The result of a property for a recording."""
+
+    path: str  # of the recording
+    verdict: Verdict
+    record: Record | None = None  # record of the first violation
+    causes: CausingTasks | None = None  # tasks and lines of the plan that led to it
+
+    def __bool__(self) -> bool:
+        return self.verdict.holds
+
+    def __repr__(self) -> str:
+        return f"<{next(lines(self))}>"
+
+    def _repr_html_(self) -> str:
+        headline, *more = lines(self)
+        return html.page(headline, html.text(more))
+
+
+def check(log: RecordReader, properties: Sequence[Property], geometry: Geometry | None = None) -> list[CheckedProperty]:
+    """Check properties of a recording, in one pass over its records.
+
+    Raises:
+        BadProperty: a property has no value at any step, for example because of an unknown name.
+    """
+    monitor = Monitor(properties, geometry)
+    for record in log.records(FOLLOWED):
+        monitor.feed(record)
+    monitor.finish()
+    found = []
+    for verdict in monitor.verdicts():
+        cause = None if verdict.holds else _cause(log, verdict)
+        causes = None if cause is None else causing_tasks(log, cause)
+        found.append(CheckedProperty(str(log.path), verdict, cause, causes))
+    return found
+
+
+def _cause(log: RecordReader, verdict: Verdict) -> Record:
+    """Return the record of the first violation; if a value lacks, that of the last change of an object."""
+    first = verdict.violations[0]
+    changes: list[Record] = []
+    for name in verdict.statement.body.names if first.cause else ():
+        with suppress(ReplayError):  # the name is that of an arm or a world
+            world = first.moment.world
+            body = state_at(log, first.moment.step).body(name, world)
+            if not (body.fixed_base or body.type == "robot"):
+                change = blame(log, name, first.moment.step, world)
+                settled = change.earlier is not None and change.distance < SETTLING[0] and change.angle < SETTLING[1]
+                changes.append(change.earlier.record if settled and change.earlier is not None else change.record)
+    return max(changes, key=lambda record: record.seq) if changes else log[first.moment.step]
+
+
+@report.data.register(CheckedProperty)
+def _(checked: CheckedProperty) -> dict[str, object]:
+    verdict = checked.verdict
+    found: dict[str, object] = {
+        "property": verdict.statement.text,
+        "source": verdict.statement.source,
+        "holds": verdict.holds,
+        "margin": verdict.margin if math.isfinite(verdict.margin) else None,
+        "unit": verdict.statement.body.unit,
+        "closest": _moment_data(verdict.closest),
+        "values": verdict.values,
+        "episodes": verdict.episodes,
+        "note": verdict.note,
+        "violations": [
+            {**_moment_data(each.moment), "margin": each.margin if math.isfinite(each.margin) else None}
+            | {"values": each.values, "cause": each.cause}
+            for each in verdict.violations
+        ],
+    }
+    return found | {"causes": report.data(checked.causes), "commands": list(commands(checked))}
+
+
+def _moment_data(moment: Moment | None) -> dict[str, object]:
+    if moment is None:
+        return {}
+    return {"step": moment.step, "sim_seconds": moment.sim_step / STEPS_PER_SECOND, "world": moment.world}
+
+
+def lines(checked: CheckedProperty) -> Iterator[str]:
+    """Yield the result as text; for a violation, with its cause and the commands that look closer."""
+    verdict = checked.verdict
+    if verdict.holds:
+        yield f"holds     {verdict.statement}{_how_close(verdict)}"
+        return
+    first = verdict.violations[0]
+    times = f", {len(verdict.violations)} times" if len(verdict.violations) > 1 else ""
+    yield f"violated  {verdict.statement}"
+    by = f", by {_amount(first.margin, verdict)}" if math.isfinite(first.margin) else ""
+    yield f"  at step {first.moment.step} ({_when(first.moment)}){by}{times}{first.cause and f': {first.cause}'}"
+    yield from (f"  {text} = {_value(value)}" for text, value in first.values.items())
+    if first.cause and verdict.closest is not None and verdict.closest.step != first.moment.step:
+        yield f"  closest at step {verdict.closest.step}"
+    if checked.record is not None and checked.causes is not None:
+        yield f"  step {checked.record.seq}: {phrases.record_line(checked.record)}"
+        yield from because(checked.causes, "  ", [])
+    yield from (f"  {command}" for command in commands(checked))
+
+
+def commands(checked: CheckedProperty) -> Iterator[str]:
+    """Yield the commands that look closer at the first violation."""
+    if not checked.verdict.violations:
+        return
+    first, log = checked.verdict.violations[0], shlex.quote(checked.path)
+    moment = first.moment
+    step = f"{moment.sim_step / STEPS_PER_SECOND:.4f}s" if moment.sampled else str(moment.step)
+    yield f"pycram-replay view {log} --at {step}"
+    yield f"pycram-replay state {log} {step}"
+
+
+def _how_close(verdict: Verdict) -> str:
+    if verdict.note:
+        return f": nothing to check, {verdict.note}"
+    if verdict.closest is None or not math.isfinite(verdict.margin):
+        return ""
+    values = ", ".join(f"{text} = {_value(value)}" for text, value in verdict.values.items())
+    return f"\n  by {_amount(verdict.margin, verdict)}, closest at step {verdict.closest.step}: {values}"
+
+
+def _when(moment: Moment) -> str:
+    return f"{moment.sim_step / STEPS_PER_SECOND:.3f} s"
+
+
+def _amount(margin: float, verdict: Verdict) -> str:
+    text = _UNITS.get(verdict.statement.body.unit, phrases.number)(abs(margin))
+    return f"{text} or more" if verdict.statement.body.needs_geometry and abs(margin) >= RANGE else text
+
+
+def _value(value: Any) -> str:
+    return "None" if value is None else phrases.value(list(value) if isinstance(value, tuple) else value)
