@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from typing import TextIO
 
 _MAX_SUGGESTED: Final = 3
-_MAX_LISTED: Final = 25  # up to this number, a hint lists all known names, such as the joints of a kitchen
+_MAX_LISTED: Final = 30  # up to this number, a hint lists all known names, such as the joints of a kitchen
 _MAX_FILES: Final = 2000  # of a folder that are compared with a name
 
 

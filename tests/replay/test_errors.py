@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from recorder.errors import PortableError, RecordingError
+from recorder.properties import BadProperty
 from replay.debug.expressions import NoQuantity
 from replay.debug.guided_plan import PlanEnded, PlanInterrupted
 from replay.debug.session import NoFurther, NoSuchPlace
@@ -51,6 +52,7 @@ ERRORS: tuple[PortableError, ...] = (
     PlanEnded("Killed"),
     PlanInterrupted(12),
     NoQuantity("milc.z", "no body is called so"),
+    BadProperty("always milk.z >", "invalid syntax", "table.properties:3"),
     NoFurther(0, "the recording begins here"),
     MissingModels("00003.mcap", "models-0123456789ab.mcap isn't there"),
     NotRead(Path("runs"), "its tables can't be written (Permission denied)"),

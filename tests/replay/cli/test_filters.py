@@ -124,7 +124,7 @@ def test_a_wrong_verb_gives_the_nearest_and_the_list(capsys: pytest.CaptureFixtu
     assert main(["tre", "x.mcap"]) == 2
     assert "there is no verb 'tre'; did you mean tree" in capsys.readouterr().err
     assert main(["zzz", "x.mcap"]) == 2
-    assert "ask, blame, cheat, debug, diff" in capsys.readouterr().err
+    assert "ask, blame, cheat, check, debug" in capsys.readouterr().err
 
 
 def test_the_plans_source_is_listed_printed_and_written(
