@@ -12,6 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import ActionDesignator, ActionType, prepared, type_of
+from pycram.actions.advice import advice
 from pycram.foundation import checks
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, PlanFailure
@@ -22,7 +23,7 @@ from pycram.motions.designator import Designator, MotionDesignator, performing
 from pycram.motions.process_module import current_environment
 from pycram.motions.slots import DesignatorError
 from pycram.process_module import ProcessModule
-from pycram.projection import Outcome, project_all
+from pycram.projection import Outcome, is_projected, project_all
 from pycram.reasoning.places.remedies import aside
 from pycram.scheduling.cancellation import Binding, checkpoint
 from pycram.world.world import BulletWorld
@@ -206,6 +207,7 @@ class _Budget:
 
 
 _budget: ContextVar[_Budget | None] = ContextVar("pycram_budget", default=None)
+_takes: ContextVar[bool] = ContextVar("pycram_takes", default=False)  # whether an action around has an object
 
 
 def perform(designator: ActionDesignator | MotionDesignator) -> Any:
@@ -254,11 +256,17 @@ class _Act:
         for branch in self._designator.branches():
             branch.result()
         checkpoint()
-        with performing(self._designator):
-            return self._carried_out()
-
-    def _carried_out(self) -> Any:
         slots = dict(self._designator.description)
+        outermost = "object" in slots and not (_takes.get() or is_projected())
+        with performing(self._designator), Binding(_takes, _takes.get() or outermost):
+            try:
+                return self._carried_out(slots)
+            except PlanFailure as failure:
+                if outermost and (helps := advice(failure, self._designator)):
+                    failure.args = (f"{failure}; {helps}",)
+                raise
+
+    def _carried_out(self, slots: Mapping[str, Any]) -> Any:
         asked, around = slots.get("budget"), _budget.get()
         budget = around if around is not None and asked is None else _Budget(BUDGET if asked is None else asked, around)
         ahead = thinking(wanted=slots.get("projected"))

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing, nullcontext
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -53,6 +54,7 @@ Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
 _MAX_MEMORY: Final = 10**12  # bytes
 _numbers: Final = threading.local()  # recordings of the thread's projections
+_projected: ContextVar[bool] = ContextVar("pycram_projected", default=False)
 
 #: An action, or a tuple of an action and its arguments, as in ``(pick_up, milk, "left")``.
 Candidate: TypeAlias = "Action | tuple[Any, ...]"
@@ -127,6 +129,11 @@ class Outcome:
             "duration": self.duration,
             "recording": None if self.recording is None else str(self.recording),
         } | ({"unsent": self.unsent} if self.unsent else {})
+
+
+def is_projected() -> bool:
+    """Return whether this process is a copy that projects an action."""
+    return _projected.get()
 
 
 def project(
@@ -322,6 +329,7 @@ def _path() -> Path | None:
 def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[[], None], memory: int | None) -> bytes:
     failure: BaseException | None = None
     result: Result = None
+    _projected.set(True)
     try:
         begin()  # in the parent it may not be recorded yet
         with (

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import itertools
 import os
 import random
 import select
 import signal
 import sys
 import time
+from collections import deque
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,12 +23,11 @@ from typing import TYPE_CHECKING, Any, Final, Generic, NoReturn, TypeVar
 from pycram.language.nesting import nothing_open
 from pycram.motions.process_module import forget_claims
 from pycram.scheduling.cancellation import begin_alone, checkpoint
-from pycram.scheduling.schedule import MISSED_SIGNALS_EVERY, scheduler
+from pycram.scheduling.schedule import MISSED_SIGNALS_EVERY, is_held, scheduler
 from pycram.world.world import number_anew, open_worlds
 from recorder.tracing import forking, interrupts
 
 if TYPE_CHECKING:
-    from collections import deque
     from collections.abc import Callable, Generator, Sequence
 
 
@@ -273,6 +274,33 @@ class ChildPool(Generic[Job]):
     def kill(self, job: Job) -> None:
         """Kill a job's child; the job is not yielded."""
         self._running.pop(job).child.kill()
+
+
+def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
+    """Return the number of the first question that is true, each answered in a copy of this process.
+
+    A question may change the worlds of its copy. Nothing is recorded, and an error is no.
+
+    Returns:
+        None if none is true, or if the process can't be copied now.
+    """
+    if obstacle() or is_held():
+        return None
+    answers: dict[int, bytes] = {}
+    waiting = deque(range(len(questions)))
+
+    def start(number: int) -> Child:
+        return Child(lambda: b"yes" if questions[number]() else b"")
+
+    pool: ChildPool[int] = ChildPool(usable_cores(), None)
+    with contextlib.closing(pool.run(waiting, start)) as results:
+        for number, result in results:
+            answers[number] = result.answer
+            known = itertools.takewhile(answers.__contains__, itertools.count())
+            first = next((each for each in known if answers[each]), None)
+            if first is not None:
+                return first
+    return None
 
 
 def run_from_start(answer: Callable[[], bytes]) -> Child:

@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import math
+import re
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+import recorder
+import replay
 from pycram import tasks
+from pycram.action_designators import picking_up
 from pycram.actions import ActionFailed, action, perform, projecting, replaced
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator, ObjectDesignator
 from pycram.failures import BadArgument, GraspFailed, MissingPart, PlanFailure, ReasoningError, UnknownName
 from pycram.knowledge import learn
 from pycram.language import par
+from pycram.motion_designators import move_arm_joints
 from pycram.process_module import ProcessModule
+from pycram.projection import project
+from pycram.reasoning.collision.ray_cast import center
+from recorder import geometry
+from recorder.records import Task
 from recorder.tasks.tree import walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
 NUMBERS = ("one", "two", "three", "four", "five", "six")
 
@@ -375,3 +386,65 @@ def test_slots_and_texts_are_those_of_the_function() -> None:
 def test_an_action_has_a_name() -> None:
     with pytest.raises(ValueError, match="name"):
         action("")
+
+
+@pytest.fixture
+def counter(world: BulletWorld) -> Iterator[BulletWorld]:
+    """A PR2 with folded arms before the counter."""
+    world.exit()
+    with BulletWorld() as kitchen:
+        kitchen.set_gravity([0, 0, -9.81])
+        Object("kitchen", "environment", "kitchen.urdf")
+        kitchen.robot = Object("pr2", "robot", "pr2.urdf", [0.65, 0.7, 0])
+        perform(move_arm_joints(arms={"left": "park", "right": "park"}))
+        yield kitchen
+
+
+def moved_as_advised(failure: PlanFailure, body: Object) -> None:
+    advice = str(failure).rpartition("; ")[2]
+    turn, slide = (re.search(pattern, advice) for pattern in (r"turn \w+ by (\d+) degrees", r"to \[(.*?), (.*?)\], at"))
+    position, orientation = body.get_position_and_orientation()
+    if turn:
+        about = geometry.from_rpy(0, 0, math.radians(int(turn[1])))
+        middle = center(body)
+        from_middle = geometry.multiply(([-x for x in middle], geometry.IDENTITY[1]), (position, orientation))
+        body.set_position_and_orientation(*geometry.multiply((middle, about), from_middle))
+    elif slide:
+        body.set_position([float(slide[1]), float(slide[2]), position[2]])
+    assert turn or slide
+    assert body.world.settle()
+
+
+@pytest.mark.parametrize(
+    ("body", "where", "yaw", "slots", "advice"),
+    [
+        ("breakfast_cereal", [1.4, 0.85, 0.98], math.pi / 2, {"grasp": "front"}, "turn cereal by 60 degrees"),
+        ("milk", [1.62, 0.6, 0.95], 0.0, {}, "slide it by 35 cm to [1.27, 0.60], at an edge of counter"),
+    ],
+)
+def test_an_object_that_can_t_be_taken_is_advised_to_be_turned_or_slid_where_that_was_seen_to_help(
+    counter: BulletWorld, tmp_path: Path, body: str, where: list[float], yaw: float, slots: dict[str, Any], advice: str
+) -> None:
+    kind = body.rpartition("_")[2]
+    thing = Object(kind, kind, f"{body}.stl", where, geometry.from_rpy(0, 0, yaw))
+    assert counter.settle()
+    before, stands = counter.sim_step, thing.get_position_and_orientation()
+    with recorder.record(tmp_path / "run.mcap"), pytest.raises(PlanFailure) as raised:
+        perform(picking_up(object=thing, **slots))
+    assert str(raised.value).endswith(f"; {advice}, then it can be taken")
+    assert (counter.sim_step, thing.get_position_and_orientation()) == (before, stands)
+    with replay.open(tmp_path / "run.mcap") as log:
+        assert "projection" not in {task.kind for task in log.records(Task)}
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
+    moved_as_advised(raised.value, thing)
+    perform(picking_up(object=thing, **slots))
+    assert thing.carrier is counter.robot
+
+
+def test_a_failure_that_no_move_mends_and_one_in_a_projection_carry_no_advice(counter: BulletWorld) -> None:
+    cup = Object("cup", "cup", "cup.stl", [-0.8, 1.0, 0.9])
+    with pytest.raises(PlanFailure, match=r"the nearest posture stays \d\.\d+ m away$"):
+        perform(picking_up(object=cup, arm="left"))  # on the island, behind the robot
+    milk = Object("milk", "milk", "milk.stl", [1.62, 0.6, 0.95])
+    outcome = project(perform, picking_up(object=milk, arm="left"))
+    assert str(outcome.failure).endswith("m away")

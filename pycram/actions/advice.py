@@ -1,0 +1,149 @@
+"""Advice on an object that no arm could take: to turn it, or to slide it to an edge.
+
+Each move is tried in a copy of the process. Only reasoning runs there, no code of the plan, and nothing is recorded.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from pycram.actions.action import TYPES
+from pycram.actions.objects import candidates_of, thing
+from pycram.foundation.failures import (
+    Blocked,
+    DoesNotFit,
+    GraspFailed,
+    NoPlace,
+    PlanFailure,
+    ReasoningError,
+    Unreachable,
+    UsageError,
+)
+from pycram.projection.child import first_true
+from pycram.reasoning.choosing import UNRECORDED
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.grasping.choice import holding_grasps
+from pycram.reasoning.grasping.grasps import leaning
+from pycram.reasoning.grasping.placing import resting_position
+from pycram.reasoning.places import standing_places
+from pycram.scheduling.future import unwrap
+from pycram.world import attachment
+from pycram.world.world import BulletWorld
+from recorder import geometry
+from recorder.records import STEPS_PER_SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pycram.actions.action import ActionDesignator
+    from pycram.models.robots.description import Arm
+    from pycram.world.object import Object
+    from recorder.geometry import Pose
+
+_TURNS: Final = (30, 60, 90, 120, 150)  # degrees about the vertical
+_ON: Final = 0.02  # m between an object's underside and the surface on which it lies
+_INSIDE: Final = 0.02  # m from an edge to the middle of an object that is slid there; it doesn't fall
+_EDGES: Final = 4  # nearest edges that are tried
+_SETTLES: Final = STEPS_PER_SECOND // 4  # steps until it is at rest
+_MOVED: Final = 0.02  # m, and rad, by which it may move on its way to rest
+_LEANT: Final = math.radians(10)
+_SAME: Final = 1e-3  # m between an object and a target at it
+
+
+def advice(failure: PlanFailure, action: ActionDesignator) -> str:
+    """Return the moves of an action's object after which the robot can take it, in words; "" if no tried move helps."""
+    slots, failures = dict(action.description), list(_failures(failure))
+    try:
+        robot, given = BulletWorld.current_robot(), candidates_of(thing("object", unwrap(slots["object"])))
+    except UsageError:  # a world that has ended
+        return ""
+    untaken = [body for body in given if failures and all(_untaken(each, body) for each in failures)]
+    if robot.description is None or len(untaken) != 1 or untaken[0].fixed or untaken[0].attachments:
+        return ""
+    body = untaken[0]
+    wanted, grasp = (unwrap(slots.get(name)) for name in ("arm", "grasp"))
+    arms = [arm for arm in robot.description.arms.values() if wanted in (None, arm.name) and arm.hand is not None]
+    free = [arm for arm in arms if attachment.attached_to(robot, arm.tool_frame) is None]
+    kind = TYPES.get(action.type)
+    drives = kind is not None and any(slot.name == "place" for slot in kind.slots) and slots.get("place") is None
+    too_far = all(isinstance(each, Unreachable) and not isinstance(each, Blocked) for each in failures)
+    too_big = any(isinstance(each, DoesNotFit) for each in failures)
+    turns = [] if too_far or (too_big and grasp is None) else list(_turned(body))
+    slides = [] if too_big else list(_slid(body))
+    found: list[str] = []
+    for moves in (turns, slides) if free else ():
+        helps = first_true([partial(_helps, robot, body, pose, free, grasp, drives) for _, pose in moves])
+        found += [moves[helps][0]] if helps is not None else []
+    return f"{' or '.join(found)}, then it can be taken" if found else ""
+
+
+def _failures(failure: BaseException) -> Iterator[BaseException]:
+    """Yield the failures of an action's tries, and of the tries of its subactions; the action's own without tries."""
+    tried = getattr(failure, "tried", ())
+    for each in tried:
+        if not isinstance(each.failure, ReasoningError):  # what is in the way couldn't be cleared away
+            yield from _failures(each.failure)
+    if not tried:
+        yield failure
+
+
+def _untaken(failure: BaseException, body: Object) -> bool:
+    """Return whether a failure says that an arm couldn't take an object as it lies."""
+    if isinstance(failure, NoPlace):
+        return failure.last == f"reach {body.name}"
+    if isinstance(failure, GraspFailed):
+        return failure.body == body.name
+    return isinstance(failure, Unreachable) and math.dist(failure.target, center(body)) < _SAME
+
+
+def _turned(body: Object) -> Iterator[tuple[str, Pose]]:
+    """Yield poses of an object without its lean, turned about its middle, each with the advice."""
+    x, y, z = center(body)
+    from_middle = geometry.multiply(((-x, -y, -z), geometry.IDENTITY[1]), body.get_position_and_orientation())
+    for degrees in _TURNS:
+        turn = geometry.product(geometry.from_rpy(0.0, 0.0, math.radians(degrees)), geometry.conjugate(leaning(body)))
+        yield f"turn {body.name} by {degrees} degrees", geometry.multiply(((x, y, z), turn), from_middle)
+
+
+def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
+    """Yield poses of an object slid straight to the nearest edges of the surface below it, each with the advice."""
+    here = body.get_position_and_orientation()
+    middle, bottom = body.world.engine.center_of_mass(body.handle)[0], body.get_AABB()[0][2]
+    moves = []
+    for furniture in body.world.objects:
+        for surface in furniture.surfaces.values():
+            pose = furniture.surface_pose(surface)
+            x, y, _ = geometry.transform(geometry.invert(pose), middle)
+            if abs(bottom - pose[0][2]) > _ON or geometry.margin_in_polygon(surface.outline, (x, y)) < 0.0:
+                continue
+            for a, b in itertools.pairwise([*surface.outline, surface.outline[0]]):
+                u, v = (b[1] - a[1]) / math.dist(a, b), (a[0] - b[0]) / math.dist(a, b)  # outward, unit vector
+                way = (a[0] - x) * u + (a[1] - y) * v - _INSIDE
+                moves.append((way, geometry.rotate(pose[1], (way * u, way * v, 0.0)), surface.name))
+    for way, move, name in sorted(moves)[:_EDGES]:
+        if way > 0.0:
+            there = geometry.multiply((move, geometry.IDENTITY[1]), here)
+            x, y, _ = there[0]
+            yield f"slide it by {way * 100:.0f} cm to [{x:.2f}, {y:.2f}], at an edge of {name}", there
+
+
+def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: str | None, drives: bool) -> bool:
+    """Move an object in a copy of the process, and return whether it comes to rest there and can be taken."""
+    engine = body.world.engine  # no change of a world for the plan: none of its handlers is called
+    with body.world.lock:
+        there = resting_position(body, *pose), pose[1]
+        engine.set_pose(body.handle, there)
+        engine.step(_SETTLES)
+        position, turn = body.get_position_and_orientation()
+        if math.dist(position, there[0]) > _MOVED or geometry.angle(turn, there[1]) > _LEANT:
+            return False
+    if drives:
+        names = [arm.name for arm in arms]
+        return next(standing_places(robot, reach=[body], arms=names, grasp=grasp), None) is not None
+    sides = None if grasp is None else (grasp,)
+    with body.world.lock:
+        found = (holding_grasps(robot, arm, body, sides, [], UNRECORDED) for arm in arms)
+        return any(next(each, None) is not None for each in found)
