@@ -5,7 +5,7 @@ Written by ``make reference`` from the slots of the actions; don't edit.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 from pycram.actions.action import ActionDesignator
 from pycram.motions.slots import filled
@@ -166,6 +166,26 @@ def handing_over(
     )
 
 
+@overload
+def looking(
+    *,
+    object: Object | ObjectDesignator | str,
+    target: None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator: ...
+
+
+@overload
+def looking(
+    *,
+    target: LocationDesignator | Surface | str | Sequence[float],
+    object: None = None,
+    budget: int | None = None,
+    projected: bool | None = None,
+) -> ActionDesignator: ...
+
+
 def looking(
     *,
     object: Object | ObjectDesignator | str | None = None,
@@ -173,7 +193,9 @@ def looking(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Turns the camera to an object, or to a place; one of both is required.
+    """Turns the camera to an object, or to a place.
+
+    Exactly one of ``object`` or ``target`` is required.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.

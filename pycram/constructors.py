@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from pycram.motions.motion_types import MotionType
-    from pycram.motions.slots import Slot
+    from pycram.motions.slots import Slot, SlotTable
+
+    Parameter = tuple[str, str, str, bool]  # name, type, text, and whether it is required
 
 _WIDTH: Final = 120
 
@@ -34,7 +36,7 @@ Written by ``make reference`` from the slots of the motions; don't edit.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.slots import filled
@@ -53,7 +55,7 @@ Written by ``make reference`` from the slots of the actions; don't edit.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 from pycram.actions.action import ActionDesignator
 from pycram.motions.slots import filled
@@ -73,7 +75,10 @@ def motion_designators() -> str:
     parts = [_MOTIONS]
     for motion in MOTIONS.values():
         text = (inspect.getdoc(modules[motion.cmd]) or "").partition("\n")[0]
-        parts.append(_arms(motion, text) if motion.per_arm else _motion(motion, text))
+        if motion.per_arm:
+            parts.append(_arms(motion, text))
+        else:
+            parts.append(_designator("MotionDesignator", motion, text, _parameters(motion.slots, motion=True)))
     return "\n\n".join(parts)
 
 
@@ -82,13 +87,20 @@ def action_designators() -> str:
     parts = [_ACTIONS]
     for _, action in sorted(ACTIONS.items()):
         if action.function.__module__.startswith("pycram.actions."):
-            parts.append(_function("ActionDesignator", action.type, action.text, _parameters(action.slots)))
+            parts.append(_designator("ActionDesignator", action, action.text, _parameters(action.slots)))
     return "\n\n".join(parts)
 
 
-def _motion(motion: MotionType, text: str) -> str:
-    text = "\n\n".join([text, *(each.strip().replace("`", "``") for each in demands(motion))])
-    return _function("MotionDesignator", motion.type, text, _parameters(motion.slots, motion=True))
+def _designator(kind: str, table: SlotTable, text: str, parameters: Sequence[Parameter]) -> str:
+    """Return the constructor of a type, with an overload for each of the slots that exclude each other."""
+    text = "\n\n".join([text, *(each.strip().replace("`", "``") for each in demands(table))])
+    parts = []
+    for name in table.one_of if table.only_one else ():
+        given = [each if each[0] not in table.one_of else (each[0], "None", "", False) for each in parameters]
+        (chosen,) = ((argument, python, "", True) for argument, python, *_ in parameters if argument == name)
+        head = _head(kind, table.type, [chosen, *(each for each in given if each[0] != name)])
+        parts.append("\n".join(["@overload", *head[:-1], f"{head[-1]} ...", ""]))
+    return "\n\n".join([*parts, _function(kind, table.type, text, parameters)])
 
 
 def _arms(motion: MotionType, text: str) -> str:
@@ -100,7 +112,7 @@ def _arms(motion: MotionType, text: str) -> str:
     return _function("MotionDesignator", motion.type, text, parameters, given)
 
 
-def _parameters(slots: Iterable[Slot], *, motion: bool = False) -> list[tuple[str, str, str, bool]]:
+def _parameters(slots: Iterable[Slot], *, motion: bool = False) -> list[Parameter]:
     """Return name, type, text and whether it is required of each slot, the required slots first."""
     found = []
     for slot in slots:
@@ -113,14 +125,18 @@ def _parameters(slots: Iterable[Slot], *, motion: bool = False) -> list[tuple[st
     return sorted(found, key=lambda each: not each[3])
 
 
-def _function(
-    kind: str, name: str, text: str, parameters: Sequence[tuple[str, str, str, bool]], given: str = ""
-) -> str:
+def _head(kind: str, name: str, parameters: Sequence[Parameter]) -> list[str]:
+    """Return the first lines of a constructor, up to the colon."""
     lines = [f"def {slot_argument(name)}(", "    *,"]
     for argument, python, _, required in parameters:
-        lines.append(f"    {argument}: {python}," if required else f"    {argument}: {python} | None = None,")
+        optional = python if python == "None" else f"{python} | None"
+        lines.append(f"    {argument}: {python}," if required else f"    {argument}: {optional} = None,")
+    return [*lines, f") -> {kind}:"]
+
+
+def _function(kind: str, name: str, text: str, parameters: Sequence[Parameter], given: str = "") -> str:
     first, _, more = text.partition("\n")
-    lines += [f") -> {kind}:", f'    """{first}']
+    lines = [*_head(kind, name, parameters), f'    """{first}']
     lines += [f"    {line}".rstrip() for line in more.splitlines()]
     lines += ["", "    Args:"]
     for argument, _, described, _ in parameters:

@@ -5,7 +5,7 @@ Written by ``make reference`` from the slots of the motions; don't edit.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.slots import filled
@@ -95,6 +95,22 @@ def accessing(
             distance=distance,
         )
     )
+
+
+@overload
+def looking(
+    *,
+    target: Sequence[float] | LocationDesignator,
+    object: None = None,
+) -> MotionDesignator: ...
+
+
+@overload
+def looking(
+    *,
+    object: Object | ObjectDesignator,
+    target: None = None,
+) -> MotionDesignator: ...
 
 
 def looking(

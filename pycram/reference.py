@@ -71,7 +71,7 @@ def reference() -> str:
 
 def _action(kind: ActionType, slots: Sequence[Slot]) -> str:
     fails = "`ActionFailed`, if no choice succeeds" if kind.choices else "the failures of its parts"
-    parts = [f"### {kind.type}\n", f"{kind.text}\n", _table(slots), f"Fails with {fails}.\n"]
+    parts = [f"### {kind.type}\n", f"{kind.text}\n", _table(slots), *demands(kind), f"Fails with {fails}.\n"]
     return "\n".join(parts)
 
 

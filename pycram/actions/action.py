@@ -37,7 +37,7 @@ from pycram.motions.slots import (
 from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from pycram.motions.designator import Resolver, Solution
@@ -198,6 +198,7 @@ def action(
     choices: Choices | None = None,
     prepare: Callable[..., Any] | None = None,
     checked: Mapping[str, Check] | None = None,
+    one_of: Sequence[str] = (),
 ) -> Callable[[Callable[P, Result_co]], Action[P, Result_co]]:
     """Decorate a function that performs the actions of a type, in place of an earlier function.
 
@@ -211,6 +212,7 @@ def action(
         prepare: Called with its slots before choices are found, for example to search an object. If it is a generator
             function, the code after its only ``yield`` runs when the action has succeeded or failed.
         checked: Checks of slots by name; PyCRAM knows the slots of its own actions.
+        one_of: Slots of which exactly one is required.
 
     Raises:
         BadArgument: The name is invalid, or the function has positional-only or variable parameters.
@@ -218,7 +220,7 @@ def action(
     text("name", name)
 
     def register(function: Callable[P, Result_co]) -> Action[P, Result_co]:
-        TYPES[name] = _type(name, function, choices, prepare, checked or {})
+        TYPES[name] = _type(name, function, choices, prepare, checked or {}, one_of)
 
         def designator(*args: P.args, **kwargs: P.kwargs) -> ActionDesignator:
             given = inspect.signature(function).bind(*args, **kwargs)
@@ -262,6 +264,7 @@ def _type(
     choices: Choices | None,
     prepare: Callable[..., Any] | None,
     checked: Mapping[str, Check],
+    one_of: Sequence[str],
 ) -> ActionType:
     texts = _texts(function)
     table = []
@@ -273,7 +276,10 @@ def _type(
         check = checked.get(slot) or _BY_SLOT.get(slot, _ANYTHING)
         table.append(Slot(slot, check, required=required, text=texts.get(parameter.name, "")))
     text = (inspect.getdoc(function) or "").partition("\n\nArgs:")[0]
-    return ActionType(name, (*table, *_COMMON), function=function, choices=choices, prepare=prepare, text=text)
+    demand = {"one_of": tuple(one_of), "only_one": bool(one_of)}
+    return ActionType(
+        name, (*table, *_COMMON), **demand, function=function, choices=choices, prepare=prepare, text=text
+    )
 
 
 def _texts(function: Callable[..., Any]) -> dict[str, str]:

@@ -81,9 +81,9 @@ def detected(bodies: Sequence[Object]) -> Object:
     raise PerceptionError(kind, {body.name: f"is not seen, but {found.name}" for body in bodies})
 
 
-@action("looking")
+@action("looking", one_of=("object", "target"))
 def looking(object: Any = None, target: Any = None) -> None:  # noqa: A002  the slot's name
-    """Turns the camera to an object, or to a place; one of both is required.
+    """Turns the camera to an object, or to a place.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
