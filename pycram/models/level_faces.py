@@ -51,6 +51,8 @@ _FINE: Final = 0.02  # m, distance of grid lines where edges aren't parallel to 
 _ALONG: Final = 1e-3  # maximum component of a unit normal across the grid, for sides parallel to it
 _WHOLE: Final = 0.97  # minimum free share of a face that keeps its shape
 _PARALLEL: Final = 1e-9  # maximum component of a unit normal along a parallel line
+_SIMPLE: Final = 16  # planes of a piece, up to which no line is left out
+_ROUNDING: Final = 1e-9  # share by which rounding may change an area
 _SAME_PLANE: Final = 6  # decimals in which planes of triangles on one side of a hull agree
 
 
@@ -108,9 +110,10 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, leas
     cosine, sine = math.cos(yaw), math.sin(yaw)
     turn = np.array([[cosine, -sine], [sine, cosine]])  # corners @ turn: into the face's frame
     edges = np.concatenate([piece.corners[piece.corners[:, 2] > height - 2 * _THICK, :2] for piece in tops])
-    if (np.ptp(edges @ turn, axis=0) < least.side).any():
-        return
     corners = edges @ turn
+    width, depth = np.ptp(corners, axis=0)
+    if min(width, depth) < least.side or width * depth * (1.0 + _ROUNDING) < least.area:
+        return
     rounded = geometry.convex_hull(corners)
     hull = corners[[np.abs(corners - corner).sum(axis=1).argmin() for corner in rounded]]
     if _area(hull) < least.area:
@@ -264,31 +267,50 @@ def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Arra
     Where a line misses a piece, these are infinity and -infinity.
     """
     origins = np.column_stack([points, np.zeros(len(points))])
-    return _through(*_stacked(every), origins, np.array([[0.0, 0.0, 1.0]]))
+    return _through(every, origins, np.array([[0.0, 0.0, 1.0]]))
 
 
 def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[NDArray[np.intp], Array]:
     """Return the index of the first piece that each ray (n, 3) hits, and the distance in m; infinite for no hit."""
-    into, out = _through(*_stacked(every), origins, directions)
+    into, out = _through(every, origins, directions)
     met = np.where((into <= out) & (out > 0), np.maximum(into, 0.0), np.inf)
     return met.argmin(axis=1), met.min(axis=1)
 
 
-def _stacked(every: Sequence[Piece]) -> tuple[Array, NDArray[np.intp]]:
-    """Return the planes of all pieces, and the index of the first plane of each piece."""
-    starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
-    return np.concatenate([piece.planes for piece in every]), starts
-
-
-def _through(planes: Array, starts: NDArray[np.intp], origins: Array, directions: Array) -> tuple[Array, Array]:
-    """Return the distances along n lines at which they enter and leave pieces; infinity and -infinity for a miss.
+def _through(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[Array, Array]:
+    """Return the distances (n, m) along lines at which they enter and leave pieces; infinity and -infinity for a miss.
 
     Args:
-        planes: (k, 4) planes of all pieces.
-        starts: (m,) indices of the first plane of each piece.
+        every: m pieces.
         origins: (n, 3) points on the lines, m.
         directions: (n, 3) or (1, 3) unit vectors.
     """
+    into = np.full((len(origins), len(every)), np.inf)
+    out = -into
+    simple = [number for number, piece in enumerate(every) if len(piece.planes) <= _SIMPLE]
+    if simple:
+        into[:, simple], out[:, simple] = _between_planes([every[number] for number in simple], origins, directions)
+    for number, piece in enumerate(every):
+        if len(piece.planes) > _SIMPLE and len(lines := _near(piece, origins, directions)):
+            along = directions if len(directions) == 1 else directions[lines]
+            into[lines, number], out[lines, number] = (
+                ends[:, 0] for ends in _between_planes([piece], origins[lines], along)
+            )
+    return into, out
+
+
+def _near(piece: Piece, origins: Array, directions: Array) -> NDArray[np.intp]:
+    """Return the indices of the lines that pass through the bounding box of a piece, which is a little widened."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (np.stack([piece.low - _GAP, piece.high + _GAP])[:, None] - origins) / directions
+    low, high = np.sort(ends, axis=0)  # (n, 3) by axis; infinite where a line is parallel to a side
+    return np.flatnonzero(low.max(axis=1) <= high.min(axis=1))
+
+
+def _between_planes(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[Array, Array]:
+    """Return the same as :func:`_through`, by all planes of all pieces for each line."""
+    starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
+    planes = np.concatenate([piece.planes for piece in every])
     slopes = np.broadcast_to(directions @ planes[:, :3].T, (len(origins), len(planes)))
     heights = origins @ planes[:, :3].T + planes[:, 3]
     along = np.abs(slopes) < _PARALLEL
