@@ -276,9 +276,15 @@ def _type(
         check = checked.get(slot) or _BY_SLOT.get(slot, _ANYTHING)
         table.append(Slot(slot, check, required=required, text=texts.get(parameter.name, "")))
     text = (inspect.getdoc(function) or "").partition("\n\nArgs:")[0]
-    demand = {"one_of": tuple(one_of), "only_one": bool(one_of)}
     return ActionType(
-        name, (*table, *_COMMON), **demand, function=function, choices=choices, prepare=prepare, text=text
+        name,
+        (*table, *_COMMON),
+        tuple(one_of),
+        only_one=bool(one_of),
+        function=function,
+        choices=choices,
+        prepare=prepare,
+        text=text,
     )
 
 
