@@ -178,10 +178,15 @@ class Recording(RecordReader):
         world: str | None = None,
         moves: Sequence[Move] = (),
     ) -> QueryAnswer:
-        """Ask a reasoning query at a past step, which needs the executor; see :func:`replay.restore.ask.ask`."""
+        """Ask a reasoning query at a past step, which needs the executor; see :func:`replay.restore.ask.ask`.
+
+        If no world is open any more, it is asked at the last step with an open world: ``answer.step``.
+        """
         from replay.restore.ask import ask  # noqa: PLC0415
 
-        return ask(self, self.step(step), question, world=world, moves=moves, moment=moment_of(step))
+        asked = self.step(step) if question is None else last_open_step(self, self.step(step), world)
+        moment = moment_of(step) if asked == self.step(step) else None
+        return ask(self, asked, question, world=world, moves=moves, moment=moment)
 
     def world_at(
         self, step: int | str, world: str | None = None, *, exact: bool = False, mode: str = "DIRECT"

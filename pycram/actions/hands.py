@@ -255,8 +255,14 @@ def check_target(body: Object, target: Any) -> None:
         NoPlace: The surfaces are too small, too full or closed, or constraints exclude each other.
         PlaceFailed: There is no support below, or the place is occupied.
     """
-    place = next(places_for(body, target))
-    if closed := _closed_at(target):
+    closed = _closed_at(target)
+    place: Mapping[str, Any] = {}
+    try:
+        place = next(places_for(body, target))
+    except NoPlace as failure:
+        if not closed or failure.last != "room":  # what is closed has no room anywhere
+            raise
+    if closed:
         last = f"{' and '.join(closed)}, which {'is' if len(closed) == 1 else 'are'} closed: open it first"
         raise NoPlace(body.name, {}, last)
     if isinstance(target, LocationDesignator) and target.for_objects:

@@ -52,7 +52,7 @@ from pycram.foundation.errors import export, qualified_name
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.foundation.refusals import refusing
 from pycram.language.nesting import await_turn
-from pycram.scheduling.cancellation import checkpoint, wait_until
+from pycram.scheduling.cancellation import checkpoint, raise_if_cancelled, wait_until
 from pycram.scheduling.future import unwrap
 from pycram.scheduling.schedule import Condition, Deadline, scheduler
 from recorder.tracing.call_stack import call_site
@@ -419,8 +419,10 @@ class StateStream:
         """Yield the states in order, and end at a deadline, however fast states come; None for no deadline."""
         while True:
             late = limit is not None and limit.has_come
+            if self._states:
+                checkpoint()  # one for all: a simulation assigns 30 states a second, and a reaction must not lag behind
             for _ in range(len(self._states)):
-                checkpoint()
+                raise_if_cancelled()
                 yield self._states.popleft()
             if late:
                 return

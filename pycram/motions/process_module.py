@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 class Module(Protocol):
     """The part of a process module that environments and motions use."""
 
-    def resources(self, designator: Designator) -> Resources | None:
+    def resources(self, designator: Any) -> Resources | None:
         """Return what the robot needs in order to perform a designator."""
 
     def execute(self, designator: Designator) -> Any:
@@ -372,14 +372,14 @@ class ProcessModule(ABC):
         return made
 
     @abstractmethod
-    def _execute(self, designator: Designator) -> Result:
+    def _execute(self, designator: Any) -> Result:  # a subclass may name the class of its designators
         """Carry a designator out, with the parameters of its ``reference()``; return the result for the plan.
 
         Raises:
             PlanFailure: The world prevents the motion; the world is consistent then.
         """
 
-    def resources(self, designator: Designator) -> Resources | None:
+    def resources(self, designator: Any) -> Resources | None:
         """Return what the robot needs in order to perform a designator; None for the whole robot.
 
         Called when it is resolved, before anything moves. The resources of PyCRAM's own motions are known by the
@@ -389,7 +389,8 @@ class ProcessModule(ABC):
             def resources(self, designator):
                 return Resources(moves={"left-arm"}, at_rest={"base"})
         """
-        return designator.resources()
+        needs: Resources | None = designator.resources()
+        return needs
 
     def execute(self, designator: Designator) -> Result:
         """Carry a designator out, after all earlier ones if need be; a failure frees the module for the next."""

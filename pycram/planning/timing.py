@@ -13,7 +13,7 @@ import warnings
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -90,12 +90,19 @@ def stopping(path: Array, rates: Rates) -> Knots:
     )
 
 
-def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
-    dense = np.concatenate([path[:1], *(between(a, b, spacing) for a, b in pairwise(path))])
-    with needed():
+@cache
+def _toppra() -> Any:
+    with needed(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SyntaxWarning)  # compiled by Python 3.12 or newer, its docstrings cause some
         import toppra  # noqa: PLC0415  takes 2 s, most of them for matplotlib
 
     logging.getLogger("toppra").setLevel(logging.ERROR)
+    return toppra
+
+
+def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
+    dense = np.concatenate([path[:1], *(between(a, b, spacing) for a, b in pairwise(path))])
+    toppra = _toppra()
     lengths = np.linalg.norm(np.diff(dense, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(lengths)])
     spline = toppra.SplineInterpolator(at, dense @ rates.directions.T, "natural")  # sums of splines are splines of sums

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from replay.cli.console import native_output_to_stderr, numbers, print_moment, print_result
+from replay.cli.console import native_output_to_stderr, numbers, print_message, print_moment, print_result
 from replay.errors import ReplayError
 from replay.history.steps import HINT
 
@@ -41,7 +41,11 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         answer = log.ask(
             options.step, options.question, world=options.world, moves=[_move(text) for text in options.move]
         )
-    print_moment(log, options.step)
+    step = log.step(options.step)
+    if answer.step != step:
+        print_message(f"no world is open after step {step}; this is the answer after step {answer.step}")
+    else:
+        print_moment(log, options.step)
     print_result(lambda: _data(answer), answer.lines(), as_json=options.json)
     return 0
 

@@ -11,7 +11,7 @@ from pycram.models import load
 from pycram.models.robots.description import RobotDescription
 from pycram.physics.loading import Loading
 from replay.errors import Damaged, NotRestored
-from replay.state.fold import state_at
+from replay.state.fold import last_open_step, state_at
 
 if TYPE_CHECKING:
     from pycram.models.load import Model
@@ -34,7 +34,11 @@ def world_state(log: RecordReader, step: int, name: str | None = None, moment: f
     state = state_at(log, step, moment)
     if name is None and not any(world.open for world in state.worlds.values()):
         closed = ", ".join(state.worlds)
-        hint = f" any more ({closed}); take an earlier step" if closed else " yet; take a later step"
+        hint = (
+            f" any more ({closed}); take {last_open_step(log, step)} or an earlier step"
+            if closed
+            else " yet; take a later step"
+        )
         raise NotRestored(step, f"no world is open then{hint}")
     world = state.world(name)
     if not world.open:

@@ -51,6 +51,7 @@ SIDES: Final = ("front", "back", "left", "right")
 _SPOTS: Final = 40  # places in a batch
 _BATCHES: Final = 3  # batches without a place, after which a surface is given up
 _LATER: Final = 0.6  # factor of a surface's score for each place that it has given
+_BASE: Final = 0.005  # m above an object's lowest point, up to which it is its base
 _RESTS: Final = 0.01  # m of tolerance between the height of the surface and the height at which the object rests
 _YAWS: Final = 12  # orientations about the vertical; placing tries the same ones
 EDGE: Final = 0.01  # m from an object to the edge of its surface
@@ -137,6 +138,11 @@ class SearchedSurface:
     surface: Surface
     share: float = 1.0  # factor of its score, lower after each place that it has given
     failed: int = 0  # batches without a place since its last place
+
+    @property
+    def on_object(self) -> bool:
+        """Whether it is the top of an object, as of a plate."""
+        return self.surface.name not in self.furniture.surfaces
 
     def pose(self) -> Pose:
         """Return the pose of its middle in the world."""
@@ -231,14 +237,17 @@ class SurfaceSearch(Search):
         corners = np.array(outline)
         stands = self._turned_corners(self._turn)
         inner, outer = maps.radii(stands[:, :2])
-        strip = geometry.narrowest_width(outline)[0] - 2 * (inner + EDGE)
+        base = self._inside(stands, searched)[:, :2]
+        inside, around = maps.radii(base)
+        half = geometry.narrowest_width(geometry.convex_hull(base))[0] / 2 if searched.on_object else inside
+        strip = geometry.narrowest_width(outline)[0] - 2 * (half + EDGE)
         resolution = min(max(strip / _CELLS, _FINEST), _RESOLUTION)
         grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, resolution)
         centers = grid.centers()
         fits = float(np.ptp(stands[:, 2])) <= searched.surface.clearance
         factors = [
             ("clearance", np.full(len(centers), float(fits))),
-            ("edge", self._within(centers, outline, inner, outer)),
+            ("edge", self._within(centers, outline, inside, around)),
             ("room", maps.clear(centers, self._obstacles(searched), inner, outer + FINGERS)),
         ]
         if self._near is not None:
@@ -255,8 +264,8 @@ class SurfaceSearch(Search):
     def _heading(self, searched: SearchedSurface) -> float:
         """Return a natural yaw of the object in rad: its present yaw, or the direction of a narrow surface."""
         width, along = geometry.narrowest_width(searched.outline())
-        _, outer = maps.radii(self._turned_corners(self._turn)[:, :2])
-        return along if width < 2 * (outer + EDGE) else geometry.yaw_of(self._body.get_orientation())
+        _, around = maps.radii(self._inside(self._turned_corners(self._turn), searched)[:, :2])
+        return along if width < 2 * (around + EDGE) else geometry.yaw_of(self._body.get_orientation())
 
     def _turned_corners(self, turn: Quaternion) -> Array:
         """Return the object's corners (n, 3) in m from its origin, turned."""
@@ -264,6 +273,17 @@ class SurfaceSearch(Search):
         return corners
 
     @staticmethod
+    def _inside(corners: Array, searched: SearchedSurface) -> Array:
+        """Return the corners (n, 3) that must be on a surface: all, on top of an object those of the base.
+
+        So a cup's handle may stick out over the edge of a plate, but what would tip off its base may not.
+        """
+        lowest = corners[corners[:, 2] < corners[:, 2].min() + _BASE]
+        middle = (corners[:, :2].min(axis=0) + corners[:, :2].max(axis=0)) / 2
+        base = geometry.convex_hull(lowest[:, :2])
+        stands = searched.on_object and geometry.margin_in_polygon(base, middle.tolist()) > 0.0
+        return lowest if stands else corners
+
     @staticmethod
     def _within(centers: Array, outline: Polygon, inner: float, outer: float) -> Array:
         """Return 0 where an object sticks out over the edge in all orientations, up to 1 where it never does."""
@@ -283,7 +303,7 @@ class SurfaceSearch(Search):
         clone = clone_of(self._body.world, "reach")
         carried = held(self._robot) if self._robot else ()
         left_out = {*self._own, *carried}
-        if searched.surface.name not in searched.furniture.surfaces:  # the outline of a top leaves out its rim
+        if searched.on_object:  # the outline of a top leaves out its rim
             left_out.add(searched.furniture)
         others = [each for each in self._body.world.objects if each not in left_out]
         (_, _, height), _ = searched.pose()
@@ -361,8 +381,7 @@ class SurfaceSearch(Search):
     ) -> FoundPlace | tuple[str, Rejection]:
         """Return a place that fulfils all constraints, or the constraint that excludes it, with the reason."""
         (x, y, z), turn = spot.pose
-        own = geometry.convex_hull(self._turned_corners(turn)[:, :2] + (x, y))
-        taken = self._no_room(own, searched, outline, obstacles)
+        taken = self._no_room(spot, searched, outline, obstacles)
         if taken is not None:
             return taken
         try:
@@ -379,10 +398,15 @@ class SurfaceSearch(Search):
         return FoundPlace(rest, turn, reached, spot.score, searched.surface.name)
 
     def _no_room(
-        self, own: Polygon, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
+        self, spot: Spot, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
     ) -> tuple[str, Rejection] | None:
         """Return why a surface has no room for the object's outline; None if it has."""
-        if any(geometry.margin_in_polygon(outline, corner) < EDGE for corner in own):
+        (x, y, _), turn = spot.pose
+        corners = self._turned_corners(turn)
+        own, inside = (
+            geometry.convex_hull(each[:, :2] + (x, y)) for each in (corners, self._inside(corners, searched))
+        )
+        if any(geometry.margin_in_polygon(outline, corner) < EDGE for corner in inside):
             return "edge", NoRoom(f"it would stick out over the edge of {searched.surface.name}")
         wide = _widened(own, FINGERS)
         if any(len(geometry.polygon_intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):

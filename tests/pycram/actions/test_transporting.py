@@ -158,6 +158,8 @@ def test_what_has_no_place_at_the_target_is_not_taken(shared_scene: BulletWorld)
     with pytest.raises(NoPlace, match="fridge, which is closed: open it first"):
         transport("milk", LocationDesignator(in_="fridge"))
     with pytest.raises(NoPlace, match="sink left upper drawer, which is closed: open it first"):
+        transport("spoon", LocationDesignator(in_="sink left upper drawer"))
+    with pytest.raises(NoPlace, match="sink left upper drawer, which is closed: open it first"):
         transport("spoon", list(shared_scene.get_object("spoon").get_position()))  # where it is
     with pytest.raises(PlaceFailed, match="there is no support within"):
         transport("milk", [-0.7, 1.0, 1.4])

@@ -11,8 +11,8 @@ import pytest
 from pycram.failures import BadArgument
 from pycram.fluent import Fluent, network, whenever
 from pycram.fluents.fluent import StateStream
-from pycram.language import par
-from pycram.scheduling.cancellation import CancelScope, entered
+from pycram.language import par, pursue
+from pycram.scheduling.cancellation import CancelScope, checkpoint, entered
 from recorder.tracing.span import Cancelled
 from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running, waiting
 
@@ -72,6 +72,23 @@ def test_a_value_is_seen_however_short_it_lasts() -> None:
         fluent.set_value(1)
         fluent.set_value(0)
         assert running.end() is True
+
+
+def test_a_reaction_does_not_lag_behind_the_values_before_it() -> None:
+    """A simulation assigns 30 values a second in one turn; a wait looks at all of them in its next turn."""
+    height = Fluent(100)
+    seen: list[object] = []
+
+    def fall() -> None:
+        for value in reversed(range(100)):
+            height.set_value(value)
+        for _ in range(5):
+            checkpoint()
+
+    with pursue as s:
+        s(lambda: seen.append((height == 0).wait_for()))
+        s(fall)
+    assert seen == [True]
 
 
 def test_a_network_never_shows_a_mix_of_two_moments() -> None:

@@ -223,6 +223,16 @@ def test_the_verb_prints_the_answer_and_its_evidence(scene_log: Path, capfd: pyt
     assert data["moves"] == [{"object": "milk", "position": [-2, 0, 1], "orientation": [0, 0, 0, 1]}]
 
 
+def test_after_the_plan_the_last_open_world_is_asked(scene_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ask", str(scene_log), "last", "stable(milk)"]) == 0
+    output = capsys.readouterr()
+    with replay.open(scene_log) as log:
+        last, answer = log.step("last"), log.ask("last", "stable(milk)")
+    assert log.state_at(answer.step).world().open
+    assert output.out.startswith(next(answer.lines()))
+    assert f"no world is open after step {last}; this is the answer after step {answer.step}" in output.err
+
+
 @pytest.mark.slow
 def test_without_the_engine_the_missing_library_is_named(scene_log: Path) -> None:
     script = (
@@ -246,7 +256,6 @@ def test_without_the_engine_the_missing_library_is_named(scene_log: Path) -> Non
         ["-3", "stable(milk)", "--move", "nothing=1,2,3"],
         ["-3", "stable(milk)", "--move", "milk=nan,2,3"],
         ["0"],
-        ["last", "stable(milk)"],
         ["-3", "stable(milk)", "--world", "elsewhere"],
     ],
 )
