@@ -6,13 +6,12 @@ import contextlib
 import io
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import pytest
 
 from pycram.bullet_world import BulletWorld
-from pycram.failures import UsageError
-
-if TYPE_CHECKING:
-    import pytest
+from pycram.failures import AssetError, UsageError
+from pycram.models.files import find
 
 GUIDE = (Path(__file__).parents[3] / "docs" / "models.md").read_text()
 BLOCK = re.compile(r"```(xml|python|text)\n(.*?)```", re.DOTALL)
@@ -44,3 +43,12 @@ def test_commands_of_the_guide_to_models_work(tmp_path: Path, monkeypatch: pytes
         if isinstance(world, BulletWorld):
             world.exit()
     assert shown == 5
+
+
+def test_the_guide_lists_all_bundled_models() -> None:
+    section = GUIDE.partition("## Bundled models\n")[2].partition("\n## ")[0]
+    with pytest.raises(AssetError) as raised:
+        find("nothing.stl")
+    assert set(re.findall(r"`([\w.]+\.(?:urdf|stl))`", section)) == set(
+        str(raised.value).partition(" are ")[2].split(", ")
+    )
