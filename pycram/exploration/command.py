@@ -30,7 +30,8 @@ _WIDTH: Final = 200  # maximum number of characters of a printed failure
 def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
     """Explore a plan, print the results, and return the exit code; recordings are named after ``log``."""
     # the modules that plans import, once for all runs
-    from pycram import bullet_world_reasoning, event, fluent, language, process_module  # noqa: F401, PLC0415
+    from pycram import event, fluent, language, process_module  # noqa: F401, PLC0415
+    from pycram.bullet_world_reasoning import blocking, contact, stable, visible  # noqa: F401, PLC0415
 
     def run_once(order: str, file: Path) -> None:
         running.run(replace(spec, order=order), file, overwrite=True)

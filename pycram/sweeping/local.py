@@ -265,7 +265,8 @@ class Local:
         # the modules that plans import, once for all runs
         import numpy.random  # noqa: F401, PLC0415
 
-        from pycram import bullet_world_reasoning, event, fluent, language, process_module  # noqa: F401, PLC0415
+        from pycram import event, fluent, language, process_module  # noqa: F401, PLC0415
+        from pycram.bullet_world_reasoning import blocking, contact, stable, visible  # noqa: F401, PLC0415
 
         self._spec = spec
         self._pool: ChildPool[_Job] = ChildPool(cores or usable_cores(), spec.limit, GRACE)

@@ -19,6 +19,7 @@ from recorder import geometry, records
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from pycram.models.robots.description import Arm
     from pycram.world.object import Object
     from pycram.world.transaction import Transaction
     from recorder.geometry import Pose
@@ -177,6 +178,14 @@ def move_attached(carrier: Object, transaction: Transaction) -> None:
 def attached_to(carrier: Object, link: str) -> Object | None:
     """Return the object that is attached to a link of the carrier; None if there is none."""
     return next((attachment.body for attachment in carrier.carried if attachment.carrier_link == link), None)
+
+
+def held(robot: Object, arm: Arm | None = None) -> list[Object]:
+    """Return the objects that a robot carries, also indirectly; with an arm, the objects on its tool frame."""
+    found = [each.body for each in robot.carried if arm is None or each.carrier_link == arm.tool_frame]
+    for body in found:
+        found.extend(each.body for each in body.carried)
+    return found
 
 
 def root_of(body: Object) -> Object:

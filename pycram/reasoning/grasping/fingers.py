@@ -196,14 +196,6 @@ def close_around(
     return Closing(positions, sides, _pairs(robot, deep))
 
 
-def held(robot: Object, arm: Arm | None = None) -> list[Object]:
-    """Return the objects that a robot carries, also indirectly; with an arm, the objects on its tool frame."""
-    found = [each.body for each in robot.carried if arm is None or each.carrier_link == arm.tool_frame]
-    for body in found:
-        found.extend(each.body for each in body.carried)
-    return found
-
-
 def sides_held(robot: Object, arm: Arm, body: Object) -> int:
     """Return on how many sides of an object an arm has fingers now: 0, 1 or 2; see :class:`Closing`."""
     engine, gripper = robot.world.engine, arm.gripper

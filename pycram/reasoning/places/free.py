@@ -19,7 +19,6 @@ from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import placing
-from pycram.reasoning.grasping.fingers import held
 from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
@@ -29,6 +28,7 @@ from pycram.reasoning.places.search import Batch, FoundPlace, Search, Spot, driv
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import TAKEN, NoRoom, OutOfReach, Touching
 from pycram.scheduling.future import unwrap
+from pycram.world.attachment import held
 from recorder import geometry
 
 if TYPE_CHECKING:

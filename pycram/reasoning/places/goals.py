@@ -25,7 +25,6 @@ from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import grasps
 from pycram.reasoning.grasping.choice import holding_grasps
-from pycram.reasoning.grasping.fingers import held
 from pycram.reasoning.grasping.grasps import GRASPS, candidates, grasp_orientation
 from pycram.reasoning.grasping.handles import ANGLES, DeadEnd, Handle, plan_path
 from pycram.reasoning.grasping.placing import Refusals, placements
@@ -33,6 +32,7 @@ from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unfit
 from pycram.world import attachment
+from pycram.world.attachment import held
 from pycram.world.object import Object
 from recorder import geometry
 

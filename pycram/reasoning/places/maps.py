@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.grasping.fingers import held
 from pycram.reasoning.kinematics.forward import Chain
 from pycram.scheduling.schedule import run_seed
+from pycram.world.attachment import held
 from recorder import geometry
 
 if TYPE_CHECKING:

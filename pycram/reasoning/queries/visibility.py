@@ -18,10 +18,10 @@ import numpy as np
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, MissingPart, NoWorld
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.grasping.fingers import held
 from pycram.reasoning.kinematics import pan_tilt
 from pycram.reasoning.queries.query import Found, Verdict, query
 from pycram.vision import NEAR, Camera, Window
+from pycram.world.attachment import held
 from recorder import geometry
 from recorder.geometry import IDENTITY
 from recorder.records import Picture
