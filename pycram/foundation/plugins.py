@@ -16,16 +16,12 @@ Each loaded entry point is recorded as a line of the log, with the version of it
 
 from __future__ import annotations
 
-import logging
 from functools import cache
-from importlib.metadata import entry_points
 from typing import Any
 
 from pycram.foundation.errors import export
 from pycram.foundation.failures import UsageError
 
-_log = logging.getLogger("pycram.plugins")
-_log.setLevel(logging.INFO)  # recorded regardless of the plan's own level
 ROBOTS = "pycram.robots"
 PROCESS_MODULES = "pycram.process_modules"
 ACTIONS = "pycram.actions"
@@ -52,6 +48,9 @@ def load(group: str, name: str) -> Any:
     Raises:
         PluginFailed: Several packages have such an entry point, or it can't be imported.
     """
+    import logging  # noqa: PLC0415  slow to import, and most plans need no other package
+    from importlib.metadata import entry_points  # noqa: PLC0415  likewise
+
     found = list(entry_points(group=group, name=name))
     if not found:
         return None
@@ -62,5 +61,7 @@ def load(group: str, name: str) -> Any:
         loaded = found[0].load()
     except (ImportError, AttributeError) as error:
         raise PluginFailed(group, name, packages, str(error)) from error
-    _log.info("loaded %s of %s (%s: %s)", name, packages[0], group, found[0].value)
+    log = logging.getLogger("pycram.plugins")
+    log.setLevel(logging.INFO)  # recorded regardless of the plan's own level
+    log.info("loaded %s of %s (%s: %s)", name, packages[0], group, found[0].value)
     return loaded

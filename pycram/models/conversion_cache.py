@@ -15,7 +15,6 @@ import re
 from contextlib import suppress
 from functools import cache
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -89,6 +88,8 @@ def _code() -> bytes:
 
 
 def _version(library: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import
+
     try:
         return version(library)
     except PackageNotFoundError:  # not every conversion needs every library
