@@ -21,15 +21,13 @@ from recorder.records import Output, Query, Run, Task
 from recorder.records.text import is_choice
 from recorder.tasks import Node, Tree, decisive
 from replay.errors import Damaged
-from replay.history.source import ParsedException, PlanSource, parse_traceback
-from replay.state.integrity import TaskDepths
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from recorder.records import Failure, Record
     from replay.file.record_reader import RecordReader
-    from replay.history.source import Line
+    from replay.history.source import Line, ParsedException
 
 
 _RUN_RECORDS: Final = 2  # the records of start and end in a run without failed threads
@@ -126,6 +124,8 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
         task = decisive(failed.origins)
         return RootCause(task.last_step, task) if task is not None else None
     thread = end.thread if end.phase == Run.THREAD_FAILED else ""
+    from replay.history.source import ParsedException, PlanSource, parse_traceback  # noqa: PLC0415  slow to import
+
     parsed = parse_traceback(end.failure.traceback, PlanSource(log))
     last = parsed.pop() if parsed else ParsedException("", "", ())  # the failure itself, whose message is in the record
     exceptions = (*parsed, ParsedException(end.failure.type, end.failure.message, last.lines, last.own))
@@ -184,6 +184,8 @@ class CausingTasks:
 
 def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
     """Return the tasks around a record; a record of a task is inside that task."""
+    from replay.history.source import PlanSource  # noqa: PLC0415  as above
+
     source = PlanSource(log)
     tasks = []
     number = record.task
@@ -213,6 +215,8 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
     Raises:
         Damaged: tasks are nested too deep.
     """
+    from replay.state.integrity import TaskDepths  # noqa: PLC0415  a summary needs no tree
+
     folded = Tree(unpacked=_UNPACKED)
     depths = TaskDepths()
     for record in log.records((Task, Output), stop=stop):
