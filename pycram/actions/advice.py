@@ -44,9 +44,10 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
 
 _TURNS: Final = (30, 60, 90, 120, 150)  # degrees about the vertical
+_FAR: Final = (90, 30)  # likewise, if the robot may drive: each try searches for a place of the robot
 _ON: Final = 0.02  # m between an object's underside and the surface on which it lies
 _INSIDE: Final = 0.02  # m from an edge to the middle of an object that is slid there; it doesn't fall
-_EDGES: Final = 4  # nearest edges that are tried
+_EDGES: Final = 4  # nearest edges that are tried; half of them if the robot may drive
 _SETTLES: Final = STEPS_PER_SECOND // 4  # steps until it is at rest
 _MOVED: Final = 0.02  # m, and rad, by which it may move on its way to rest
 _LEANT: Final = math.radians(10)
@@ -71,12 +72,12 @@ def advice(failure: PlanFailure, action: ActionDesignator) -> str:
     drives = kind is not None and any(slot.name == "place" for slot in kind.slots) and slots.get("place") is None
     too_far = all(isinstance(each, Unreachable) and not isinstance(each, Blocked) for each in failures)
     too_big = any(isinstance(each, DoesNotFit) for each in failures)
-    turns = [] if too_far or (too_big and grasp is None) else list(_turned(body))
-    slides = [] if too_big else list(_slid(body))
+    turns = [] if too_far or (too_big and grasp is None) else list(_turned(body, _FAR if drives else _TURNS))
+    slides = [] if too_big else list(_slid(body))[: _EDGES // 2 if drives else None]
     found: list[str] = []
     for moves in (turns, slides) if free else ():
         helps = first_true([partial(_helps, robot, body, pose, free, grasp, drives) for _, pose in moves])
-        found += [moves[helps][0]] if helps is not None else []
+        found += [moves[helps][0].format("it" if found else body.name)] if helps is not None else []
     return f"{' or '.join(found)}, then it can be taken" if found else ""
 
 
@@ -99,17 +100,17 @@ def _untaken(failure: BaseException, body: Object) -> bool:
     return isinstance(failure, Unreachable) and math.dist(failure.target, center(body)) < _SAME
 
 
-def _turned(body: Object) -> Iterator[tuple[str, Pose]]:
-    """Yield poses of an object without its lean, turned about its middle, each with the advice."""
+def _turned(body: Object, turns: Sequence[int]) -> Iterator[tuple[str, Pose]]:
+    """Yield poses of an object without its lean, turned about its middle, with the advice; {} is for its name."""
     x, y, z = center(body)
     from_middle = geometry.multiply(((-x, -y, -z), geometry.IDENTITY[1]), body.get_position_and_orientation())
-    for degrees in _TURNS:
+    for degrees in turns:
         turn = geometry.product(geometry.from_rpy(0.0, 0.0, math.radians(degrees)), geometry.conjugate(leaning(body)))
-        yield f"turn {body.name} by {degrees} degrees", geometry.multiply(((x, y, z), turn), from_middle)
+        yield f"turn {{}} by {degrees} degrees", geometry.multiply(((x, y, z), turn), from_middle)
 
 
 def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
-    """Yield poses of an object slid straight to the nearest edges of the surface below it, each with the advice."""
+    """Yield poses of an object slid straight to the nearest edges of the surface below it, with the advice."""
     here = body.get_position_and_orientation()
     middle, bottom = body.world.engine.center_of_mass(body.handle)[0], body.get_AABB()[0][2]
     moves = []
@@ -127,7 +128,7 @@ def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
         if way > 0.0:
             there = geometry.multiply((move, geometry.IDENTITY[1]), here)
             x, y, _ = there[0]
-            yield f"slide it by {way * 100:.0f} cm to [{x:.2f}, {y:.2f}], at an edge of {name}", there
+            yield f"slide {{}} by {way * 100:.0f} cm to [{x:.2f}, {y:.2f}], at an edge of {name}", there
 
 
 def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: str | None, drives: bool) -> bool:
@@ -142,7 +143,7 @@ def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: 
             return False
     if drives:
         names = [arm.name for arm in arms]
-        return next(standing_places(robot, reach=[body], arms=names, grasp=grasp), None) is not None
+        return next(standing_places(robot, reach=[body], arms=names, grasp=grasp, quickly=True), None) is not None
     sides = None if grasp is None else (grasp,)
     with body.world.lock:
         found = (holding_grasps(robot, arm, body, sides, [], UNRECORDED) for arm in arms)

@@ -68,6 +68,7 @@ def standing_places(
     avoid: Sequence[Sequence[float]] = (),
     grasp: str | None = None,
     seed: int | None = None,
+    quickly: bool = False,
 ) -> Iterator[FoundPlace]:
     """Return places where a robot can stand, with its arms as they are, best first.
 
@@ -84,6 +85,7 @@ def standing_places(
         avoid: xyz or xy in m of places that are left out, with their surroundings.
         grasp: the side from which objects are taken: "front", "top", "left" or "right"; any by default.
         seed: seed of the draws; the run's seed by default.
+        quickly: whether to end the search after 30 places in a row that are excluded, instead of 270.
 
     Raises:
         BadArgument: A value is impossible.
@@ -107,7 +109,7 @@ def standing_places(
         raise UnknownName("side", grasp, "a grasp", GRASPS)
     goals = [goal_of(robot, target, grasp) for target in targets]
     avoided = [each for each in points[1:] if each]
-    return StandingSearch(robot, goals, chosen, both, see, points[0], avoided, grasp, seed).places()
+    return StandingSearch(robot, goals, chosen, both, see, points[0], avoided, grasp, seed, quickly).places()
 
 
 def _point(name: str, given: Sequence[float]) -> Vector:
@@ -130,6 +132,7 @@ class StandingSearch(Search):
         avoid: Sequence[Vector],
         grasp: str | None,
         seed: int | None,
+        quickly: bool,
     ) -> None:
         wanted = [f"reach {goal.named()}" for goal in goals] + ([f"see {see.name}"] if see is not None else [])
         self._purpose = " and ".join(wanted) or "stand"
@@ -148,12 +151,13 @@ class StandingSearch(Search):
         self._offered: list[Vector] = list(avoid)  # also the places to avoid
         self._rejected: list[Vector] = []
         self._failed = 0  # batches without a place since the last place
+        self._batches = 1 if quickly else len(_SPOTS)  # such batches, after which the search ends
 
     def _next(self, batch: Batch, number: int) -> FoundPlace | None:
         spots = self._draw(batch, number)
         place = self._first(batch, spots)
         self._failed = 0 if place is not None else self._failed + 1
-        self._over = not spots or not drives(self._robot) or self._failed == len(_SPOTS)
+        self._over = not spots or not drives(self._robot) or self._failed == self._batches
         return place
 
     def _draw(self, batch: Batch, number: int) -> Sequence[Spot]:

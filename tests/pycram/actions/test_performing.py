@@ -419,7 +419,7 @@ def moved_as_advised(failure: PlanFailure, body: Object) -> None:
     ("body", "where", "yaw", "slots", "advice"),
     [
         ("breakfast_cereal", [1.4, 0.85, 0.98], math.pi / 2, {"grasp": "front"}, "turn cereal by 60 degrees"),
-        ("milk", [1.62, 0.6, 0.95], 0.0, {}, "slide it by 35 cm to [1.27, 0.60], at an edge of counter"),
+        ("milk", [1.62, 0.6, 0.95], 0.0, {}, "slide milk by 35 cm to [1.27, 0.60], at an edge of counter"),
     ],
 )
 def test_an_object_that_can_t_be_taken_is_advised_to_be_turned_or_slid_where_that_was_seen_to_help(
