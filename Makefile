@@ -8,7 +8,7 @@ BIN := .venv/bin
 # Tests start many processes. Where bytecode isn't kept, as containers often have it, each of them compiles all of it anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-fast test-long test-lowest test-reading test-lerobot lint size systems pictures bench resources proto reference system-packages clean
+.PHONY: demo extension test test-fast test-long test-lowest test-reading test-lerobot lint size systems pictures bench resources proto reference system-packages clean
 
 demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap, the next time set_the_table.2.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
@@ -39,6 +39,11 @@ lint: .venv/ready-dev
 
 size: .venv/ready-dev  ## lines, files and other figures of the source
 	$(BIN)/python tests/source_size.py
+
+extension:  ## packs the extension for VS Code as pycram-replay.vsix; needs Node.js
+	cp LICENSE editors/vscode/LICENSE
+	cd editors/vscode && npx --yes @vscode/vsce package --allow-missing-repository --out ../../pycram-replay.vsix
+	rm editors/vscode/LICENSE
 
 pictures: .venv/ready-dev  ## draws the animated picture of the README anew
 	$(BIN)/python docs/make_pictures.py

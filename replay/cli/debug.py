@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from recorder.records import Record
+    from replay.debug.guided_plan import GuidedPlan
     from replay.debug.session import Halt, Session
     from replay.recording import Recording
 
@@ -79,27 +80,26 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-checkpoints", action="store_true", help="keep no copies of the process: stepping back runs the plan again"
     )
+    parser.add_argument(
+        "--dap", action="store_true", help="serve an editor by the Debug Adapter Protocol; it names the recording"
+    )
+    parser.add_argument(
+        "--port", type=int, help="with --dap: listen on this port of this machine (0: any), not on stdin and stdout"
+    )
     add_source_and_arguments(parser)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Run the plan to the step, and execute commands until the end of the input."""
     from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415  needs the executor
-    from replay.debug.session import Session  # noqa: PLC0415
-    from replay.retrace.plan_process import PlanProcess, last_own_step  # noqa: PLC0415
+    from replay.retrace.plan_process import PlanProcess  # noqa: PLC0415
 
     if options.json:
         raise ReplayError("debug prints text only; use another verb with --json")
-    failed = uncaught_failure(log) is not None
-    step = log.step(options.step if options.step is not None else "failure" if failed else 0)
-    if options.step is None:
-        step = min(step, last_own_step(log))
+    step = first_step(log, options.step)
     process = PlanProcess(log, options.plan, options.arguments, recorded_source=options.recorded_source)
     with GuidedPlan(process, checkpoints=not options.no_checkpoints) as plan:
-        for file, source in plan.recorded_files.items():  # the prompt lists this source, not the file on the disk
-            lines = source.decode("utf-8", "replace").splitlines(keepends=True)
-            linecache.cache[str(file)] = len(source), None, lines, str(file)
-        session = Session(log, plan)
+        session = new_session(log, plan)
         print_message(f"the plan runs again up to step {min(step, plan.last)}; {AGAIN}")
         for note in plan.notes:
             print_message(f"note: {note}")
@@ -109,6 +109,25 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         prompt.begin(min(step, plan.last))
         prompt.run()
     return FINE
+
+
+def first_step(log: Recording, step: int | str | None) -> int:
+    """Return the number of a given step; without one, of the failure, or 0."""
+    from replay.retrace.plan_process import last_own_step  # noqa: PLC0415  needs the executor
+
+    if step is not None:
+        return log.step(step)
+    return min(log.step("failure" if uncaught_failure(log) is not None else 0), last_own_step(log))
+
+
+def new_session(log: Recording, plan: GuidedPlan) -> Session:
+    """Return a session; its source lines are those that run, also if these aren't the files on the disk."""
+    from replay.debug.session import Session  # noqa: PLC0415  needs the executor
+
+    for file, source in plan.recorded_files.items():
+        lines = source.decode("utf-8", "replace").splitlines(keepends=True)
+        linecache.cache[str(file)] = len(source), None, lines, str(file)
+    return Session(log, plan)
 
 
 class Prompt(cmd.Cmd):
@@ -342,7 +361,7 @@ class Prompt(cmd.Cmd):
     def _print_variables(self, *, arguments: bool) -> None:
         self._selected()
         found = self.session.plan.ask("variables", frame=self.frame, arguments=arguments)
-        self.print_lines(f"{name} = {value}" for name, value in found)
+        self.print_lines(f"{each['name']} = {each['value']}" for each in found)
 
     def do_p(self, expression: str) -> None:
         """``p`` EXPR: an expression's value in the frame; changes by its evaluation are undone."""

@@ -62,6 +62,7 @@ VERBS: Final = {
 #: Verbs that share the file of another verb, with functions of their own: ``add_fork``, ``run_fork``.
 _FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"}
 _CHEAT: Final = "cheat"  # the only verb that takes no recording
+_DEBUG: Final = "debug"
 _READ: Final = (
     "info",
     "log",
@@ -153,7 +154,20 @@ def _command(arguments: list[str]) -> int:
         return FINE
     if summarised:
         options.next_steps = True
-    return _run(_verb(options.verb), options)
+    editor = options.log is None or getattr(options, "dap", False)
+    return _serve_editor(options) if editor else _run(_verb(options.verb), options)
+
+
+def _serve_editor(options: argparse.Namespace) -> int:
+    if not options.dap:
+        return _report("debug: give a recording, or --dap for an editor that names it", USAGE)
+    try:
+        with needed():
+            from replay.cli.debug_adapter import serve  # noqa: PLC0415  needs the executor
+
+            return serve(options.port, options.log)
+    except NotInstalled as error:
+        return _report(f"{options.verb}: {error}", USAGE)
 
 
 def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
@@ -233,7 +247,8 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         description = f"{text[0].upper()}{text[1:]}."
         examples = functools.partial(_examples, name)
         verb = verbs.add_parser(name, help=text, description=description, examples=examples, completers=completers)
-        verb.add_argument("log", metavar="LOG", help=_LOG_HELP.get(name, "the recording"))
+        count = "?" if name == _DEBUG else None  # an editor names the recording later
+        verb.add_argument("log", metavar="LOG", nargs=count, help=_LOG_HELP.get(name, "the recording"))
         if name in arguments and completing:
             add_cached(name, _FILES.get(name, name), verb, lambda parser: _verb(parser.prog.split()[-1]).add(parser))
         elif name in arguments:

@@ -113,6 +113,14 @@ class GuidedPlan:
         """End all processes."""
         self._copies.close()
 
+    def pause(self, *, wanted: bool) -> None:
+        """Stop the plan as Ctrl-C does, from another thread, if it runs or goes on; until ``wanted`` is False."""
+        self._copies.pause_wanted = wanted
+
+    def kill(self) -> None:
+        """End the plan from another thread: :meth:`go` raises `PlanEnded`, now and later."""
+        self._copies.killed = True
+
     @property
     def checkpoints(self) -> list[int]:
         """The steps at which copies wait."""
@@ -236,6 +244,8 @@ class PlanCopies:
         self._root: subprocess.Popen[bytes] | None = None
         self._ending = False
         self._interrupts = 0  # how often the user pressed Ctrl-C since the last message to the plan
+        self.pause_wanted = False  # whether another thread wants the plan to stop
+        self.killed = False  # whether another thread wants the plan to end
         with ExitStack() as undoing:
             self._folder = undoing.enter_context(
                 tempfile.TemporaryDirectory(prefix="pycram-debug-", ignore_cleanup_errors=True)
@@ -301,7 +311,7 @@ class PlanCopies:
         with self._noting_interrupts():
             now.channel.send(question)
             while not (now.channel.has_read or select.select([now.channel], (), (), _POLL)[0]):
-                if self._interrupts and not passed_on:
+                if (self._interrupts or self.pause_wanted or self.killed) and not passed_on:
                     passed_on = True
                     now.channel.send({"do": "interrupt"})
             answer = _received(now.channel)
@@ -349,12 +359,12 @@ class PlanCopies:
                     return message
                 self.waiting.append(running)
                 running = None
-            elif self._root is not None and self._root.poll() is not None:
+            elif self.killed or (self._root is not None and self._root.poll() is not None):
                 self._lost(running)
             if self._interrupts > 1:
                 self.end(running)
                 raise EndedByInterrupt
-            if self._interrupts and running is not None and not passed_on:
+            if (self._interrupts or self.pause_wanted) and running is not None and not passed_on:
                 passed_on = True
                 running.channel.send({"do": "interrupt"})
                 # a process that makes no record reads no message, so it gets a signal

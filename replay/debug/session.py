@@ -229,6 +229,7 @@ class Timeline:
         self.failures: list[int] = []  # steps with a failure
         self.events: dict[str, list[int]] = defaultdict(list)  # steps of events, by their names
         self._levels = [0] * self.steps
+        self._starts: dict[int, int] = {}
         self._parents: dict[int, int] = {}
         self._names: dict[int, tuple[str, ...]] = {0: ()}
         self._ends: dict[int, int] = {}
@@ -261,6 +262,7 @@ class Timeline:
                 names = (*self._names.get(record.parent, ()), record.name)
                 self._names[record.task] = self.paths[record.seq] = names
                 self.kinds[record.seq] = record.kind
+                self._starts[record.task] = record.seq
             elif record.phase != Task.ASKED:
                 self._ends[record.task] = record.seq
         if isinstance(record, Event):
@@ -294,6 +296,11 @@ class Timeline:
                 if self._levels[at] != level or (file == site[0] and line > site[1]):
                     return at
         return self.steps - 1
+
+    def around(self, step: int) -> list[int]:
+        """Return the starts of the tasks around a step, innermost first."""
+        level = self._levels[step]
+        return [self._starts[task] for task in (level, *self._around(level)) if task in self._starts]
 
     def _around(self, task: int) -> Iterator[int]:
         while task:

@@ -158,8 +158,8 @@ def _traceback(trace: TracebackType | None) -> Iterator[PlanFrame]:
         trace = trace.tb_next
 
 
-def variables(frame: FrameType, *, arguments: bool = False) -> list[tuple[str, str]]:
-    """Return the names and values of a frame's variables, without a module's definitions, or only its arguments."""
+def variables(frame: FrameType, *, arguments: bool = False) -> list[dict[str, str | int]]:
+    """Return a frame's variables, without a module's definitions, or only its arguments."""
     values = dict(frame.f_locals)
     if arguments:
         info = inspect.getargvalues(frame)
@@ -167,7 +167,31 @@ def variables(frame: FrameType, *, arguments: bool = False) -> list[tuple[str, s
         values = {name: values[name] for name in names if name in values}
     elif frame.f_locals is frame.f_globals:
         values = {name: each for name, each in values.items() if not issubclass(type(each), _IGNORED)}
-    return [(name, _repr(value)) for name, value in values.items() if not (name[:2] == "__" == name[-2:])]
+    return [_described(name, name, value) for name, value in values.items() if not (name[:2] == "__" == name[-2:])]
+
+
+def parts(frame: FrameType, expression: str) -> list[dict[str, str | int]]:
+    """Return the entries of an expression's value: of a sequence or a mapping, or the attributes of an object."""
+    value = value_of(frame, expression)
+    if isinstance(value, dict):
+        found = [(_repr(key), f"({expression})[{_repr(key)}]", each) for key, each in value.items()]
+    elif isinstance(value, list | tuple):
+        found = [(f"[{place}]", f"({expression})[{place}]", each) for place, each in enumerate(value)]
+    else:
+        found = [(name, f"({expression}).{name}", each) for name, each in _attributes(value).items()]
+    return [_described(*each) for each in found[:_MAX_NAMES]]
+
+
+def _described(name: str, expression: str, value: object) -> dict[str, str | int]:
+    count = len(value) if isinstance(value, dict | list | tuple) else len(_attributes(value))
+    kind = type(value).__name__
+    return {"name": name, "value": _repr(value), "type": kind, "expression": expression, "parts": count}
+
+
+def _attributes(value: object) -> dict[str, object]:
+    if isinstance(value, _IGNORED):
+        return {}
+    return {name: each for name, each in getattr(value, "__dict__", {}).items() if not name.startswith("_")}
 
 
 def evaluate(frame: FrameType, expression: str, *, pretty: bool = False) -> dict[str, str]:
@@ -458,6 +482,7 @@ class StoppingSink(NullSink):
         frame = self._stack()[message["frame"]].frame
         doing: dict[str, Callable[[], Any]] = {
             "variables": lambda: variables(frame, arguments=message["arguments"]),
+            "parts": lambda: parts(frame, message["expression"]),
             "evaluate": lambda: evaluate(frame, message["expression"], pretty=message["pretty"]),
             "complete": lambda: completions(frame, message["text"]),
         }

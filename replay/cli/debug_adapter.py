@@ -1,0 +1,604 @@
+"""``debug --dap``: the Debug Adapter Protocol, by which an editor drives a session of the debugger.
+
+The main thread carries out the editor's requests in their order. A second one reads them, so that ``pause``,
+``disconnect`` and a closed connection reach a plan that runs. See https://microsoft.github.io/debug-adapter-protocol/specification.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeAlias, cast
+
+from recorder.records import Output, Query, Task, argument_values
+from replay.cli import main
+from replay.cli.console import print_message, visible
+from replay.cli.debug import Prompt, first_step, new_session
+from replay.cli.main import FINE
+from replay.debug.guided_plan import GuidedPlan, PlanEnded
+from replay.debug.session import breakpoint_at
+from replay.errors import NoSuchName, ReplayError
+from replay.recording import Recording
+from replay.report import phrases
+from replay.retrace.plan_process import PlanProcess
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from recorder.records import Failure
+    from replay.debug.session import Breakpoint, Halt, Session
+    from replay.state.state import Body, World
+
+    _Lister = Callable[[], Iterable["_Variable"]]
+
+Message: TypeAlias = "dict[str, Any]"
+
+_STDIN, _STDOUT = 0, 1
+_LOOPBACK: Final = "127.0.0.1"
+_THREAD: Final = 1  # one branch of the plan runs at a time
+_FAILURES: Final = "failure"  # the filter of exception breakpoints
+_TASK_FRAMES: Final = 1_000_000  # ids of the frames that are tasks begin here
+_CAPABILITIES: Final = {
+    "supportsConfigurationDoneRequest": True,
+    "supportsFunctionBreakpoints": True,
+    "supportsDataBreakpoints": True,
+    "supportsEvaluateForHovers": True,
+    "supportsStepBack": True,
+    "supportsGotoTargetsRequest": True,
+    "supportsCompletionsRequest": True,
+    "supportsExceptionInfoRequest": True,
+    "supportsTerminateRequest": True,
+    "exceptionBreakpointFilters": [{"filter": _FAILURES, "label": "Failures", "default": False}],
+}
+#: Why the plan stopped, by what stopped it.
+_LINE, _TASK, _DATA, _EXCEPTION = "breakpoint", "function breakpoint", "data breakpoint", "exception"
+
+
+def serve(port: int | None, recording: str | None = None) -> int:
+    """Serve one editor: on stdin and stdout, or on a port of this machine (0: a free one, which is told on stderr).
+
+    The recording is the one that is debugged if the editor names none.
+    """
+    if port is None:
+        # a thread that reads sys.stdin would hold its lock when Python ends
+        reading, writing = os.fdopen(os.dup(_STDIN), "rb"), os.fdopen(os.dup(_STDOUT), "wb")
+        os.dup2(sys.stderr.fileno(), _STDOUT)  # native code and verbs print there; the protocol has its own descriptor
+        Adapter(reading, writing, recording).run()
+        return FINE
+    with socket.create_server((_LOOPBACK, port)) as listening:
+        print_message(f"waiting for an editor on port {listening.getsockname()[1]}")
+        connected, _ = listening.accept()
+    with connected, connected.makefile("rb") as reading, connected.makefile("wb") as writing:
+        Adapter(cast("BinaryIO", reading), cast("BinaryIO", writing), recording).run()
+    return FINE
+
+
+class _Wrong(ReplayError):
+    """The editor's request can't be carried out now."""
+
+
+@dataclass(slots=True)
+class _Variable:
+    """What an editor shows in a line; ``parts`` gives the lines below it."""
+
+    name: str
+    value: str
+    type: str = ""
+    expression: str = ""  # gives the value in the plan's frame
+    watched: str = ""  # gives it in recorded states
+    parts: _Lister | None = None
+
+
+class Adapter:
+    """Answers an editor's requests about one plan."""
+
+    def __init__(self, reading: BinaryIO, writing: BinaryIO, recording: str | None = None) -> None:
+        self._reading = reading
+        self._writing = writing
+        self._given = recording
+        self._requests: SimpleQueue[Message | None] = SimpleQueue()
+        self._sent = 0
+        self._open = contextlib.ExitStack()  # recording, plan
+        self._prompt: Prompt | None = None
+        self._client: Message = {}  # what the editor can do
+        self._start = 0  # the step at which the plan stops first
+        self._then: Callable[[], None] | None = None  # carried out after the response
+        self._recording: subprocess.Popen[str] | None = None  # of a plan that is recorded first
+        self._ending = False  # whether the editor has disconnected
+        self._numbers: dict[int, str] = {}  # kinds of breakpoints, by their numbers
+        self._lists: list[_Lister] = []  # of what the editor may unfold until the plan moves on
+        self._listed: dict[tuple[int, str], _Variable] = {}
+
+    def run(self) -> None:
+        """Answer requests until the editor disconnects."""
+        threading.Thread(target=self._read, daemon=True).start()
+        try:
+            with self._open:
+                while (request := self._requests.get()) is not None:
+                    self._answer(request)
+                    if request.get("command") == "disconnect":
+                        break
+        except BrokenPipeError:  # the editor is gone
+            pass
+
+    # --- messages ---------------------------------------------------------------------------------------------------
+
+    def _read(self) -> None:
+        """Queue requests; those that can't wait for a plan that runs stop it as well."""
+        while (request := _message(self._reading)) is not None:
+            if request.get("command") == "pause":
+                self._stop()
+            elif request.get("command") in ("disconnect", "terminate"):
+                self._end()
+            self._requests.put(request)
+        self._end()
+        self._requests.put(None)
+
+    def _stop(self) -> None:
+        if self._recording is not None:
+            self._recording.send_signal(signal.SIGINT)
+        if self._prompt is not None:
+            self._prompt.session.plan.pause(wanted=True)
+
+    def _end(self) -> None:
+        self._ending = True
+        if self._recording is not None:
+            self._recording.terminate()
+        if self._prompt is not None:
+            self._prompt.session.plan.kill()
+
+    def _send(self, kind: str, **content: object) -> None:
+        self._sent += 1
+        text = json.dumps({"seq": self._sent, "type": kind, **content}).encode()
+        self._writing.write(b"Content-Length: %d\r\n\r\n%b" % (len(text), text))
+        self._writing.flush()
+
+    def _event(self, name: str, **body: object) -> None:
+        self._send("event", event=name, body=body)
+
+    def _output(self, text: str, category: str = "console") -> None:
+        if text:
+            self._event("output", category=category, output=visible(text))
+
+    def _answer(self, request: Message) -> None:
+        command = str(request.get("command"))
+        answered = {"request_seq": request.get("seq", 0), "command": command}
+        handler = getattr(self, f"_on_{command}", None)
+        self._then = None
+        try:
+            if handler is None:
+                raise _Wrong(f"the request {command} isn't supported")
+            body = handler(request.get("arguments") or {})
+        except (ReplayError, KeyboardInterrupt) as error:  # the latter by a pause, or the end, during an evaluation
+            text = str(error) or "interrupted"
+            facts = {"error": {"id": 1, "format": _braced(text), "showUser": command in ("launch", "attach")}}
+            self._send("response", success=False, message=text, body=facts, **answered)
+            return
+        self._send("response", success=True, body=body or {}, **answered)
+        then = self._then
+        if then is not None:
+            then()
+
+    @property
+    def _session(self) -> Session:
+        return self._at_prompt.session
+
+    @property
+    def _at_prompt(self) -> Prompt:
+        if self._prompt is None:
+            raise _Wrong("nothing was launched")
+        return self._prompt
+
+    # --- begin and end ----------------------------------------------------------------------------------------------
+
+    def _on_initialize(self, arguments: Message) -> Message:
+        self._client = arguments
+        return _CAPABILITIES
+
+    def _on_launch(self, arguments: Message) -> None:
+        """Open a recording (``recording``), or record a plan first (``program``, ``args``, ``log``)."""
+        program = arguments.get("program")
+        recording = arguments.get("recording") or (None if program else self._given)
+        if not recording and not program:
+            raise _Wrong("launch: give recording, a file, or program, a plan that is recorded first")
+        if not recording:
+            recording = self._recorded(str(program), list(arguments.get("args", ())), arguments.get("log"))
+        log = self._open.enter_context(Recording(recording))
+        step = first_step(log, arguments.get("step"))
+        source = bool(arguments.get("recordedSource"))
+        process = PlanProcess(log, arguments.get("plan"), arguments.get("arguments"), recorded_source=source)
+        plan = self._open.enter_context(GuidedPlan(process))
+        self._start = min(step, plan.last)
+        self._prompt = Prompt(new_session(log, plan))
+        self._output("".join(f"note: {each}\n" for each in plan.notes))
+        self._then = lambda: self._event("initialized")
+
+    _on_attach = _on_launch
+
+    def _recorded(self, program: str, arguments: Sequence[str], log: str | None) -> str:
+        """Run a plan, and return its recording."""
+        if not Path(program).is_file():
+            raise _Wrong(f"{program}: there is no such plan")
+        file = log or str(Path(tempfile.mkdtemp(prefix="pycram-debug-")) / f"{Path(program).stem}.mcap")
+        command = [sys.executable, "-m", "pycram", "run", program, "--log", file, "--overwrite", *arguments]
+        with self._told(f"recording {Path(program).name}"):
+            self._recording = subprocess.Popen(  # noqa: S603  the plan that the user wants to run
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            )
+            if self._ending:
+                self._recording.terminate()
+            with self._recording as process:
+                for line in process.stdout or ():
+                    self._output(line, "stdout")
+        self._recording = None
+        if not Path(file).is_file():
+            raise _Wrong(f"{program}: it left no recording; its output says why")
+        return file
+
+    def _on_configurationDone(self, _: Message) -> None:  # noqa: N802  the protocol's names, here and below
+        self._moving(lambda: self._session.go(self._start), "entry", f"running the plan up to step {self._start}")
+
+    def _on_disconnect(self, _: Message) -> None:
+        """The thread that reads has ended the plan."""
+
+    def _on_terminate(self, _: Message) -> None:
+        self._then = lambda: self._event("terminated")
+
+    # --- breakpoints ------------------------------------------------------------------------------------------------
+
+    def _on_setBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
+        file = str(arguments["source"].get("path") or arguments["source"].get("name"))
+        self._drop(_LINE, lambda each: each.line is not None and each.line[0] == file)
+        lines = [each["line"] for each in arguments.get("breakpoints", ())]
+        return {"breakpoints": [self._placed(_LINE, f"{file}:{line}") for line in lines]}
+
+    def _on_setFunctionBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
+        self._drop(_TASK)
+        return {"breakpoints": [self._placed(_TASK, each["name"]) for each in arguments["breakpoints"]]}
+
+    def _on_setExceptionBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
+        self._drop(_EXCEPTION)
+        wanted = [each for each in arguments["filters"] if each == _FAILURES]
+        return {"breakpoints": [self._placed(_EXCEPTION, each) for each in wanted]}
+
+    def _on_dataBreakpointInfo(self, arguments: Message) -> Message:  # noqa: N802
+        name = arguments["name"]
+        listed = self._listed.get((arguments.get("variablesReference", 0), name))
+        watched = (listed.watched or listed.expression) if listed is not None else name
+        if not watched:
+            return {"dataId": None, "description": f"{name} can't be watched"}
+        return {"dataId": watched, "description": watched, "accessTypes": ["write"], "canPersist": True}
+
+    def _on_setDataBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
+        self._drop(_DATA)
+        return {"breakpoints": [self._placed(_DATA, each["dataId"]) for each in arguments["breakpoints"]]}
+
+    def _placed(self, kind: str, place: str) -> Message:
+        try:
+            if kind == _DATA:
+                made = self._session.set_watch(place, self._at_prompt.frame)
+            else:
+                made = self._session.set_break(place)
+        except ReplayError as error:
+            return {"verified": False, "message": str(error)}
+        self._numbers[made.number] = kind
+        line = {} if made.line is None else {"line": made.line[1], "source": self._source(made.line[0])}
+        return {"id": made.number, "verified": True, "message": made.counted, **line}
+
+    def _drop(self, kind: str, which: Callable[[Breakpoint], bool] = lambda _: True) -> None:
+        placed = self._session.breakpoints
+        placed[:] = [each for each in placed if self._numbers.get(each.number) != kind or not which(each)]
+
+    # --- from step to step ------------------------------------------------------------------------------------------
+
+    def _on_continue(self, _: Message) -> Message:
+        self._moving(self._session.forward)
+        return {"allThreadsContinued": True}
+
+    def _on_reverseContinue(self, _: Message) -> None:  # noqa: N802
+        self._moving(self._session.back)
+
+    def _on_next(self, _: Message) -> None:
+        self._moving(lambda: self._session.forward(self._session.timeline.following(self._session.step)))
+
+    def _on_stepIn(self, _: Message) -> None:  # noqa: N802
+        self._moving(lambda: self._session.forward(self._session.step + 1))
+
+    def _on_stepOut(self, _: Message) -> None:  # noqa: N802
+        self._moving(lambda: self._session.forward(self._session.timeline.end(self._session.step)))
+
+    def _on_stepBack(self, arguments: Message) -> None:  # noqa: N802
+        now, timeline = self._session.step, self._session.timeline
+        fine = arguments.get("granularity") == "instruction"
+        self._moving(lambda: self._session.back(now - 1 if fine else timeline.preceding(now)))
+
+    def _on_gotoTargets(self, arguments: Message) -> Message:  # noqa: N802
+        file = arguments["source"].get("path") or arguments["source"].get("name")
+        found = breakpoint_at(self._session.log, self._session.timeline, 0, f"{file}:{arguments['line']}")
+        line = found.line[1] if found.line is not None else arguments["line"]
+        return {"targets": [{"id": step, "label": f"step {step}", "line": line} for step in found.steps]}
+
+    def _on_goto(self, arguments: Message) -> None:
+        self._moving(lambda: self._session.go(arguments["targetId"]), "goto")
+
+    def _on_pause(self, _: Message) -> None:
+        self._session.plan.pause(wanted=False)  # whatever was asked for before has stopped
+
+    def _moving(self, move: Callable[[], Halt], reason: str = "step", title: str = "") -> None:
+        self._session  # noqa: B018  refuses while nothing was launched
+        self._then = lambda: self._move(move, reason, title)
+
+    def _move(self, move: Callable[[], Halt], reason: str, title: str) -> None:
+        """Move the plan, then tell the editor where it stands, and why."""
+        prompt, before = self._at_prompt, self._session.step
+        try:
+            with self._told(title):
+                halt = move()
+        except ReplayError as error:
+            if isinstance(error, PlanEnded) or self._session.step < 0:
+                self._output(f"{error}\n", "important")
+                self._event("terminated")
+            else:  # NoFurther, or the plan was interrupted twice
+                self._stand("pause", str(error))
+            return
+        step = halt.arrival.step
+        for output in self._session.log.records(Output, before + 1, step + 1):
+            self._output(f"{output.text}\n", "stdout")
+        with contextlib.redirect_stdout(io.StringIO()):
+            prompt.halted(halt, step)
+        met = [each.number for each in halt.met]
+        kinds = [self._numbers[each] for each in met if each in self._numbers]
+        if halt.arrival.reason == "interrupted":
+            reason = "pause"
+        if halt.arrival.text:
+            self._output(f"the plan differs from its recording after step {step}: {halt.arrival.text}\n", "important")
+        if reason == "entry" and self._failure() is not None:
+            kinds = [_EXCEPTION]
+        what = phrases.record_line(self._session.log[step])
+        self._stand(kinds[0] if kinds else reason, f"step {step}: {what}", met)
+
+    def _stand(self, reason: str, description: str, met: Sequence[int] = ()) -> None:
+        self._lists.clear()
+        self._listed.clear()
+        failure = self._failure() if reason == _EXCEPTION else None
+        text = {} if failure is None else {"text": failure.type}
+        ids = {"hitBreakpointIds": list(met)} if met else {}
+        self._event(
+            "stopped", reason=reason, description=description, threadId=_THREAD, allThreadsStopped=True, **text, **ids
+        )
+
+    @contextlib.contextmanager
+    def _told(self, title: str) -> Iterator[None]:
+        """Tell an editor that shows progress about what takes time."""
+        shown = bool(title) and self._client.get("supportsProgressReporting")
+        number = str(self._sent)
+        if shown:
+            self._event("progressStart", progressId=number, title=title)
+        try:
+            yield
+        finally:
+            if shown:
+                self._event("progressEnd", progressId=number)
+
+    # --- what there is at a step ------------------------------------------------------------------------------------
+
+    def _on_threads(self, _: Message) -> Message:
+        step = self._session.step if self._prompt is not None else -1
+        branch = self._session.log[step].thread if step >= 0 else "plan"
+        return {"threads": [{"id": _THREAD, "name": branch}]}
+
+    def _on_stackTrace(self, arguments: Message) -> Message:  # noqa: N802
+        """The plan's frames, innermost first; then the tasks around the step, as labels."""
+        frames: list[Message] = []
+        for number, each in enumerate(self._at_prompt.stack):
+            place = {"source": self._source(each["file"]), "line": each["line"], "column": 1}
+            frames.append({"id": number, "name": each["function"], **place})
+        for task in self._tasks():
+            name = phrases.task(task.kind, task.name, argument_values(task.parameters))
+            label = {"line": 0, "column": 0, "presentationHint": "label"}
+            frames.append({"id": _TASK_FRAMES + task.seq, "name": name, **label})
+        first = arguments.get("startFrame") or 0
+        last = first + arguments["levels"] if arguments.get("levels") else len(frames)
+        return {"stackFrames": frames[first:last], "totalFrames": len(frames)}
+
+    def _tasks(self) -> list[Task]:
+        """The starts of the tasks around the step, innermost first."""
+        timeline, log = self._session.timeline, self._session.log
+        starts = [log[step] for step in timeline.around(self._session.step)]
+        return [each for each in starts if isinstance(each, Task)]
+
+    def _source(self, file: str) -> Message:
+        recorded = Path(file) in self._session.plan.recorded_files
+        return {"name": Path(file).name, "path": file, **({"origin": "recorded source"} if recorded else {})}
+
+    def _on_scopes(self, arguments: Message) -> Message:
+        frame, scopes = arguments["frameId"], [("World", self._worlds), ("Beliefs", self._beliefs)]
+        if frame < _TASK_FRAMES:
+            scopes.insert(0, ("Locals", lambda: self._locals(frame)))
+        else:
+            scopes.insert(0, ("Parameters", lambda: self._parameters(frame - _TASK_FRAMES)))
+        scopes.append(("Last query", self._last_query))
+        listed = [(name, self._reference(lister)) for name, lister in scopes]
+        return {"scopes": [{"name": name, "variablesReference": number, "expensive": False} for name, number in listed]}
+
+    def _reference(self, lister: _Lister | None) -> int:
+        if lister is None:
+            return 0
+        self._lists.append(lister)
+        return len(self._lists)
+
+    def _on_variables(self, arguments: Message) -> Message:
+        reference = arguments["variablesReference"]
+        if not 0 < reference <= len(self._lists):
+            raise _Wrong("the plan has moved on since")
+        found = []
+        for each in self._lists[reference - 1]():
+            self._listed[reference, each.name] = each
+            texts = {"name": each.name, "value": each.value, "type": each.type, "evaluateName": each.expression}
+            shown = {key: visible(text) for key, text in texts.items() if text or key == "value"}
+            found.append({**shown, "variablesReference": self._reference(each.parts)})
+        return {"variables": found}
+
+    def _locals(self, frame: int) -> list[_Variable]:
+        found = self._session.plan.ask("variables", frame=frame, arguments=False)
+        return [self._of_plan(frame, each) for each in found]
+
+    def _of_plan(self, frame: int, found: Message) -> _Variable:
+        expression, parts = found["expression"], found.pop("parts")
+
+        def listed() -> list[_Variable]:
+            inner = self._session.plan.ask("parts", frame=frame, expression=expression)
+            return [self._of_plan(frame, each) for each in inner]
+
+        return _Variable(**found, parts=listed if parts else None)
+
+    def _parameters(self, step: int) -> list[_Variable]:
+        task = self._session.log[step]
+        values = argument_values(task.parameters) if isinstance(task, Task) else {}
+        return [_Variable(name, phrases.value(value)) for name, value in values.items()]
+
+    def _worlds(self) -> list[_Variable]:
+        opened = [each for each in self._session.log.state_at(self._session.step).worlds.values() if each.open]
+        if len(opened) == 1:
+            return _bodies(opened[0], "")
+        return [
+            _Variable(each.title, phrases.plural(len(each.bodies), "object"), parts=_later(_bodies, each, each.name))
+            for each in opened
+        ]
+
+    def _beliefs(self) -> list[_Variable]:
+        worlds = self._session.log.state_at(self._session.step).worlds.values()
+        return [
+            _Variable(
+                each.object, f"{phrases.vector(each.position)} {phrases.learned(each.source, each.step)}", each.robot
+            )
+            for world in worlds
+            for each in world.believed()
+        ]
+
+    def _last_query(self) -> list[_Variable]:
+        log, step = self._session.log, self._session.step
+        query = next(iter(log.backwards(step, Query)), None)
+        if query is None:
+            return []
+        facts = [("question", phrases.question(query)), ("answer", phrases.answer(query)), ("step", str(query.seq))]
+        if query.candidates:
+            facts.append(("reasons", phrases.reasons(query)))
+        return [_Variable(name, value) for name, value in facts]
+
+    def _on_evaluate(self, arguments: Message) -> Message:
+        """Evaluate an expression; at the console also any command of the prompt."""
+        text, prompt = str(arguments["expression"]).strip(), self._at_prompt
+        if 0 <= arguments.get("frameId", -1) < _TASK_FRAMES:
+            prompt.frame = arguments["frameId"]
+        word = text.partition(" ")[0]
+        if arguments.get("context") == "repl" and hasattr(prompt, f"do_{word}"):
+            return self._commanded(text)
+        if not prompt.stack:
+            raise _Wrong("no function of the plan runs at this step")
+        answer = self._session.plan.ask("evaluate", frame=prompt.frame, expression=text, pretty=False)
+        self._output(answer["printed"], "stdout")
+        if "error" in answer:
+            raise _Wrong(answer["error"])
+        return {"result": visible(answer["value"]), "variablesReference": 0}
+
+    def _commanded(self, text: str) -> Message:
+        prompt, before, printed = self._at_prompt, self._session.step, io.StringIO()
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+            prompt.onecmd(text)
+        if self._session.step != before:
+            self._then = lambda: self._stand("goto", f"step {self._session.step}")
+        return {"result": visible(printed.getvalue().rstrip("\n")), "variablesReference": 0}
+
+    def _on_completions(self, arguments: Message) -> Message:
+        text = str(arguments["text"])[: arguments["column"] - 1]
+        word = text.rpartition(" ")[2]
+        prompt = self._at_prompt
+        names = prompt.completedefault(word) + ([] if " " in text else prompt.completenames(text))
+        return {"targets": [{"label": each, "start": len(text) - len(word), "length": len(word)} for each in names]}
+
+    def _on_source(self, arguments: Message) -> Message:
+        path = Path((arguments.get("source") or {}).get("path", ""))
+        recorded = self._session.plan.recorded_files
+        if path not in recorded:
+            raise NoSuchName("recorded source", str(path), [str(each) for each in recorded])
+        return {"content": recorded[path].decode("utf-8", "replace"), "mimeType": "text/x-python"}
+
+    def _failure(self) -> Failure | None:
+        record = self._session.log[self._session.step]
+        failure: Failure | None = getattr(record, "failure", None)
+        return failure if failure is not None and record.HasField("failure") else None
+
+    def _on_exceptionInfo(self, _: Message) -> Message:  # noqa: N802
+        failure = self._failure()
+        if failure is None:
+            raise _Wrong("nothing failed at this step")
+        log, printed = self._session.log, io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            try:
+                main.call("why", log, [str(self._session.step)])
+            except ReplayError:  # the plan's own code failed, outside of all tasks
+                main.call("why", log, [])
+        return {
+            "exceptionId": failure.type,
+            "description": f"{failure.message}\n\n{printed.getvalue().strip()}",
+            "breakMode": "always",
+            "details": {"message": failure.message, "typeName": failure.type, "stackTrace": failure.traceback},
+        }
+
+
+def _bodies(world: World, prefix: str) -> list[_Variable]:
+    return [
+        _Variable(name, _place(world, body), body.type, parts=_later(_quantities, world, body, prefix))
+        for name, body in world.bodies.items()
+    ]
+
+
+def _place(world: World, body: Body) -> str:
+    held = world.carrier(body.name)
+    return phrases.vector(body.position) + (f", {phrases.carrier(held)}" if held is not None else "")
+
+
+def _quantities(world: World, body: Body, prefix: str) -> list[_Variable]:
+    name = ".".join(repr(each) if not each.isidentifier() else each for each in (prefix, body.name) if each)
+    numbers = [*zip("xyz", body.position, strict=True), *body.joints.items()]
+    held = world.carrier(body.name)
+    return [
+        *(_Variable(each, phrases.number(value), watched=f"{name}.{each}") for each, value in numbers),
+        _Variable("orientation", phrases.vector(body.orientation), watched=f"{name}.orientation"),
+        _Variable("carrier", held.carrier if held is not None else "none", watched=f"{name}.carrier"),
+    ]
+
+
+def _later(lister: Callable[..., list[_Variable]], *arguments: object) -> _Lister:
+    return lambda: lister(*arguments)
+
+
+def _braced(text: str) -> str:
+    """Return a text in which the protocol finds no variables."""
+    return text.replace("{", "(").replace("}", ")")
+
+
+def _message(reading: BinaryIO) -> Message | None:
+    """Read a message; None at the end, or after what isn't one."""
+    length = 0
+    while (line := reading.readline()).strip():
+        name, _, value = line.partition(b":")
+        if name.strip().lower() == b"content-length" and value.strip().isdigit():
+            length = int(value)
+    text = reading.read(length) if length else b""
+    if not text or len(text) < length:
+        return None
+    message: Message = json.loads(text)
+    return message
