@@ -81,6 +81,8 @@ def serve(port: int | None, recording: str | None = None) -> int:
         connected, _ = listening.accept()
     with connected, connected.makefile("rb") as reading, connected.makefile("wb") as writing:
         Adapter(cast("BinaryIO", reading), cast("BinaryIO", writing), recording).run()
+        with contextlib.suppress(OSError):  # the editor has closed it
+            connected.shutdown(socket.SHUT_RDWR)  # ends the thread that reads
     return FINE
 
 
