@@ -74,7 +74,8 @@ class Engine:
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
         self._grip: tuple[int, int] | None = None  # body and link that the mouse drags
-        self._known: dict[int, Snapshot] = {}  # states by id; replaced, not changed, as other threads may read them
+        #: The state of each body by its id, or an empty list. Lists are replaced: another thread may be filling one.
+        self._known: dict[int, list[Snapshot]] = {}
         if window:
             with silenced(1):
                 self._client: int = bullet.connect(bullet.GUI)
@@ -188,13 +189,13 @@ class Engine:
 
     def snapshot(self, body: LoadedBody) -> Snapshot:
         """Return the state of a body; the same object as long as the state doesn't change."""
-        known = self._known
-        if body.id not in known:
-            known[body.id] = Snapshot(self.pose(body), self.velocity(body), *self.joints(body))
-        return known[body.id]
+        known = self._known.setdefault(body.id, [])
+        if not known:
+            known.append(Snapshot(self.pose(body), self.velocity(body), *self.joints(body)))
+        return known[0]
 
     def _forget(self, body: LoadedBody) -> None:
-        self._known = {number: state for number, state in self._known.items() if number != body.id}
+        self._known[body.id] = []
 
     def pose(self, body: LoadedBody) -> Pose:
         """Return the pose of the base link in the world."""

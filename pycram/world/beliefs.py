@@ -55,14 +55,18 @@ class WorldBeliefs:
         world = self._world
         carriers: dict[str, str] | None = None
         if transaction.attached or transaction.detached:
-            carriers = {held.body.name: body.name for body in world.objects for held in body.carried}
+            carriers, carrying = {}, list(world.robots)
+            while carrying:
+                held = carrying.pop().carried
+                carriers |= {each.body.name: each.carrier.name for each in held}
+                carrying += [each.body for each in held]
         learned = fold.follow(
             self._beliefs,
             transaction.command,
             world.sim_step,
             removed=transaction.removed,
             carriers=carriers,
-            robots=[body.name for body in world.objects if body.is_robot] if carriers is not None else (),
+            robots=[robot.name for robot in world.robots],
             pose_of=lambda name: world.get_object(name).get_position_and_orientation(),
         )
         self._steps.update(dict.fromkeys(learned, steps))

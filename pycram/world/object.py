@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -207,9 +208,9 @@ class Object(ReadOnlyAttributes):
         """Names of the movable joints."""
         return tuple(self.handle.joints)
 
-    @property
+    @cached_property
     def load_record(self) -> records.LoadBody:
-        """The record from which the object can be loaded again."""
+        """The record from which the object can be loaded again, in its present colour."""
         model = self.model
         return records.LoadBody(
             body=self.name,
@@ -458,6 +459,7 @@ class Object(ReadOnlyAttributes):
         with self.world.transactions.begin(records.Mutation(set_color=command)):
             self.world.engine.set_color(self.handle, rgba)
             update(self, color=rgba)
+            vars(self).pop("load_record", None)
 
 
 def _object(argument: str, value: object) -> Object:

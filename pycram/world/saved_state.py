@@ -87,15 +87,16 @@ def put_back(
         steps: Steps of the records by which the beliefs were learned; None if the command has them.
     """
     with world.transactions.begin(records.Mutation(restore=command)) as transaction:
-        present = world.objects if objects is None else [body for body in world.objects if body in objects]
-        bodies = {body.name: body for body in present}
-        added = [body.name for body in world.objects if body not in present]
+        expected = {*(world.objects if objects is None else objects)}
+        bodies = {body.name: body for body in world.objects if body in expected}
+        added = [body.name for body in world.objects if body not in expected]
         named = [state.body for state in command.bodies]
         named += [name for held in command.attachments for name in (held.carrier, held.body)]
         removed = list(dict.fromkeys(name for name in named if name not in bodies))
         if added or removed:
             raise ObjectsChanged(world.name, added, removed)
-        _check(command, bodies)
+        if objects is None:
+            _check(command, bodies)
         world.trajectories.end_all()
         saved = {(held.carrier, held.body): held for held in command.attachments}
         kept = {}
@@ -123,7 +124,7 @@ def put_back(
 
 
 def _check(command: records.Restore, bodies: Mapping[str, Object]) -> None:
-    """Raise BadArgument if a command doesn't fit these objects; a recorded command may hold any numbers."""
+    """Raise BadArgument if a recorded command doesn't fit these objects: it may hold any numbers."""
     for state in command.bodies:
         joints = len(bodies[state.body].handle.joints)
         numbers = (state.joint_positions, state.joint_velocities, state.joint_targets)

@@ -155,6 +155,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             "realtime": "use set_realtime(real_time)",
             "mode": 'open another world with BulletWorld("GUI") or BulletWorld("DIRECT")',
             "objects": "use Object(...) to load one, and remove()",
+            "robots": "use Object(...) to load one, and remove()",
             "closed": "use exit()",
             "exiting": "use exit()",
         }
@@ -173,6 +174,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self.trajectories = Trajectories(self)
         self.beliefs = WorldBeliefs(self)
         self.waits = Waits()
+        self.robots: tuple[Object, ...] = ()  # all robots, in the order in which they were loaded
         self._objects: dict[str, Object] = {}
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
@@ -317,6 +319,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             if body.color is not None:
                 self.engine.set_color(handle, body.color)
             self._objects[body.name] = body
+            if body.is_robot:
+                update(self, robots=(*self.robots, body))
             update(body, overlaps=tuple(overlaps(body)))
             if journal.recording():
                 journal.attach(body.model.files)
@@ -334,6 +338,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             self.engine.remove(handle)
             update(body, _handle=None)
             del self._objects[body.name]
+            update(self, robots=tuple(robot for robot in self.robots if robot is not body))
             if self._robot is body:
                 self._robot = None
             transaction.removed.append(body.name)

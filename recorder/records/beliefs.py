@@ -109,7 +109,8 @@ def follow(
         sim_step: steps of simulated time of the world after the change.
         step: number of the record.
         removed: names of removed bodies.
-        carriers: the carrier of each carried body after the change, by names; None if no attachment changes.
+        carriers: the carrier of each body that a robot carries after the change, also indirectly, by names; it may have
+            further bodies. None if no attachment changes.
         robots: names of the robots after the change.
         pose_of: returns the pose of a body after the change, by name.
     """

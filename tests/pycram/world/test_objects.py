@@ -96,3 +96,10 @@ def test_changes_are_refused_during_a_query(world: BulletWorld) -> None:
     with pytest.raises(ChangeRefused, match=r"move body.*inspect"):
         inspect(body)
     body.set_position([1, 0, 0])
+
+
+def test_a_keyframe_has_an_object_s_present_colour(world: BulletWorld) -> None:
+    milk = Object("milk", "milk", "milk.stl")
+    assert not world.transactions.keyframe().loaded[0].color
+    milk.set_color([1, 0, 0, 1])
+    assert world.transactions.keyframe().loaded[0].color == [1, 0, 0, 1]
