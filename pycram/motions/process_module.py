@@ -30,7 +30,7 @@ from pycram.foundation.failures import (
 )
 from pycram.foundation.refusals import refusing
 from pycram.language.branch import current_block, run
-from pycram.models.robots.description import why_none
+from pycram.models.robots.description import find_description
 from pycram.motions.designator import Designator, DesignatorError, Resolvers, performing, unfinished
 from pycram.motions.execution import INSTANT
 from pycram.motions.resources import ResourceQueue, Resources, Ticket, forget_tickets
@@ -257,7 +257,8 @@ def _undescribed(robot: Object) -> str:
     """Return why a robot has no description, and the remedy; "" if it has a description."""
     if robot.description:
         return ""
-    misfit = why_none(robot.urdf)
+    _, misfits = find_description(robot.urdf)
+    misfit = next(iter(misfits.values()), "")
     but = f" (PyCRAM's own description of {robot.urdf.name} doesn't fit it: {misfit})" if misfit else ""
     return f"it has no description{but}: pycram describe writes one for Object(..., description=...); else "
 

@@ -13,7 +13,7 @@ from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldC
 from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.models import load
 from pycram.models.furniture import furniture_of, tops_of
-from pycram.models.robots.description import Misfitting, RobotDescription, find_description, why_none
+from pycram.models.robots.description import Misfitting, RobotDescription, find_description
 from pycram.models.surfaces import NONE, Surface
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment, joints, overlaps, sizes
@@ -122,11 +122,14 @@ class Object(ReadOnlyAttributes):
         self.urdf: Urdf = self.model.urdf
         self.description: RobotDescription | MaybeNone = None
         if self.is_robot:
+            misfits: Mapping[str, str] = {}
             if description is not None:
                 description.check(self.urdf)
-            self.description = description or find_description(self.urdf)
-            if self.description is None and model is None:  # a recorded robot had its warning when it was recorded
-                _warn_of_misfit(self)
+                self.description = description
+            else:
+                self.description, misfits = find_description(self.urdf)
+            if misfits and model is None:  # a recorded robot had its warning when it was recorded
+                _warn_of_misfits(self, misfits)
         self.original_pose: Pose = pose
         self.original_joints: Mapping[str, float] = MappingProxyType({})
         self._attachments: dict[Object, BodyAttachment] = {}
@@ -470,9 +473,12 @@ def _object(argument: str, value: object) -> Object:
     return result
 
 
-def _warn_of_misfit(robot: Object) -> None:
-    """Warn if there is a description of a robot's name, but the robot's URDF has other parts."""
-    if misfit := why_none(robot.urdf):
-        remedy = "pycram describe writes one that fits, for Object(..., description=RobotDescription.load(FILE))"
-        text = f"{robot.name} has no description: that of {robot.urdf.name} doesn't fit its URDF ({misfit}); {remedy}"
-        warnings.warn_explicit(text, Misfitting, *call_site())
+def _warn_of_misfits(robot: Object, misfits: Mapping[str, str]) -> None:
+    """Warn that parts of the description of a robot's name don't fit the robot's URDF."""
+    remedy = "pycram describe writes one that fits, for Object(..., description=RobotDescription.load(FILE))"
+    if robot.description is None:
+        what = f"no description: that of {robot.urdf.name} doesn't fit its URDF ({next(iter(misfits.values()))})"
+    else:
+        out = "; ".join(f"{part} ({reason})" for part, reason in misfits.items())
+        what = f"a description without these parts, which don't fit its URDF: {out}"
+    warnings.warn_explicit(f"{robot.name} has {what}; {remedy}", Misfitting, *call_site())

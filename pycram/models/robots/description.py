@@ -6,8 +6,9 @@ the parts that the robot has: arms, grippers, a head, a camera, a torso (docs/ro
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -20,7 +21,7 @@ from recorder import geometry
 from recorder.urdf import UrdfError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 
     from recorder.geometry import Pose, PoseLike, Vector
     from recorder.urdf import Urdf
@@ -40,7 +41,7 @@ _AIR: Final = 2e-3  # m, distance from a jaw that stands still: the engine pads 
 
 
 class Misfitting(UserWarning):
-    """A robot was loaded without a description, because the description of its name doesn't fit its URDF."""
+    """A robot was loaded without some or all parts of the description of its name, which don't fit its URDF."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +78,10 @@ class RobotDescription:
         """
         table = parse_toml(text, source)
         try:
-            checks.only(table, "robot", "base_link", "drives", "may_touch", "arms", "head", "camera", "torso", "limits")
+            keys = "robot", "base_link", "drives", "may_touch", "arms", "head", "camera", "torso", "limits", "without"
+            checks.only(table, *keys)
             arms = checks.table(table, "arms") if "arms" in table else {}
-            return cls(
+            described = cls(
                 robot=checks.text("robot", table["robot"]),
                 base_link=checks.text("base_link", table["base_link"]),
                 arms={checks.text("an arm's name", name): _read_arm(name, checks.table(arms, name)) for name in arms},
@@ -92,6 +94,7 @@ class RobotDescription:
                 text=text,
                 source=source,
             )
+            return described._without(checks.texts("without", table["without"])) if "without" in table else described
         except KeyError as error:
             raise AssetError(source, f"has no entry {error.args[0]}") from error
         except (BadArgument, TypeError) as error:
@@ -114,43 +117,69 @@ class RobotDescription:
             AssetError: A joint or link doesn't exist, an arm's joints aren't a chain, a value is outside limits, or
                 fingers don't close around the tool frame.
         """
-        try:
-            links = [self.base_link] + ([self.camera.frame] if self.camera else [])
-            links += [link for pair in self.may_touch for link in sorted(pair)]
-            links += [link for arm in self.arms.values() for link in arm.links()]
-            for link in links:
-                urdf.parent_joint(link)
-            for name, values in self._values().items():
-                joint = urdf.joint(name)
-                if not joint.movable:
-                    raise AssetError(self.source, f"moves the fixed joint {name}")
-                for value in values:
-                    if not joint.lower <= value <= joint.upper:
-                        limits = f"{joint.lower:g} to {joint.upper:g}"
-                        raise AssetError(self.source, f"sets {name} to {value:g}, outside of its limits {limits}")
-            for arm in self.arms.values():
-                for problem in arm.problems(urdf):
-                    raise AssetError(self.source, problem)
-        except UrdfError as error:
-            raise AssetError(self.source, str(error)) from error
+        for reason in self.misfits(urdf).values():
+            raise AssetError(self.source, reason)
 
-    def misfit(self, urdf: Urdf) -> str:
-        """Return why the description doesn't fit a URDF; "" if it fits."""
-        try:
-            self.check(urdf)
-        except AssetError as error:
-            return error.cause
-        return ""
-
-    def _values(self) -> dict[str, list[float]]:
-        """Return all joints in the description, with all values given for them."""
-        values: dict[str, list[float]] = {joint: [] for joint in (self.head.joints if self.head else ())}
+    def misfits(self, urdf: Urdf) -> dict[str, str]:
+        """Return the parts that don't fit a URDF, such as "torso" or "left arm's pose park", with the reasons."""
+        parts: list[tuple[str, Iterable[str], Mapping[str, list[float]]]] = [
+            ("base_link", [self.base_link], {}),
+            *((_pair_name(pair), sorted(pair), {}) for pair in self.may_touch),
+        ]
+        if self.camera:
+            parts.append(("camera", [self.camera.frame], {}))
         if self.torso:
-            values[self.torso.joint] = [self.torso.default]
+            parts.append(("torso", [], {self.torso.joint: [self.torso.default]}))
+        if self.head:
+            parts += ((part, [], {joint: []}) for part, joint in self.head.parts.items() if joint)
+        found = {part: reason for part, links, joints in parts if (reason := _misfit(urdf, links, joints))}
         for arm in self.arms.values():
-            for joint, more in arm.values().items():  # a joint may belong to an arm and to the head
-                values.setdefault(joint, []).extend(more)
-        return values
+            found |= arm.misfits(urdf)
+        return found
+
+    def fitted(self, urdf: Urdf) -> RobotDescription | None:
+        """Return the description without the parts that don't fit a URDF; None if no part of the robot is left."""
+        out = self.misfits(urdf)
+        if not out:
+            return self
+        text = f"without = {json.dumps(list(out), ensure_ascii=False)}\n{self.text}"  # TOML's strings are JSON strings
+        rest = self.parse(text, self.source)  # by its text, which recordings contain
+        is_robot = "base_link" not in out and (rest.arms or rest.head or rest.camera or rest.torso)
+        return rest if is_robot else None
+
+    def _without(self, parts: Sequence[str]) -> RobotDescription:
+        """Return the description without parts, by the names that :meth:`misfits` gives them."""
+        head = self.head and Head(*("" if part in parts else joint for part, joint in self.head.parts.items()))
+        return replace(
+            self,
+            arms={name: arm.without(parts) for name, arm in self.arms.items() if f"{name} arm" not in parts},
+            head=head if head and head.joints else None,
+            camera=None if "camera" in parts else self.camera,
+            torso=None if "torso" in parts else self.torso,
+            may_touch=frozenset(pair for pair in self.may_touch if _pair_name(pair) not in parts),
+        )
+
+
+def _pair_name(pair: Iterable[str]) -> str:
+    return f"may_touch of {' and '.join(sorted(pair))}"
+
+
+def _misfit(urdf: Urdf, links: Iterable[str], joints: Mapping[str, Iterable[float]]) -> str:
+    """Return why links, or joints with the given values, don't fit a URDF; "" if they fit."""
+    try:
+        for link in links:
+            urdf.parent_joint(link)
+        for name, values in joints.items():
+            joint = urdf.joint(name)
+            if not joint.movable:
+                return f"moves the fixed joint {name}"
+            for value in values:
+                if not joint.lower <= value <= joint.upper:
+                    limits = f"{joint.lower:g} to {joint.upper:g}"
+                    return f"sets {name} to {value:g}, outside of its limits {limits}"
+    except UrdfError as error:
+        return str(error)
+    return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,29 +216,36 @@ class Arm:
         hand = [self.hand.palm, *self.hand.fingers] if self.hand else []
         return [self.base_link, self.tool_frame, *hand]
 
-    def values(self) -> dict[str, list[float]]:
-        """Return all joints in the arm's description, with all values given for them."""
-        values = {joint: [posture[i] for posture in self.poses.values()] for i, joint in enumerate(self.joints)}
-        if self.hand:
-            values |= {joint: [self.hand.at(0.0)[joint], self.hand.at(1.0)[joint]] for joint in self.hand.joints}
-        return values
-
     def bias(self, urdf: Urdf) -> float:
         """Return how unevenly the sides of the gripper close; see :meth:`Gripper.bias`."""
         return self.gripper.bias(urdf, self.tool_frame, self.tool_offset)
 
-    def problems(self, urdf: Urdf) -> Iterator[str]:
-        """Yield reasons why the arm doesn't fit a URDF that has its links and joints.
-
-        Raises:
-            UrdfError: The tool frame isn't below the base link.
-        """
-        chain = tuple(joint.name for joint in urdf.chain(self.base_link, self.tool_frame) if joint.movable)
+    def misfits(self, urdf: Urdf) -> dict[str, str]:
+        """Return the parts that don't fit a URDF ("left arm", "left gripper", "left arm's pose park"), with reasons."""
+        arm, hand = f"{self.name} arm", self.hand
+        if reason := _misfit(urdf, [self.base_link, self.tool_frame], {joint: [] for joint in self.joints}):
+            return {arm: reason}
+        try:
+            chain = tuple(joint.name for joint in urdf.chain(self.base_link, self.tool_frame) if joint.movable)
+        except UrdfError as error:
+            return {arm: str(error)}
         if chain != self.joints:
-            yield f"the {self.name} arm's joints from base_link to tool_frame are {', '.join(chain) or 'none'}"
-        elif self.hand:
-            for problem in self.hand.wrong_ways(urdf, self.tool_frame, self.tool_offset):
-                yield f"the {self.name} gripper: {problem}; turn the tool frame with tool_offset"
+            return {arm: f"the {arm}'s joints from base_link to tool_frame are {', '.join(chain) or 'none'}"}
+        postures = {name: {joint: [at] for joint, at in self.posture(name).items()} for name in self.poses}
+        found = {f"{arm}'s pose {name}": _misfit(urdf, [], posture) for name, posture in postures.items()}
+        if hand:
+            ends = {joint: [hand.at(0.0)[joint], hand.at(1.0)[joint]] for joint in hand.joints}
+            reason = _misfit(urdf, [hand.palm, *hand.fingers], ends)
+            if not reason:
+                wrong = next(hand.wrong_ways(urdf, self.tool_frame, self.tool_offset), "")
+                reason = wrong and f"the {self.name} gripper: {wrong}; turn the tool frame with tool_offset"
+            found[f"{self.name} gripper"] = reason
+        return {part: reason for part, reason in found.items() if reason}
+
+    def without(self, parts: Container[str]) -> Arm:
+        """Return the arm without its gripper or poses, if :meth:`misfits` has named them."""
+        poses = {name: row for name, row in self.poses.items() if f"{self.name} arm's pose {name}" not in parts}
+        return replace(self, hand=None if f"{self.name} gripper" in parts else self.hand, poses=poses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +267,11 @@ class Head:
     def joints(self) -> tuple[str, ...]:
         """The existing joints."""
         return tuple(joint for joint in (self.pan, self.tilt) if joint)
+
+    @property
+    def parts(self) -> dict[str, str]:
+        """Both joints by part, "" for a part that doesn't exist."""
+        return {"head's pan joint": self.pan, "head's tilt joint": self.tilt}
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,19 +306,15 @@ class MotionLimits:
     base_turning_acceleration: float = 1.0  # rad/s^2, about the vertical axis
 
 
-def find_description(urdf: Urdf) -> RobotDescription | None:
-    """Return the description of the robot with the name in a URDF; None if there is none or it doesn't fit.
+def find_description(urdf: Urdf) -> tuple[RobotDescription | None, Mapping[str, str]]:
+    """Return the description of the robot with the name in a URDF, and its parts that were left out, with the reasons.
 
-    PyCRAM's own descriptions come first, then those of other packages (:mod:`pycram.foundation.plugins`).
+    A part is left out if it doesn't fit the URDF (:meth:`RobotDescription.misfits`). The description is None if there
+    is none of that name, or if no part fits. PyCRAM's own descriptions come first, then those of other packages
+    (:mod:`pycram.foundation.plugins`).
     """
     description = _named(urdf.name)
-    return description if description is not None and not description.misfit(urdf) else None
-
-
-def why_none(urdf: Urdf) -> str:
-    """Return why the description of that name doesn't fit a URDF; "" if there is no description of that name."""
-    description = _named(urdf.name)
-    return "" if description is None else description.misfit(urdf)
+    return (None, {}) if description is None else (description.fitted(urdf), description.misfits(urdf))
 
 
 def _named(robot: str) -> RobotDescription | None:

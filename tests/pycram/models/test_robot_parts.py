@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -247,3 +248,36 @@ def test_another_robot_with_a_known_name_says_why_its_description_does_not_fit(
     with pytest.raises(NoProcessModule, match=r"of panda doesn't fit it: .*no link 'panda_link0'") as raised:
         perform(type="looking", target=[1, 0, 1])
     assert "pycram describe" in raised.value.undescribed
+
+
+@pytest.mark.parametrize(
+    ("edit", "part", "reason"),
+    [
+        ((r'(name="torso_lift_joint" type=")prismatic', r"\1fixed"), "torso", "moves the fixed joint torso_lift_joint"),
+        ((r"wide_stereo_optical_frame", "eye"), "camera", "no link 'wide_stereo_optical_frame'"),
+        ((r"l_gripper_palm_link", "palm"), "left gripper", "no link 'l_gripper_palm_link'"),
+        ((r"r_elbow_flex_joint", "r_elbow"), "right arm", "no joint 'r_elbow_flex_joint'"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_parts_that_do_not_fit_are_left_out_and_named_when_the_robot_is_loaded(
+    world: BulletWorld, tmp_path: Path, edit: tuple[str, str], part: str, reason: str
+) -> None:
+    original = next(file for file in metadata.files("example-robot-data") or [] if file.name == "pr2.urdf")
+    text = Path(str(original.locate())).read_text()
+    (tmp_path / "mine.urdf").write_text(re.sub(*edit, text))
+    packages = [Path(str(original.locate())).resolve().parents[3]]
+    with pytest.warns(
+        Misfitting, match=rf"mine has a description without .*: {part} \(.*{reason}.*\); pycram"
+    ) as warned:
+        world.robot = made = Object("mine", "robot", tmp_path / "mine.urdf", packages=packages)
+    assert warned[0].filename == __file__
+    assert made.description is not None
+    left = made.description
+    assert (left.torso is None) == (part == "torso")
+    assert (left.camera is None) == (part == "camera")
+    assert ("right" not in left.arms) == (part == "right arm")
+    assert (left.arms["left"].hand is None) == (part == "left gripper")
+    perform(type="move-arm-joints", **{"left-arm": "park"})
+    recorded = RobotDescription.parse(left.text)  # a restored robot has the same parts
+    assert (recorded.arms, recorded.torso, recorded.camera) == (left.arms, left.torso, left.camera)
