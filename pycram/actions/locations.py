@@ -32,7 +32,7 @@ def _surfaces(name: str, value: Any) -> Surfaces:
     values = value if isinstance(value, list | tuple) else [value]
     found = [each for one in values for each in _surfaces_of(name, one)]
     if not found:
-        raise BadArgument(name, value, "an object with surfaces, or a list of surfaces")
+        raise BadArgument(name, value, "surfaces, or objects with a level top of at least 4 cm x 4 cm")
     return found
 
 
@@ -46,7 +46,8 @@ def _surfaces_of(name: str, value: Any) -> Surfaces:
         whole = [(body, surface) for body, surface in known if body.name == value and not surface.container]
         things = [(body, surface) for body in _furniture() if body.name == value for surface in body.tops]
         if not named and not whole and not things:
-            raise UnknownName("surface", value, "the world", (surface.name for _, surface in known))
+            names = [*(surface.name for _, surface in known), *(body.name for body in _furniture())]
+            raise UnknownName("surface", value, "the world", names)
         return named or whole or things
     owned = [(body, surface) for body, surface in known if surface == value]
     if not owned:

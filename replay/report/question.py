@@ -90,8 +90,9 @@ def parse(text: str) -> QueryCall:
         with warnings.catch_warnings(action="ignore"):  # Python warns about text that looks like mistaken code
             call = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-        cause = error.msg if isinstance(error, SyntaxError) else str(error)
-        raise BadQuestion(text, f"it can't be parsed: {cause}") from None
+        cause = error.msg.partition(". ")[0] if isinstance(error, SyntaxError) else str(error)
+        quotes = "; a name with spaces is in quotes, as stable('milk carton')" if re.search(r"\w \w", text) else ""
+        raise BadQuestion(text, f"it can't be parsed: {cause}{quotes}") from None
     if not isinstance(call, ast.Call):
         raise BadQuestion(text, "a question is the call of a query, such as stable(milk)")
     try:
