@@ -307,6 +307,8 @@ def _texts(function: Callable[..., Any]) -> dict[str, str]:
 class ActionDesignator(ResolvedDesignator):
     """An action, as ``ActionDesignator(type="transporting", object=..., target=...)`` (thesis 3.5.1).
 
+    ``help(pycram.action_designators)`` lists PyCRAM's types of actions and their slots.
+
     Its solutions are its slots with all open slots chosen, the best choice first. The action itself resolves the
     designators among its slots, because it may have to search an object first. A resolver's solutions have the type of
     the action in ``action``.

@@ -543,7 +543,7 @@ class ResolvedDesignator(Designator):
 class MotionDesignator(ResolvedDesignator):
     """A motion of the robot, with the parameters that the plan cares about (thesis 4.5; types in tables 4.4-4.14).
 
-    PyCRAM's own resolver knows the eleven types of the thesis.
+    PyCRAM's own resolver knows the eleven types of the thesis; ``help(pycram.motion_designators)`` lists their slots.
     """
 
     @staticmethod
