@@ -8,11 +8,12 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError, UnknownName
-from pycram.models import load
+from pycram.models import level_faces, load
 from pycram.models.corrections import SUFFIX
 from pycram.models.furniture import furniture_of
 from pycram.models.surfaces import DOOR, DRAWER, Furniture
@@ -395,3 +396,23 @@ def test_a_model_restored_from_a_recording_has_the_same_furniture() -> None:
     forged = [*files[:-1], (files[-1][0], files[-1][1] + b"[")]
     with pytest.raises(AssetError, match="has a name that doesn't match its content"):
         load.restore(forged, model.loading)
+
+
+def test_lines_hit_the_pieces_in_their_way_as_if_all_planes_were_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = load.load(write_row(tmp_path, "row", 3))  # jars, handles and hooks with hundreds of planes
+    every = level_faces.pieces(row.path, row.urdf.link_poses({}))
+    random = np.random.default_rng(1)
+    corners = np.concatenate([piece.corners for piece in every])
+    origins = random.uniform(corners.min(axis=0), corners.max(axis=0), (160, 3))
+    origins[:80] = random.choice(corners, 80)  # along edges and sides, too
+    directions = random.normal(size=(160, 3))
+    directions[::2, 2] = 0.0
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found = level_faces.vertical_extents(every, origins[:, :2]), level_faces.first_met(every, origins, directions)
+    monkeypatch.setattr(level_faces, "_SIMPLE", np.inf)
+    slowly = level_faces.vertical_extents(every, origins[:, :2]), level_faces.first_met(every, origins, directions)
+    for each, other in zip(found, slowly, strict=True):
+        assert all(np.array_equal(*pair) for pair in zip(each, other, strict=True))
+    assert np.isfinite(found[0][0]).sum() > 200
