@@ -17,7 +17,8 @@
 #
 # bullet_world, bullet_world_reasoning, designator, process_module, fluent, event, failures, tasks: the names of the
 # thesis, from which plans import. motion_designators, action_designators: typed constructors, written by constructors.
-# knowledge: a robot's beliefs. plan_parameters: named values that runs set. running, cli: the command "pycram".
+# knowledge: a robot's beliefs. plan_parameters: named values that runs set. monitoring: watched properties. running,
+# cli: the command "pycram".
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ import recorder  # noqa: F401  before numpy: it limits threads
 
 if TYPE_CHECKING:
     from pycram.actions import perform
+    from pycram.monitoring import monitored
     from pycram.plan_parameters import UnknownParameter, parameters
     from pycram.running import seed
     from pycram.sweeping import sweep
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 #: Where the names are that plans use as ``pycram.NAME``; they are imported on demand, so that commands start fast.
 _SOURCES = {
     "UnknownParameter": "pycram.plan_parameters",
+    "monitored": "pycram.monitoring",
     "parameters": "pycram.plan_parameters",
     "perform": "pycram.actions",
     "seed": "pycram.running",
@@ -58,7 +61,7 @@ _MODULES = (
     "tasks",
 )
 
-__all__ = ["UnknownParameter", "parameters", "perform", "seed", "sweep"]
+__all__ = ["UnknownParameter", "monitored", "parameters", "perform", "seed", "sweep"]
 
 
 def __getattr__(name: str) -> Any:

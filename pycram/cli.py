@@ -88,7 +88,15 @@ def _run_command(argv: Sequence[str] | None) -> int:
     except ValueError as error:
         parser.error(str(error))
     spec = RunSpec(
-        plan, tuple(arguments), seed, options.order, options.motion, values, local_variables=not options.no_locals
+        plan,
+        tuple(arguments),
+        seed,
+        options.order,
+        options.motion,
+        values,
+        _checks(parser, options),
+        options.check_only_record,
+        local_variables=not options.no_locals,
     )
     if options.explore is not None:
         from pycram.exploration import command  # noqa: PLC0415  needs the engine
@@ -146,6 +154,17 @@ def _values(parser: argparse.ArgumentParser, plan: Path, given: Sequence[str]) -
     except (UsageError, SyntaxError) as error:
         parser.error(str(error))
     return values
+
+
+def _checks(parser: argparse.ArgumentParser, options: argparse.Namespace) -> tuple[str, ...]:
+    from recorder.properties import BadProperty, parse_file  # noqa: PLC0415  slow to import
+
+    try:
+        return tuple(each.text for file in options.check for each in parse_file(file))
+    except BadProperty as error:
+        parser.error(str(error))
+    except OSError as error:
+        parser.error(f"{error.filename}: {error.strerror}")
 
 
 def recording_path(template: str, plan: str, seed: int | None) -> Path:
@@ -289,6 +308,16 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         "--limit", metavar="SECONDS", type=_seconds, help="time limit of each run of --explore (default: 60)"
     )
     parser.add_argument("--json", action="store_true", help="print the results of --explore as JSON")
+    parser.add_argument(
+        "--check",
+        metavar="FILE",
+        action="append",
+        default=[],
+        help="watch the properties in a file (docs/properties.md); the plan fails where one is violated",
+    )
+    parser.add_argument(
+        "--check-only-record", action="store_true", help="record violations of --check, without failing the plan"
+    )
     parser.add_argument(
         "--no-locals", action="store_true", help="leave the plan's local variables out of recorded failures"
     )

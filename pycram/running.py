@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 import recorder
 from recorder.errors import RecordingError, until_closed
 from recorder.packages import NotInstalled, needed
+from recorder.properties import BadProperty, parse
 from recorder.tracing.interrupts import Terminated
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ class RunSpec:
     order: str = ""  # order of branches; "" for the order that the seed draws
     motion: str = ""  # execution environment if the plan names none; "" for "simulated"
     parameters: Mapping[str, Any] = field(default_factory=dict)  # values; the plan's other parameters have defaults
+    checks: tuple[str, ...] = ()  # properties that are watched
+    only_record: bool = False  # whether violations of these properties are only recorded
     local_variables: bool = True  # whether recorded failures hold the plan's local variables
 
 
@@ -76,6 +79,7 @@ def run(
     seed_random_numbers(spec.seed)
     try:
         with needed():
+            from pycram.monitoring import watched  # noqa: PLC0415  as below
             from pycram.motions.process_module import set_default  # noqa: PLC0415  --version and --help need no executor
             from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  as above
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
@@ -96,7 +100,9 @@ def run(
             durable=durable,
             parameters=parameters,
         )
-        with recorded as recording, giving(parameters):
+        properties = [parse(text) for text in spec.checks]
+        watching = watched(properties, by_run=True, only_record=spec.only_record)
+        with recorded as recording, giving(parameters), watching:
             try:
                 arguments_for_main = arguments_of_main(spec.plan, parameters)
                 names = runpy.run_path(
@@ -135,7 +141,7 @@ def _report(error: BaseException) -> int:
     from recorder.records.tracebacks import format_traceback  # noqa: PLC0415  heavy
 
     match error:
-        case RecordingError() | NotInstalled():
+        case RecordingError() | NotInstalled() | BadProperty():
             tell(f"pycram: {error}")
             return WRONG_USAGE
         case Terminated():

@@ -71,6 +71,7 @@ __all__ = [
     "PlaceFailed",
     "PlanFailure",
     "PostureInCollision",
+    "PropertyViolated",
     "PycramError",
     "ReadOnly",
     "ReasoningError",
@@ -416,6 +417,27 @@ class HandleBlocked(AccessFailed):
         super().__init__(joint, reason, **details)
         self.pairs = list(pairs)  # the links that would touch each other
         self.bodies = _bodies(pairs)
+
+
+@dataclass_error
+class PropertyViolated(PlanFailure):
+    """A property that is watched is violated."""
+
+    property: str  # its text
+    step: int  # the record at which it is violated
+    seconds: float  # simulated time of its world then
+    margin: float | None  # by how much, m, rad or s: negative; None if the property has no margin
+    values: Mapping[str, object]  # values of its quantities, by their texts
+    reason: str = ""  # why that moment is a violation; "" if the values violate it
+
+    def _message(self) -> str:
+        values = ", ".join(f"{text} = {_value(value)}" for text, value in self.values.items())
+        why = "; ".join(filter(None, (self.reason, values)))
+        return f"{self.property}: violated at step {self.step} ({self.seconds:.3f} s){why and f': {why}'}"
+
+
+def _value(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 export("pycram.failures", *(globals()[name] for name in __all__))

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, cast
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.scheduling.cancellation import body, raise_if_cancelled, wait
 from pycram.scheduling.future import unwrap
+from pycram.scheduling.schedule import scheduler
 from recorder.tasks import State
 from recorder.tracing.span import Cancelled, Span
 
@@ -92,7 +93,10 @@ class Branch:
         """Run the action, and return its result."""
         self._begun = True
         self.state = State.RUNNING
-        return unwrap(self.action())
+        result = unwrap(self.action())
+        if (error := scheduler().take_failure()) is not None:  # no checkpoint came after it
+            raise error
+        return result
 
     def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
         """Set its outcome, once."""

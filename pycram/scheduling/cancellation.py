@@ -180,9 +180,11 @@ def checkpoint() -> None:
 
 
 def raise_if_cancelled() -> None:
-    """Raise Cancelled if the branch is cancelled, without letting other branches run."""
+    """Raise Cancelled if the branch is cancelled, or an error that waits for a checkpoint; no other branch runs."""
     thread = scheduler()
     thread.checkpoints += 1
+    if thread.failing and (error := thread.take_failure()) is not None:
+        raise error
     scope = _scope.get()
     if scope is not None and scope.is_cancelled:
         for each in (scope, *scope.around):

@@ -238,6 +238,7 @@ class Scheduler:
         self.joining = False  # whether the code outside of all branches waits for their ends after Ctrl-C
         self.checkpoints = 0  # number of checkpoints in this thread
         self.running: _Branch | None = None  # None while the code outside of all branches runs
+        self.failing: dict[_Branch | None, BaseException] = {}  # errors that branches raise at their next checkpoints
         self._ready: OrderedDict[Ready, None] = OrderedDict()
         self.draw_from(_seed, _order)
         self.alone = False  # whether no signal can end a wait, as in a forked copy: then a wait may be a deadlock
@@ -310,6 +311,14 @@ class Scheduler:
         if self._bell.locked():  # otherwise the bell has rung already
             with suppress(RuntimeError):  # another thread has just rung it
                 self._bell.release()
+
+    def fail_later(self, error: BaseException) -> None:
+        """Let the running branch raise an error at its next checkpoint, or at its end; an earlier error comes first."""
+        self.failing.setdefault(self.running, error)
+
+    def take_failure(self) -> BaseException | None:
+        """Return the error that the running branch has to raise, and forget it."""
+        return self.failing.pop(self.running, None)
 
     def yield_turn(self) -> None:
         """Let the other branches that are ready run first; outside of all branches, raise a deferred Ctrl-C."""

@@ -165,6 +165,7 @@ class TransactionManager:
 
     def _record_keyframe(self) -> None:
         world, frame = self._world, self.keyframe()
+        self._since_keyframe = 0
 
         def number(journal: Journal) -> None:
             del frame.beliefs[:]
@@ -191,7 +192,6 @@ class TransactionManager:
             frame.attachments.extend(attachment.record() for attachment in body.carried)
         frame.beliefs.extend(world.beliefs.records())
         frame.following.extend(followed.following for followed in world.trajectories.active.values())
-        self._since_keyframe = 0
         return frame
 
 

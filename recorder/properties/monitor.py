@@ -44,6 +44,11 @@ class Moment(NamedTuple):
     task: int = 0  # the record's task
     sampled: bool = False  # whether it is within the record
 
+    @property
+    def seconds(self) -> float:
+        """The simulated time of the record's world, s."""
+        return self.sim_step / STEPS_PER_SECOND
+
 
 @dataclass(frozen=True, slots=True)
 class Violation:

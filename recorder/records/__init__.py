@@ -22,6 +22,7 @@ from recorder.records.log_pb2 import (
     BodyState as BodyState,
     Candidate as Candidate,
     Change as Change,
+    Check as Check,
     CloseWorld as CloseWorld,
     Decision as Decision,
     DetachBody as DetachBody,
@@ -91,7 +92,7 @@ if TYPE_CHECKING:
     from google.protobuf.descriptor_pb2 import DescriptorProto
 
 Record: TypeAlias = (
-    Run | Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Keyframe | Output | Envelope
+    Run | Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Keyframe | Output | Check | Envelope
 )
 
 TOPICS: Mapping[type[Record], str] = {
@@ -105,6 +106,7 @@ TOPICS: Mapping[type[Record], str] = {
     Refusal: "/refusal",
     Keyframe: "/keyframe",
     Output: "/output",
+    Check: "/check",
 }
 """The MCAP topic of each record type."""
 

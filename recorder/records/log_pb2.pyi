@@ -901,6 +901,60 @@ class Fluent(_message.Message):
     by_fork: bool
     def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., strikes: _Optional[_Iterable[_Union[Strike, _Mapping]]] = ..., name: _Optional[str] = ..., before_json: _Optional[str] = ..., after_json: _Optional[str] = ..., source: _Optional[str] = ..., bodies: _Optional[_Iterable[str]] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., by_fork: bool = ...) -> None: ...
 
+class Check(_message.Message):
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "phase", "property", "by_run", "only_record", "step", "moment", "margin", "values", "reason", "source_file", "source_line", "callers")
+    class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        PHASE_UNSPECIFIED: _ClassVar[Check.Phase]
+        WATCHED: _ClassVar[Check.Phase]
+        VIOLATED: _ClassVar[Check.Phase]
+    PHASE_UNSPECIFIED: Check.Phase
+    WATCHED: Check.Phase
+    VIOLATED: Check.Phase
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    CAUSE_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
+    STRIKES_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    PROPERTY_FIELD_NUMBER: _ClassVar[int]
+    BY_RUN_FIELD_NUMBER: _ClassVar[int]
+    ONLY_RECORD_FIELD_NUMBER: _ClassVar[int]
+    STEP_FIELD_NUMBER: _ClassVar[int]
+    MOMENT_FIELD_NUMBER: _ClassVar[int]
+    MARGIN_FIELD_NUMBER: _ClassVar[int]
+    VALUES_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FILE_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_LINE_FIELD_NUMBER: _ClassVar[int]
+    CALLERS_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    wall_time_ns: int
+    sim_step: int
+    world: str
+    task: int
+    thread: str
+    cause: int
+    monotonic_ns: int
+    strikes: _containers.RepeatedCompositeFieldContainer[Strike]
+    phase: Check.Phase
+    property: str
+    by_run: bool
+    only_record: bool
+    step: int
+    moment: int
+    margin: float
+    values: _containers.RepeatedCompositeFieldContainer[Argument]
+    reason: str
+    source_file: str
+    source_line: int
+    callers: _containers.RepeatedCompositeFieldContainer[SourceLine]
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., strikes: _Optional[_Iterable[_Union[Strike, _Mapping]]] = ..., phase: _Optional[_Union[Check.Phase, str]] = ..., property: _Optional[str] = ..., by_run: bool = ..., only_record: bool = ..., step: _Optional[int] = ..., moment: _Optional[int] = ..., margin: _Optional[float] = ..., values: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., reason: _Optional[str] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ...) -> None: ...
+
 class Output(_message.Message):
     __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "strikes", "stream", "text", "level", "logger", "source_file", "source_line")
     SEQ_FIELD_NUMBER: _ClassVar[int]

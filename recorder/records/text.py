@@ -18,6 +18,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import (
     STEPS_PER_SECOND,
+    Check,
     Envelope,
     Event,
     Fluent,
@@ -138,6 +139,15 @@ def _fluent(record: Fluent) -> Line:
     return f"{name}: {record.before_json} -> {after}", _DEBUG
 
 
+def _check(record: Check) -> Line:
+    if record.phase == Check.WATCHED:
+        return f"watched: {record.property}", _INFO
+    when = f"step {record.step} ({record.moment / STEPS_PER_SECOND:.3f} s)"
+    reason = f", {record.reason}" if record.reason else ""
+    found = f"; {values(record.values)}" if record.values else ""
+    return f"violated: {record.property} at {when}{reason}{found}", _ERROR
+
+
 _TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
     Task: _task,
     Mutation: lambda record: (mutation_text(record), _DEBUG),
@@ -156,6 +166,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
         _WARNING,
     ),
     Fluent: _fluent,
+    Check: _check,
     Run: _run,
     Output: lambda record: (
         (f"{record.logger} {record.level}: {record.text}", _LEVELS.get(record.level, _INFO))

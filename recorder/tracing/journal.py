@@ -108,6 +108,11 @@ class Journal:
         with self._lock:
             self._sinks = (*self._sinks, sink)
 
+    def remove_sink(self, sink: Sink) -> None:
+        """Remove a sink, which stays open."""
+        with self._lock:
+            self._sinks = tuple(each for each in self._sinks if each is not sink)
+
     def expect_keyframes(self, worlds: Iterable[str]) -> None:
         """Skip mutations of these worlds until their next keyframes, which include the mutations."""
         with self._lock:
@@ -233,7 +238,7 @@ _sources: tuple[RecordedWorld, ...] = ()  # the known worlds; replaced, not muta
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
-def _listening() -> tuple[Journal, ...]:
+def listening() -> tuple[Journal, ...]:
     """Return the journals that record this context."""
     own = _isolated.get()
     return _open if own is None else own
@@ -241,7 +246,7 @@ def _listening() -> tuple[Journal, ...]:
 
 def recording() -> bool:
     """Return whether any journal records this context; if not, callers needn't build records."""
-    return bool(_listening())
+    return bool(listening())
 
 
 def is_unrecorded() -> bool:
@@ -302,7 +307,7 @@ def emit(
     record.task = announced_task_id() if task is None else task
     record.thread = current_name()
     steps = {}
-    for journal in _listening():
+    for journal in listening():
         if number is not None:
             number(journal)
         journal.append(record)
@@ -313,19 +318,19 @@ def emit(
 def publish(record: Record) -> int:
     """Append a record with its envelope to every open journal; return its size in bytes, 0 without a journal."""
     size = 0
-    for journal in _listening():
+    for journal in listening():
         size = journal.append(record)
     return size
 
 
 def records_here(journal: Journal) -> bool:
     """Return whether a journal is open and records this context."""
-    return journal in _listening()
+    return journal in listening()
 
 
 def keeps_local_variables() -> bool:
     """Return whether this context is recorded, and all its journals may have local variables."""
-    journals = _listening()
+    journals = listening()
     return bool(journals) and all(journal.local_variables for journal in journals)
 
 
@@ -347,7 +352,7 @@ def strike(look: int, which: Iterable[int]) -> None:
 def attach(assets: Iterable[AssetFile]) -> None:
     """Keep files in every open journal."""
     files = list(assets)
-    for journal in _listening():
+    for journal in listening():
         journal.attach(files)
 
 
@@ -368,7 +373,7 @@ def register(source: RecordedWorld) -> None:
 def announce(source: RecordedWorld) -> None:
     """Make a world known that was opened unrecorded: open journals record its state now, others when they open."""
     register(source)
-    for journal in _listening():
+    for journal in listening():
         source.record_keyframe(journal)
 
 
@@ -445,7 +450,7 @@ def still() -> Iterator[None]:
 
 def paths() -> list[Path]:
     """Return the files of the journals that record this context."""
-    sinks = [sink for journal in _listening() for sink in journal._sinks]  # noqa: SLF001  same module
+    sinks = [sink for journal in listening() for sink in journal._sinks]  # noqa: SLF001  same module
     return [sink.path for sink in sinks if hasattr(sink, "path")]
 
 

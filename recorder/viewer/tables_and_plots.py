@@ -20,6 +20,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from recorder import notebook
 from recorder.records import (
     TOPICS,
+    Check,
     Event,
     Fluent,
     Mutation,
@@ -96,6 +97,7 @@ _COLUMNS: Final[Mapping[type[Record], tuple[str, ...]]] = {
     Refusal: ("name", "arguments", "failure", "callers"),
     Run: ("phase", "name", "succeeded", "failure"),
     Output: ("stream", "level", "logger"),
+    Check: ("phase", "property", "step", "margin", "values", "callers"),
 }
 """Columns of each table, in addition to the common columns."""
 
@@ -114,13 +116,15 @@ _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
     "failure": lambda record: format_failure(record.failure) if record.HasField("failure") else "",
     "handlers": lambda record: len(record.handlers),
     "parameters": lambda record: values(record.parameters),
-    "phase": lambda record: _word(Run.Phase, record.phase),
+    "margin": lambda record: record.margin if record.HasField("margin") else 0.0,
+    "phase": lambda record: _word((Check if isinstance(record, Check) else Run).Phase, record.phase),
+    "values": lambda record: values(record.values),
     "status": lambda record: _word(Task.Status, record.status) if record.status else "running",
 }
 """Values of columns that aren't the record's field of that name."""
 
 _COMMON: Final = ("world", "task", "thread", "cause", "text")
-_Sourced: TypeAlias = Task | Mutation | Event | Subscription | Fluent | Query | Refusal
+_Sourced: TypeAlias = Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Check
 _SOURCED: Final = (*get_args(_Sourced), Output)
 """Types of records with a line of the plan. If a record's task has the same line, the record omits it."""
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 from recorder import html
 from recorder.properties.expressions import RANGE
 from recorder.properties.monitor import FOLLOWED, Monitor
-from recorder.records import STEPS_PER_SECOND
 from replay.errors import ReplayError
 from replay.explain.blame_report import because
 from replay.history.blame import SETTLING, blame
@@ -110,7 +109,7 @@ def _(checked: CheckedProperty) -> dict[str, object]:
 def _moment_data(moment: Moment | None) -> dict[str, object]:
     if moment is None:
         return {}
-    return {"step": moment.step, "sim_seconds": moment.sim_step / STEPS_PER_SECOND, "world": moment.world}
+    return {"step": moment.step, "sim_seconds": moment.seconds, "world": moment.world}
 
 
 def lines(checked: CheckedProperty) -> Iterator[str]:
@@ -123,7 +122,7 @@ def lines(checked: CheckedProperty) -> Iterator[str]:
     times = f", {len(verdict.violations)} times" if len(verdict.violations) > 1 else ""
     yield f"violated  {verdict.statement}"
     by = f", by {_amount(first.margin, verdict)}" if math.isfinite(first.margin) else ""
-    yield f"  at step {first.moment.step} ({_when(first.moment)}){by}{times}{first.cause and f': {first.cause}'}"
+    yield f"  at step {first.moment.step} ({first.moment.seconds:.3f} s){by}{times}{first.cause and f': {first.cause}'}"
     yield from (f"  {text} = {_value(value)}" for text, value in first.values.items())
     if first.cause and verdict.closest is not None and verdict.closest.step != first.moment.step:
         yield f"  closest at step {verdict.closest.step}"
@@ -139,7 +138,7 @@ def commands(checked: CheckedProperty) -> Iterator[str]:
         return
     first, log = checked.verdict.violations[0], shlex.quote(checked.path)
     moment = first.moment
-    step = f"{moment.sim_step / STEPS_PER_SECOND:.4f}s" if moment.sampled else str(moment.step)
+    step = f"{moment.seconds:.4f}s" if moment.sampled else str(moment.step)
     yield f"pycram-replay view {log} --at {step}"
     yield f"pycram-replay state {log} {step}"
 
@@ -151,10 +150,6 @@ def _how_close(verdict: Verdict) -> str:
         return ""
     values = ", ".join(f"{text} = {_value(value)}" for text, value in verdict.values.items())
     return f"\n  by {_amount(verdict.margin, verdict)}, closest at step {verdict.closest.step}: {values}"
-
-
-def _when(moment: Moment) -> str:
-    return f"{moment.sim_step / STEPS_PER_SECOND:.3f} s"
 
 
 def _amount(margin: float, verdict: Verdict) -> str:

@@ -23,6 +23,7 @@ from recorder.records import (
     PACKAGE,
     TOPICS,
     UNKNOWN,
+    Check,
     Event,
     Fluent,
     Keyframe,
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "RecordReader"]
 
-R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output)
+R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output, Check)
 
 _MIN_MAGIC: Final = len(MAGIC) - 2  # smallest number of correct bytes: a few bytes of a damaged file may be wrong
 _NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # a pipe would wait for a writer

@@ -1,0 +1,162 @@
+"""Properties that are watched while a plan runs (:mod:`recorder.properties`).
+
+A monitor is a sink of the recording, so it sees what a reader of the recording sees, in the same order. It draws no
+random numbers, changes no order, and leaves only records of properties and their violations. A violation raises
+:class:`~pycram.failures.PropertyViolated` at the next checkpoint of the branch that caused it.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+from pycram.foundation.failures import PropertyViolated
+from pycram.language.nesting import scope, sequential
+from pycram.reasoning.queries.measured import ContactClient
+from pycram.scheduling.schedule import scheduler
+from pycram.world.world import open_worlds
+from recorder.properties import Monitor, parse
+from recorder.properties.monitor import FOLLOWED
+from recorder.records import Check, arguments
+from recorder.tracing import journal, span
+from recorder.tracing.context import current_name
+from recorder.tracing.journal import Journal, NullSink
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pycram.models.load import Model
+    from recorder.properties import Property, Violation
+    from recorder.records import LoadBody, Record
+
+
+@scope
+def monitored(*properties: str, only_record: bool = False) -> Iterator[None]:
+    """Watch properties, such as ``never contact(pr2, kitchen)``, in the ``with`` block, in which actions run in order.
+
+    The end of the block is the end of the properties: ``eventually`` and ``at end`` are decided there.
+
+    Args:
+        only_record: Whether violations are only recorded.
+
+    Raises:
+        PropertyViolated: A property is violated.
+        BadProperty: A text isn't in the language (docs/properties.md), or has an unknown name.
+    """
+    parsed = [parse(each) for each in properties]
+    with sequential() as settle, watched(parsed, only_record=only_record):
+        yield
+        settle()
+
+
+@contextmanager
+def watched(properties: Sequence[Property], *, by_run: bool = False, only_record: bool = False) -> Iterator[None]:
+    """Watch properties in the ``with`` block; see :func:`monitored`. ``by_run``: the block is the whole run."""
+    if not properties:
+        yield
+        return
+    sink = _MonitorSink(properties, by_run=by_run, only_record=only_record)
+    with _attached(sink):
+        yield
+        sink.finish()
+
+
+@contextmanager
+def _attached(sink: _MonitorSink) -> Iterator[None]:
+    """Let a sink follow the present recording; without one, a journal of its own."""
+    journals = journal.listening()
+    if not journals:
+        sink.log = Journal([sink])
+        journal.open_journal(sink.log, span.running())
+        try:
+            yield
+        finally:
+            journal.close_journal(sink.log)
+        return
+    sink.log = journals[-1]
+    with ExitStack() as locked:
+        worlds = open_worlds()
+        for world in worlds:
+            locked.enter_context(world.lock)
+        for each in sink.properties:
+            sink.record(Check(phase=Check.WATCHED, property=each.text))
+        for record in locked.enter_context(span.running()):
+            sink.follow(record)
+        for world in worlds:
+            frame = world.transactions.keyframe()
+            frame.world, frame.sim_step, frame.seq = world.name, world.sim_step, sink.log.length
+            sink.follow(frame)
+        sink.log.add_sink(sink)
+    try:
+        yield
+    finally:
+        sink.log.remove_sink(sink)
+
+
+class _MonitorSink(NullSink):
+    """Follows the records of a journal."""
+
+    log: Journal
+
+    def __init__(self, properties: Sequence[Property], *, by_run: bool, only_record: bool) -> None:
+        self.properties = properties
+        self._by_run, self._only_record = by_run, only_record
+        self._monitor = Monitor(properties, ContactClient(_model_of))
+        self._errors: list[PropertyViolated] = []
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  a sink's
+        """Follow a record. The journal writes the records of violations after it."""
+        self.follow(record)
+
+    def follow(self, record: Record) -> None:
+        """Record the violations at a record, and raise them at the next checkpoint of this branch."""
+        if not isinstance(record, FOLLOWED):
+            return
+        for violation in self._monitor.feed(record):
+            error = self._violated(violation)
+            if not self._only_record:
+                scheduler().fail_later(error)
+                self._errors.append(error)
+
+    def finish(self) -> None:
+        """End the properties; raise the first violation that wasn't raised yet."""
+        ended = [self._violated(violation) for violation in self._monitor.finish()]
+        self._monitor.verdicts()  # raises BadProperty for names that never existed
+        scheduler().take_failure()
+        for error in (*self._errors, *ended):
+            if error.__traceback__ is None and not self._only_record:
+                raise error
+
+    def record(self, record: Check) -> None:
+        """Append a record of a property; during another record, it follows that one."""
+        record.by_run, record.only_record = self._by_run, self._only_record
+        record.thread = current_name()
+        record.task = record.task or journal.task_id()
+        stack = span.current_call_stack()
+        record.source_file, record.source_line = stack.line
+        record.callers.extend(stack.callers)
+        self.log.append(record)
+
+    def _violated(self, violation: Violation) -> PropertyViolated:
+        at, margin = violation.moment, violation.margin
+        record = Check(
+            phase=Check.VIOLATED,
+            property=violation.statement.text,
+            world=at.world,
+            sim_step=self._monitor.worlds[at.world].sim_step if at.world in self._monitor.worlds else at.sim_step,
+            task=at.task,
+            step=at.step,
+            moment=at.sim_step,
+            margin=margin if abs(margin) < float("inf") else None,
+            values=arguments(violation.values),
+            reason=violation.cause,
+        )
+        self.record(record)
+        return PropertyViolated(
+            violation.statement.text, at.step, at.seconds, record.margin if record.HasField("margin") else None,
+            violation.values, violation.cause,
+        )  # fmt: skip
+
+
+def _model_of(world: str, loaded: LoadBody) -> Model:
+    return next(each for each in open_worlds() if each.name == world).get_object(loaded.body).model
