@@ -102,6 +102,7 @@ class _MonitorSink(NullSink):
         self.properties = properties
         self._by_run, self._only_record = by_run, only_record
         self._monitor = Monitor(properties, ContactClient(_model_of))
+        self._recorded = journal.recording()
         self._errors: list[PropertyViolated] = []
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  a sink's
@@ -153,9 +154,13 @@ class _MonitorSink(NullSink):
         )
         self.record(record)
         return PropertyViolated(
-            violation.statement.text, at.step, at.seconds, record.margin if record.HasField("margin") else None,
-            violation.values, violation.cause,
-        )  # fmt: skip
+            record.property,
+            at.step if self._recorded else -1,
+            at.seconds,
+            record.margin if record.HasField("margin") else None,
+            violation.values,
+            violation.cause,
+        )
 
 
 def _model_of(world: str, loaded: LoadBody) -> Model:

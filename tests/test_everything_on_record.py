@@ -13,7 +13,7 @@ import pytest
 
 import recorder
 import replay
-from pycram import bullet_world_reasoning as btr
+from pycram import bullet_world_reasoning as btr, monitored
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.event import Event
@@ -129,6 +129,11 @@ def hurry() -> None:
         pass
 
 
+def watch(things: Things) -> None:
+    with monitored("cup.z > 0", only_record=True):
+        things.cup.set_position([0, 0, -1])
+
+
 def many_changes(things: Things) -> None:
     for number in range(100):
         things.cup.set_position([0, 0, number])
@@ -184,6 +189,9 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
         "simulate 480 steps, cabinet at 1.000 s of trajectory 1, which has ended",
     ),
     "a hundred changes": (many_changes, "keyframe", "keyframe of world"),
+    # --- properties
+    "a property is watched": (watch, "check", "watched: cup.z > 0"),
+    "a property is violated": (watch, "check", r"violated: cup.z > 0 at step \d+ \(0.000 s\); cup.z=-"),
     # --- tasks
     "a motion": (Things.perform, "task", "motion opening-gripper succeeded"),
     "a process module": (Things.perform, "task", "process-module MoveGripper"),

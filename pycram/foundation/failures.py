@@ -424,7 +424,7 @@ class PropertyViolated(PlanFailure):
     """A property that is watched is violated."""
 
     property: str  # its text
-    step: int  # the record at which it is violated
+    step: int  # the record at which it is violated; -1 without a recording
     seconds: float  # simulated time of its world then
     margin: float | None  # by how much, m, rad or s: negative; None if the property has no margin
     values: Mapping[str, object]  # values of its quantities, by their texts
@@ -432,8 +432,9 @@ class PropertyViolated(PlanFailure):
 
     def _message(self) -> str:
         values = ", ".join(f"{text} = {_value(value)}" for text, value in self.values.items())
+        step = f" at step {self.step}" if self.step >= 0 else ""
         why = "; ".join(filter(None, (self.reason, values)))
-        return f"{self.property}: violated at step {self.step} ({self.seconds:.3f} s){why and f': {why}'}"
+        return f"{self.property}: violated{step} ({self.seconds:.3f} s){why and f': {why}'}"
 
 
 def _value(value: object) -> str:

@@ -13,7 +13,7 @@ import os
 import re
 import sys
 import time
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -324,11 +324,24 @@ def opened(path: str) -> Iterator[Runs]:
             shown = True
             print(f"\rpycram-replay: reading recordings: {done} of {of}", end="", file=sys.stderr, flush=True)
 
-    runs = Runs(path, progress)
-    if shown:
-        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
-    with runs:
+    with ExitStack() as opening:
+        if Path(path).is_file():  # a folder of one
+            path = opening.enter_context(_folder_of(Path(path).absolute()))
+        runs = opening.enter_context(Runs(path, progress))
+        if shown:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
         yield runs
+
+
+@contextmanager
+def _folder_of(file: Path) -> Iterator[str]:
+    """Make a folder that has only this recording, and the models that it may share."""
+    import tempfile  # noqa: PLC0415  slow to import
+
+    with tempfile.TemporaryDirectory() as folder:
+        for each in (file, *file.parent.glob("models-*.mcap")):
+            (Path(folder) / each.name).symlink_to(each)
+        yield folder
 
 
 def _report(text: str, code: int) -> int:

@@ -27,7 +27,7 @@ from recorder.errors import PortableError, RecordingError
 from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
-from recorder.records import Change, Run, escaped, format_error
+from recorder.records import Change, Check, Run, escaped, format_error
 from recorder.tracing.forking import process
 from recorder.tracing.journal import NullSink
 from replay.file.record_reader import RecordReader
@@ -122,7 +122,17 @@ class GuidedRun:
             else:
                 seed = int(began.seed) if began.seed.isdecimal() else None
                 given = {each.name: json.loads(each.value_json) for each in began.parameters}
-                spec = running.RunSpec(Path(plan), tuple(arguments), seed, began.order, began.environment, given)
+                watched = [each for each in self.recorded.records(Check) if each.by_run and each.phase == Check.WATCHED]
+                spec = running.RunSpec(
+                    Path(plan),
+                    tuple(arguments),
+                    seed,
+                    began.order,
+                    began.environment,
+                    given,
+                    tuple(each.property for each in watched),
+                    any(each.only_record for each in watched),
+                )
                 running.run(spec, file)
 
 

@@ -22,6 +22,7 @@ import pyarrow as pa
 
 from recorder.records import (
     STEPS_PER_SECOND,
+    Check,
     Event,
     Fluent,
     Keyframe,
@@ -152,6 +153,7 @@ class _Rows:
         self.end: Run | None = None
         self._paths: dict[int, str] = defaultdict(str)
         self._tasks: dict[int, list[Any]] = {}  # rows of the tasks by id
+        self._violated: set[str] = set()  # violated properties
         self._failing: set[int] = set()  # ids of the tasks that have a failed part
 
     def add(self, record: Record) -> None:
@@ -172,8 +174,8 @@ class _Rows:
                 self._state(record.seq, record.world, record.sim_step, state)
         elif isinstance(record, Refusal):
             self._failure(record, "refusal", record.failure)
-        elif isinstance(record, Run):
-            self._run(record)
+        elif isinstance(record, Run | Check):
+            self._run(record) if isinstance(record, Run) else self._check(record)
 
     def columns(self, table: str) -> Sequence[Sequence[Any]]:
         """Return the columns of a table."""
@@ -348,6 +350,24 @@ class _Rows:
             source(record),
         )
 
+    def _check(self, record: Check) -> None:
+        violated = record.phase == Check.VIOLATED
+        self._violated |= {record.property} if violated else set()
+        self._append(
+            "checks",
+            record.seq,
+            record.task,
+            self._paths[record.task],
+            record.property,
+            violated,
+            record.step if violated else None,
+            record.margin if record.HasField("margin") else None,
+            json_of(record.values),
+            record.world,
+            record.moment / STEPS_PER_SECOND,
+            source(record),
+        )
+
     def _state(self, step: int, world: str, sim_step: int, state: BodyState) -> None:
         seconds = sim_step / STEPS_PER_SECOND
         if state.position:
@@ -412,6 +432,7 @@ class _Rows:
             failure.message if failure is not None else "",
             path,
             step,
+            len(self._violated),
             log.final_step(),
             first.wall_time_ns // 1000,
             self._seconds(last) - self._seconds(first),
@@ -483,7 +504,7 @@ def label(name: str, arguments: Sequence[Argument]) -> str:
     return f"{name}({', '.join(list(found)[:_MAX_NAMED])})" if found else name
 
 
-def source(record: Task | Query | Mutation | Event | Fluent | Refusal) -> str:
+def source(record: Task | Query | Mutation | Event | Fluent | Refusal | Check) -> str:
     """Return the plan's line that caused a record, as `file:line`, or ""."""
     return f"{record.source_file}:{record.source_line}" if record.source_file else ""
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Version of these tables; tables of other versions are made again from the recordings."""
 
 
@@ -83,6 +83,7 @@ TABLES: Final = (
         ("message", "text", "message of that failure"),
         ("cause_path", "text", "names of the tasks in which that failure began"),
         ("cause_step", "whole", "the step at which that failure began; null: none"),
+        ("violated", "whole", "number of properties that were watched and violated"),
         ("last_step", "whole", "the last step at which a world was open"),
         ("began", "moment", "time at which the run began"),
         ("seconds", "number", "duration, s"),
@@ -185,6 +186,21 @@ TABLES: Final = (
         ("value", "text", "value of the fluent after the change: JSON"),
         ("handlers", "whole", "number of called handlers of the event"),
         _SECONDS,
+        _SIM,
+        _SOURCE,
+    ),
+    _table(
+        "checks",
+        "a property that was watched in the run, or one of its violations",
+        _STEP,
+        _TASK,
+        _PATH,
+        ("property", "text", "text of the property"),
+        ("violated", "yes/no", "whether it is a violation"),
+        ("at_step", "whole", "step of the record at which it is violated; null: no violation"),
+        ("margin", "number", "by how much, in m, rad or s: negative; null: no violation, or no margin"),
+        ("details", "text", "values of its quantities as JSON"),
+        _WORLD,
         _SIM,
         _SOURCE,
     ),

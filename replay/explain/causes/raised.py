@@ -59,7 +59,7 @@ class Raised(Cause):
         error = next(reversed(case.traced), None)
         asked = case.source.call_stack(case.motion.started) if case.motion is not None else ()
         lines = error.lines or asked if error is not None else ()
-        if error is None or not lines or case.failure.type in _INTERRUPTS:
+        if error is None or not lines or case.failure.type in (*_INTERRUPTS, "PropertyViolated"):
             return
         in_motion = case.motion is not None
         refused = case.failure.type in USAGE_ERRORS or (hasattr(builtins, case.failure.type) and not in_motion)

@@ -14,7 +14,7 @@ import pytest
 from google.protobuf.descriptor import FieldDescriptor
 
 import recorder
-from pycram import bullet_world_reasoning as btr
+from pycram import bullet_world_reasoning as btr, monitored
 from pycram.bullet_world import BulletWorld, Object
 from pycram.event import Event
 from pycram.failures import PlanFailure
@@ -63,6 +63,7 @@ NOT_DETERMINED: Final = {
     r"Task\.(parameters|solution|decision)\..*|Task\.result_json": _PLAN,
     r"(Event|Subscription|Refusal|Output)\.(?!seq|task|cause).*": _PLAN,
     r"Fluent\.(?!seq|task|cause).*": _PLAN,
+    r"Check\.(?!seq|task|cause).*": _PLAN,
     r"Query\.(?!seq|task|cause).*": _ASKED,
     r"Run\.(arguments|directory|seed|order|environment|hash_seed|plan\..*|pycram\..*|host|cpu|program|parameters\..*|sweep\..*|by_program|called_as|number|origin\..*|interrupted_by)": _DAEMON,
 }
@@ -134,7 +135,8 @@ class Altered(Recording):
 
 
 def hear(*_: object) -> None:
-    BulletWorld.current_bullet_world.get_object("apple").set_color([0, 1, 0, 1])
+    with monitored("apple.z > 9", only_record=True):
+        BulletWorld.current_bullet_world.get_object("apple").set_color([0, 1, 0, 1])
 
 
 @pytest.fixture(scope="module")

@@ -288,7 +288,7 @@ def test_answers_as_frames_of_polars(runs: Path) -> None:
 def test_verbs_of_one_recording_say_what_folders_have(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["tree", str(runs)]) == 2
     assert (
-        "takes a single recording; verbs for folders are info, diff, why, view, export, sql, stats, separate"
+        "takes a single recording; verbs for folders are info, diff, why, check, view, export, sql, stats, separate"
         in capsys.readouterr().err
     )
     assert main(["stats", str(runs / "nowhere")]) == 2
