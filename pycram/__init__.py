@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pycram.running import seed
     from pycram.sweeping import sweep
 
-#: Where the names are that plans use as ``pycram.NAME``; they are imported on demand, so that commands start fast.
+#: Modules of the names that plans use as ``pycram.NAME``; they are imported on demand, so that commands start fast.
 _SOURCES = {
     "UnknownParameter": "pycram.plan_parameters",
     "monitored": "pycram.monitoring",

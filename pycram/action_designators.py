@@ -146,8 +146,8 @@ def handing_over(
         arm: Name of the arm that takes it; by default any other arm.
         target: Place of the giving hand's tool, [x, y, z] in m; by default a place that both arms reach.
         orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
-        place: Place of the robot, a LocationDesignator; by default its present place, turned away from obstacles if
-            need be.
+        place: Place of the robot, a LocationDesignator; by default its present place; if necessary, it turns away from
+            obstacles.
         budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
             of the action around it.
         projected: Whether the best choices are imagined first; False by default.
@@ -218,7 +218,8 @@ def navigating(
 
     Args:
         target: A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame.
-        orientation: A quaternion [x, y, z, w] of its base, world frame; by default as the place has it, else unchanged.
+        orientation: A quaternion [x, y, z, w] of its base, world frame; by default the orientation of the place; if it
+            has none, unchanged.
         budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
             of the action around it.
         projected: Whether the best choices are imagined first; False by default.
@@ -382,9 +383,9 @@ def searching(
     """Searches an object until the camera sees it, and returns it.
 
     The search begins at the object's believed place. Then it covers all surfaces, the nearest first: from the robot's
-    present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside, if need be
-    from the front, and closes them again. The action fails with ObjectNotFound, which names the searched places. A
-    robot without a camera asks the state of the world.
+    present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside (if
+    necessary, from the front) and closes them again. The action fails with ObjectNotFound, which names the searched
+    places. A robot without a camera asks the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.

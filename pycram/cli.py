@@ -132,10 +132,10 @@ def _other_command(options: argparse.Namespace, arguments: Sequence[str], *, aga
 def _check_together(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Reject options that exclude each other."""
     if options.command == "demo" and options.robot and options.name not in _WITH_ROBOTS:
-        parser.error(f"--robot goes with the demos {' and '.join(_WITH_ROBOTS)}")
+        parser.error(f"--robot is only for the demos {' and '.join(_WITH_ROBOTS)}")
     for name in ("depth", "limit", "json") if options.explore is None else ():
         if getattr(options, name):
-            parser.error(f"--{name} goes with --explore")
+            parser.error(f"--{name} is only for --explore")
     if options.explore is not None and (options.rerun or options.order):
         parser.error("--rerun and --order are for one run; --explore makes many runs")
     if options.explore is not None and options.debug_on_failure:
@@ -291,15 +291,15 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         "--motion",
         choices=("simulated", "continuous"),
         default="",
-        help="how motions are executed where the plan names no environment: instantaneously (simulated, the default), "
-        "or in simulated time on collision-free paths (continuous)",
+        help="how motions are executed, unless the plan names an environment: instantaneously (simulated, the "
+        "default), or in simulated time on collision-free paths (continuous)",
     )
     parser.add_argument(
         "--explore",
         metavar="N",
         type=_count,
-        help="run the plan in N orders of its branches, and report orders that end differently, with the deciding "
-        "precedences. Exit code 0: all runs succeed and end alike; else 1",
+        help="run the plan in N orders of its branches; report each different end, and the order of branches that "
+        "causes it. Exit code 0: all runs succeed and end alike; else 1",
     )
     parser.add_argument(
         "--depth", metavar="D", type=_count, help="maximum depth of the races that --explore finds (default: 3)"
@@ -344,7 +344,11 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
         "-j", "--jobs", metavar="N", type=_count, default=0, help="number of parallel runs (default: one per core)"
     )
     parser.add_argument(
-        "--set", metavar="NAME=VALUES", action="append", default=[], help="values of a parameter, as arm=left,right"
+        "--set",
+        metavar="NAME=VALUES",
+        action="append",
+        default=[],
+        help="values of a parameter, such as arm=left,right",
     )
     parser.add_argument(
         "--sample",

@@ -1,7 +1,6 @@
 """Writes the typed constructors of motion and action designators: ``python -m pycram.constructors pycram``.
 
-Their parameters, types and texts are those of the slots that check designators, so a call that a type checker accepts
-names only slots that exist.
+Their parameters, types and texts come from the slots that check designators. So a type checker rejects unknown slots.
 """
 
 from __future__ import annotations
@@ -107,7 +106,14 @@ def _arms(motion: MotionType, text: str) -> str:
     """Return the constructor of a motion with a slot for each arm of the robot."""
     (slot,) = motion.slots
     each = f"Mapping[str, {slot.python}]"
-    parameters = [("arms", each, f"By the names of arms. {slot.values}; other arms stay as they are", True)]
+    parameters = [
+        (
+            "arms",
+            each,
+            f"For each name of an arm: {slot.values[0].lower()}{slot.values[1:]}. Other arms don't move",
+            True,
+        )
+    ]
     given = f'**{{f"{slot.name.replace("NAME", "{arm}")}": value for arm, value in arms.items()}}'
     return _function("MotionDesignator", motion.type, text, parameters, given)
 

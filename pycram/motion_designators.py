@@ -62,8 +62,8 @@ def place(
         object: An Object of a world.
         target: [x, y, z] in m, world frame.
         orientation: A quaternion [x, y, z, w], world frame; by default upright, in the best orientation for the arm.
-        arm: An arm's name: "left" or "right" on the PR2; by default the arm that holds the object; the only one, or
-            "left", if none does.
+        arm: An arm's name: "left" or "right" on the PR2; by default the arm that holds the object; if no arm does, the
+            only arm, or "left".
     """
     return MotionDesignator(filled("place", object=object, target=target, orientation=orientation, arm=arm))
 
@@ -136,8 +136,8 @@ def opening_gripper(
     """Opens or closes the gripper of an arm until something stops the fingers; opening releases a held object.
 
     Args:
-        gripper: An arm's name: "left" or "right" on the PR2; by default the only arm; required of a robot that has
-            several.
+        gripper: An arm's name: "left" or "right" on the PR2; by default the only arm; required if the robot has several
+            arms.
     """
     return MotionDesignator(filled("opening-gripper", gripper=gripper))
 
@@ -149,8 +149,8 @@ def closing_gripper(
     """Opens or closes the gripper of an arm until something stops the fingers; opening releases a held object.
 
     Args:
-        gripper: An arm's name: "left" or "right" on the PR2; by default the only arm; required of a robot that has
-            several.
+        gripper: An arm's name: "left" or "right" on the PR2; by default the only arm; required if the robot has several
+            arms.
     """
     return MotionDesignator(filled("closing-gripper", gripper=gripper))
 
@@ -190,8 +190,8 @@ def move_arm_joints(
     """Moves one or more arms to postures: names such as "park", or joint values.
 
     Args:
-        arms: By the names of arms. A named posture such as "park", or a list of joint values in rad; other arms stay as
-            they are.
+        arms: For each name of an arm: a named posture such as "park", or a list of joint values in rad. Other arms
+            don't move.
     """
     return MotionDesignator(filled("move-arm-joints", **{f"{arm}-arm": value for arm, value in arms.items()}))
 

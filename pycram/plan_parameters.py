@@ -77,7 +77,7 @@ def giving(values: Mapping[str, Any]) -> Iterator[None]:
 
 
 def fitting(name: str, value: Any, default: Any) -> Any:
-    """Return a parameter's value as its default's type.
+    """Convert a parameter's value to the type of its default.
 
     Raises:
         BadArgument: It has another type.
@@ -91,7 +91,7 @@ def fitting(name: str, value: Any, default: Any) -> Any:
     if isinstance(default, tuple) and isinstance(value, list):
         return tuple(value)
     kind = type(default).__name__
-    raise BadArgument(name, value, f"a parameter of type {kind}, as its default {default!r}")
+    raise BadArgument(name, value, f"a value of type {kind}, because the default is {default!r}")
 
 
 def declared_in(plan: Path) -> dict[str, Any] | None:

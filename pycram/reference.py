@@ -36,16 +36,17 @@ are [x, y, z, w]. An optional slot may be left out, or be None.
 _ACTIONS: Final = """\
 `perform(transporting(object=milk, target="island"))` executes an action: it chooses values for empty slots, and tries
 the next choice when one fails. `pycram.action_designators` has a typed constructor for each action; it returns
-`ActionDesignator(type=..., ...)`. As keyword arguments, names of slots have `_` for `-`, as `reachable_for=`; a name
-that is a Python keyword gets a `_` at its end, as `in_=`. Without any choice, because an object isn't found or no place
-is suitable (`NoPlace`), an action fails before anything moves. Every action also has these slots:
+`ActionDesignator(type=..., ...)`. In keyword arguments, write the names of slots with `_` for `-`, such as
+`reachable_for=`; add a `_` to names that are Python keywords, such as `in_=`. If there is no choice, because an object
+isn't found or no place is suitable (`NoPlace`), an action fails before anything moves. Every action also has these
+slots:
 """
 _MOTIONS: Final = """\
 `perform(moving(target=[1, 0, 0]))` executes a motion. `pycram.motion_designators` has a typed constructor for each
 motion; it returns `MotionDesignator(type=..., ...)`. A slot also accepts a designator of an object or a place as its
-value. In the `continuous` environment, where motions take simulated time, motions may have more failures.
+value. In the `continuous` environment, where motions take simulated time, motions can fail in more ways.
 """
-_ARMS: Final = "`NAME-arm` stands for a slot for each arm of the robot, as `left-arm`."
+_ARMS: Final = "`NAME-arm` stands for a slot for each arm of the robot, such as `left-arm`."
 
 
 def reference() -> str:

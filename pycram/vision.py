@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 NEAR: Final = 0.02  # m, nearest visible distance
 FAR: Final = 20.0  # m, farthest visible distance
 _SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background, at the top and at the bottom
-_HOUSING: Final = 0.005  # m by which a housing may end before the lens
+_HOUSING: Final = 0.005  # m, largest distance of the lens from its housing
 _LARGE: Final = 400  # minimum number of pixels in the bounds of a triangle that is drawn alone
 _BAND: Final = 32  # rows of such a triangle that are drawn together; this skips most of the bounds of a slanted one
 _BATCH: Final = 1 << 16  # pixels of smaller triangles that are drawn together; more would only take memory

@@ -1,4 +1,4 @@
-"""Errors that the recorder shares, hints for their messages ("did you mean ...?"), and closed pipes.
+"""The recorder's shared errors, hints for their messages ("did you mean ...?"), and closed pipes.
 
 Output that nobody reads any more, as after ``| head``, is no error: the rest of it is discarded.
 """

@@ -25,7 +25,7 @@ def escape(text: str) -> str:
 
 @singledispatch
 def rendered(value: object) -> str:
-    """Return HTML of a value; a module that has the words for a class registers a function for it."""
+    """Return HTML of a value; modules register a function for each class that they can show."""
     return page(repr(value))
 
 

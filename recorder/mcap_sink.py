@@ -67,7 +67,7 @@ class McapSink:
 
     Args:
         path: an existing MCAP file is replaced, any other file isn't.
-        metadata: of the run.
+        metadata: the run's metadata.
         final_metadata: returns more metadata when the file ends.
         models: a file of shared models; its models aren't attached again.
         durable: wait for the disk after each chunk.
@@ -91,7 +91,7 @@ class McapSink:
         self._durable = durable
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # since the last chunk was closed
-        self._lines = Lines()  # of the buffered records
+        self._lines = Lines()  # bytes of the buffered records
         self._size = 0  # bytes in the buffer
         self._pending = 0  # records in the buffer
         self._count = 0
@@ -350,7 +350,7 @@ def free_path(path: Path) -> Path:
 
 
 def open_output(path: Path) -> io.FileIO:
-    """Open and lock a new file, an older recording, which is emptied, or a pipe with a reader.
+    """Open and lock a file for writing: a new file, an older recording (it is emptied), or a pipe with a reader.
 
     Raises:
         RecordingError: the file can't be written, another recording is writing it, or it isn't a recording.

@@ -39,7 +39,7 @@ def title() -> str:
 
 
 def cell_of(file: str) -> str:
-    """Return the cell, as "In [3]", for a file name in compiled code; "" if the file isn't a cell."""
+    """Return the cell, such as "In [3]", for a file name in compiled code; "" if the file isn't a cell."""
     shell = _shell()
     number = getattr(getattr(shell, "compile", None), "_filename_map", {}).get(file)
     return f"In [{number}]" if number is not None else ""

@@ -69,7 +69,7 @@ def record(
     order: str = "",
     environment: str = "",
     output: bool = False,
-    locals: bool = True,  # noqa: A002  as they are called in Python
+    locals: bool = True,  # noqa: A002  Python's names
     overwrite: bool = False,
     durable: bool = False,
     parameters: Mapping[str, Any] | None = None,
@@ -100,7 +100,7 @@ def record(
 
     Raises:
         RecordingError: the file can't be written, at the start or later, or another program has deleted, replaced or
-            changed it. Also for a missing source or an invalid argument, but not for a missing viewer.
+            changed it. Also raised for a missing source or an invalid argument, but not for a missing viewer.
         Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does, and the program doesn't handle it.
     """
     own = [] if notebook.is_running() else sys.argv[1:]  # the kernel's arguments aren't arguments of the plan

@@ -22,7 +22,7 @@ def lock(descriptor: int, *, shared: bool = False, wait: bool = False, by_proces
     """Lock a file; the system releases the lock when the file is closed or the process ends.
 
     Args:
-        descriptor: of the file.
+        descriptor: the file's descriptor.
         shared: whether others may hold shared locks at the same time.
         wait: whether to wait for the other holders.
         by_process: whether the lock belongs to the process instead of the open file, which forks share.
@@ -47,5 +47,5 @@ def unlock(descriptor: int) -> None:
 
 
 def user() -> int:
-    """Return the number of the user that owns this process; 0, as owners of files have it, on a system without."""
+    """Return the number of the user that owns this process; 0 on systems on which all files have owner 0."""
     return os.getuid() if HAS_OWNERS else 0

@@ -64,7 +64,7 @@ class _Pager(io.TextIOBase):
         self._held: list[str] | None = []  # None: passed on
         self._columns = self._lines = 0
         self._process: subprocess.Popen[str] | None = None
-        with contextlib.suppress(OSError):  # the terminal itself knows best: COLUMNS and LINES may be those of another
+        with contextlib.suppress(OSError):  # ask the terminal itself: COLUMNS and LINES may belong to another terminal
             self._columns, self._lines = os.get_terminal_size(terminal.fileno())
         if not (self._columns and self._lines):
             self._columns, self._lines = shutil.get_terminal_size()
@@ -104,7 +104,7 @@ class _Pager(io.TextIOBase):
         self._target.write("".join(held))
 
     def finish(self) -> None:
-        """Print what is still held, and wait until the user quits the pager."""
+        """Print the remaining output, and wait until the user quits the pager."""
         try:
             if self._held is not None:
                 self._print_held()

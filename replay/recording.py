@@ -94,9 +94,9 @@ class Recording(RecordReader):
     def state_at(self, step: int | str) -> State:
         """Return the state after a step; see :func:`replay.state.fold.state_at`.
 
-        For a time within a stretch of simulation, as "0.25s", it is the state of the last sample until then; its time
-        is in ``state.sampled``. The same holds for pictures, questions and restored worlds; exactly restored worlds are
-        simulated up to that time.
+        For a time within a stretch of simulation, such as "0.25s", it is the state of the last sample until then; its
+        time is in ``state.sampled``. The same holds for pictures, questions and restored worlds; exactly restored
+        worlds are simulated up to that time.
         """
         number, moment = self.step(step), moment_of(step)
         return replace(state_at(self, number, moment), source=_Moment(self, number, moment))

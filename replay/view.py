@@ -1,4 +1,4 @@
-"""Recordings in the Rerun viewer: translated into an ``.rrd`` file beside the recording, and opened.
+"""Recordings in the Rerun viewer: translated into an ``.rrd`` file next to the recording, and opened.
 
 The same code translates as while the plan runs (:mod:`recorder.viewer`), so both show the same. Invalid records are
 reported as damage. An ``.rrd`` is a cache, in a folder where others may write. So it is used only if this user made it
@@ -81,7 +81,7 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 def cached(log: RecordReader, at: int | None = None) -> Path:
-    """Return a recording's file for the viewer, cached beside it as ``NAME.mcap.rrd``.
+    """Return a recording's file for the viewer, cached next to it as ``NAME.mcap.rrd``.
 
     It is a temporary file if the folder isn't writable, or if the first step shows another world than the beginning.
 
@@ -104,7 +104,7 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
     problems = log.problems
     convert([log], beside)
     unchanged = log.path.stat().st_mtime_ns == log.written_ns  # a running plan is still writing
-    if note is not None and unchanged and log.problems == problems:  # damage is to be reported each time
+    if note is not None and unchanged and log.problems == problems:  # damage must be reported each time
         with contextlib.suppress(OSError):
             note.parent.mkdir(parents=True, exist_ok=True)
             note.write_text(_hash(beside), encoding="ascii")
@@ -140,7 +140,7 @@ def temporary_file(name: str) -> Path:
         raise ReplayError(f"{folder}: can't be made: {error.strerror or error}") from error
     if folder.is_symlink() or not is_own(folder):
         raise ReplayError(
-            f"{folder} isn't yours alone: others can change what is in it; set TMPDIR to a folder that is"
+            f"{folder} isn't yours alone: other users can change its content; set TMPDIR to a folder of your own"
         )
     return folder / name
 
@@ -158,7 +158,7 @@ def check(url: str | None) -> None:
     except RecordingError as error:
         raise ReplayError(f"{url} isn't the address of a viewer; on this machine, it is {address(PORT)}") from error
     if not answers(viewer):
-        raise ReplayError(f"no viewer answers at {url}; start one: rerun")
+        raise ReplayError(f"no viewer answers at {url}; to start one, run: rerun")
 
 
 def _go_to(client: ViewerClient, step: int) -> None:
@@ -219,7 +219,7 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     return viewer
 
 
-_NO_ROOT: Final = ""  # of a recording that is shown alone
+_NO_ROOT: Final = ""  # root entity of a recording that is shown alone
 _NONSENSE: Final = (
     ValueError,
     KeyError,
@@ -227,7 +227,7 @@ _NONSENSE: Final = (
     IndexError,
     ArithmeticError,
     AttributeError,
-    SyntaxError,  # of models that are no XML
+    SyntaxError,  # raised by models that aren't XML
     zlib.error,
 )
 """Errors of translating records that no recorder has written."""
@@ -250,7 +250,7 @@ def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int 
 
 
 def front_world(log: RecordReader, at: int | None = None) -> str:
-    """Return the world in front: that of a step, or of the step before it; else the first that the plan acts in."""
+    """Return the world in front: the world of a step or the step before it, else the first in which the plan acts."""
     if at is not None:
         world = next((record.world for record in log.backwards(min(at, len(log) - 1)) if record.world), "")
         if world:
@@ -286,7 +286,7 @@ def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Map
             translator.show(record)
         except _NONSENSE as error:
             raise _nonsense(log, f"step {record.seq}", error) from error
-    with _damage(log, "a record"):  # as a time that is longer than any
+    with _damage(log, "a record"):  # a time that is longer than any recording
         translator.finish()
     for name in translator.scene.absent:  # filters of other tools leave attachments out
         log.assets.damaged.setdefault(name, "it isn't there")

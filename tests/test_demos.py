@@ -174,7 +174,7 @@ def test_things_that_block_each_other_end_the_plan(
 def test_a_demo_that_has_one_robot_takes_no_other(tmp_path: Path) -> None:
     ended = pycram("demo", "fails_to_reach", "--robot", "panda", cwd=tmp_path)
     assert ended.returncode == 2
-    assert "--robot goes with the demos breakfast and set_the_table" in ended.stderr
+    assert "--robot is only for the demos breakfast and set_the_table" in ended.stderr
     assert not list(tmp_path.iterdir())
 
 

@@ -71,14 +71,16 @@ def _place(name: str, value: Any) -> Any:
 def _place_for_an_object(name: str, value: Any) -> Any:
     wanted = _place(name, value)
     if isinstance(wanted, LocationDesignator) and not (wanted.for_objects or wanted.prop_value("position")):
-        raise BadArgument(name, value, "a place where an object can be put: with on or in, or a position")
+        raise BadArgument(
+            name, value, "a place for an object: a position, or a designator with the slot on, in or position"
+        )
     return wanted
 
 
 def _place_for_the_robot(name: str, value: Any) -> Any:
     wanted = _place(name, value)
     if isinstance(wanted, LocationDesignator) and wanted.for_objects:
-        known = "a place where the robot can stand, as LocationDesignator(near=...) or (reachable_for=...)"
+        known = "a place where the robot can stand, such as LocationDesignator(near=...) or (reachable_for=...)"
         raise BadArgument(name, value, f"{known}; the given place is for an object")
     return wanted
 
@@ -162,7 +164,7 @@ class ActionType(SlotTable):
 
     @property
     def recorded_as(self) -> str:
-        """The function's name in records; that of PyCRAM's own actions doesn't depend on their file."""
+        """The function's name in records; for PyCRAM's own actions it doesn't depend on their file."""
         if self.function.__module__.startswith(f"{__package__}."):
             return f"{__package__}.{self.function.__name__}.{self.function.__name__}"
         return qualified_name(self.function)
@@ -203,10 +205,10 @@ def action(
     """Decorate a function that performs the actions of a type, in place of an earlier function.
 
     The function gets an attribute ``designator``: a function with the same parameters, which returns a designator of
-    the action, as ``perform(tidying_up.designator(object=milk))``.
+    the action, such as ``perform(tidying_up.designator(object=milk))``.
 
     Args:
-        name: The type, as "fetching".
+        name: The type, such as "fetching".
         choices: A generator function that yields values of slots by name, the best first; each is tried in turn. It
             is called with the slots that are its parameters.
         prepare: Called with its slots before choices are found, for example to search an object. If it is a generator
@@ -246,7 +248,7 @@ def replaced(
     taken = {slot_name(parameter) for parameter in inspect.signature(function).parameters}
     lacks = [slot.name for slot in (before.slots if before else ()) if slot not in _COMMON and slot.name not in taken]
     if lacks:
-        known = f"a function that takes the slots of {name}, also {', '.join(lacks)}"
+        known = f"a function that takes all slots of {name}; it lacks {', '.join(lacks)}"
         raise BadArgument("function", qualified_name(function), known)
     action(name, choices=choices)(function)
     try:
@@ -305,7 +307,7 @@ def _texts(function: Callable[..., Any]) -> dict[str, str]:
 
 
 class ActionDesignator(ResolvedDesignator):
-    """An action, as ``ActionDesignator(type="transporting", object=..., target=...)`` (thesis 3.5.1).
+    """An action, such as ``ActionDesignator(type="transporting", object=..., target=...)`` (thesis 3.5.1).
 
     ``help(pycram.action_designators)`` lists PyCRAM's types of actions and their slots.
 

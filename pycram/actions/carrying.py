@@ -86,7 +86,7 @@ def _fetching_choices(
     place: LocationDesignator | None = None,
     grasp: str | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places of the robot and arms to take an object; finally those that need obstacles cleared away."""
+    """Yield places of the robot and arms to take an object; last, places that need obstacles cleared away."""
     body = object_of(object)
     if holder(body) is not None:
         yield {}
@@ -179,7 +179,7 @@ def _clear_away(body: Object, arm: str | None) -> None:
     movable = [each for each in in_the_way if not each.fixed]
     if not movable:
         names = ", ".join(each.name for each in in_the_way)
-        raise ReasoningError(f"obstacles of {body.name} can't be cleared away: {names or 'there is none that moves'}")
+        raise ReasoningError(f"obstacles of {body.name} can't be cleared away: {names or 'none of them can be moved'}")
     waiting = (*_waiting.get(), body)
     for other in movable:
         if other in waiting:
@@ -274,7 +274,7 @@ def _prepare_transporting(object: Any, target: Any, close: bool = True) -> Itera
 
 
 def _close(opened: Sequence[Access]) -> None:
-    """Close containers; those that can't be closed from any place stay open."""
+    """Close containers; a container that can't be closed from any place stays open."""
     for access in opened:
         with suppress(PlanFailure):
             perform(ActionDesignator(type="closing", container=access.name, budget=_CLOSING_TRIES))

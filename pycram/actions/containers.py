@@ -135,8 +135,12 @@ def _access_of(container: Access | Object, joint: str | None, handle: str | None
         if joint is None:
             raise BadArgument("handle", handle, f"a link of {body.name} that a joint moves")
     if joint is None or handle is None:
-        names = ", ".join(access.name for access in meant) or "it has none"
-        raise BadArgument("container", body.name, f"one of its containers, or also its joint and handle; {names}")
+        names = ", ".join(access.name for access in meant) or "none"
+        raise BadArgument(
+            "container",
+            body.name,
+            f"one of its containers, or the object with a joint and a handle; containers: {names}",
+        )
     return Access(handle, body, joint, handle, Handle(body, joint, handle).closed, body.joint_limits(joint)[1])
 
 

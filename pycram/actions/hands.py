@@ -90,7 +90,7 @@ _AWAY: Final = (180, 90, -90)  # degrees by which the robot turns away from obst
 
 
 def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
-    """Yield poses of the giving hand, with the taking arm; finally with the robot turned away."""
+    """Yield poses of the giving hand, each with the taking arm; last, with the robot turned away from obstacles."""
     body = object_of(object)
     robot = BulletWorld.current_robot()
     giver = _giver(robot, body)
@@ -139,8 +139,8 @@ def handing_over(
         arm: Name of the arm that takes it; by default any other arm.
         target: Place of the giving hand's tool, [x, y, z] in m; by default a place that both arms reach.
         orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
-        place: Place of the robot, a LocationDesignator; by default its present place, turned away from obstacles
-            if need be.
+        place: Place of the robot, a LocationDesignator; by default its present place; if necessary, it turns away from
+            obstacles.
     """
     body = object_of(object)
     giver = _giver(BulletWorld.current_robot(), body)
@@ -168,7 +168,7 @@ def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:
 
 
 def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, blocked: list[Blocked]) -> Iterator[Pose]:
-    """Yield poses of the giving hand without collision, in the frame of the robot at a place; None for here.
+    """Yield poses of the giving hand without collision, in the robot's frame, for a place of the robot (None: its own).
 
     The obstacles of other poses are appended to ``blocked``.
     """
@@ -233,7 +233,7 @@ def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Ma
     Args:
         body: The object.
         target: The value of a slot ``target``.
-        arm: The arm of the current robot that is to reach the place; None if any may.
+        arm: The arm of the current robot that must reach the place; None for any arm.
     """
     if not isinstance(target, LocationDesignator):
         yield {"position": target, "orientation": None}

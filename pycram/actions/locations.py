@@ -95,8 +95,8 @@ def _reachable(name: str, value: Any) -> Any:
 _SLOTS: Final = SlotTable(
     "location",
     (
-        Slot("position", POSITION, text="[x, y, z] in m, world frame: a known place"),
-        Slot("orientation", ORIENTATION, text="a quaternion [x, y, z, w], world frame, there"),
+        Slot("position", POSITION, text="A known place: [x, y, z] in m, world frame"),
+        Slot("orientation", ORIENTATION, text="Orientation at the place: a quaternion [x, y, z, w], world frame"),
         Slot(
             "on",
             _surfaces,
@@ -104,7 +104,7 @@ _SLOTS: Final = SlotTable(
             "plate (its top), or a list of these",
         ),
         Slot("in", _inside, text="A container, its name, or an object with containers"),
-        Slot("for", thing, text="the object that is to be put there; that of the action by default"),
+        Slot("for", thing, text="the object to put there; by default the object of the action"),
         Slot("near", _near, text="[x, y] or [x, y, z] in m, world frame, or an object"),
         Slot(
             "side",
@@ -114,11 +114,12 @@ _SLOTS: Final = SlotTable(
         Slot(
             "reachable-for",
             _reachable,
-            text="Target that the robot must reach: an object, or [x, y, z] in m; for an object's place, the robot",
+            text="For a place of the robot, the target that it must reach: an object, or [x, y, z] in m; for a place "
+            "of an object, the robot that must reach it",
         ),
-        Slot("visible-for", thing, text="the object that the robot's camera is to see from there"),
-        Slot("away-from", _near, text="an object or a point that it is to be at least 0.4 m away from"),
-        Slot("arm", ARM, text="the arm that is to reach; any by default"),
+        Slot("visible-for", thing, text="the object that the robot's camera must see from the place"),
+        Slot("away-from", _near, text="an object or a point; the place is at least 0.4 m away from it"),
+        Slot("arm", ARM, text="the arm that must reach the target; by default any arm"),
     ),
     one_of=("position", "on", "in", "near", "reachable-for", "visible-for"),
     designator="a LocationDesignator",
@@ -203,7 +204,7 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
 def _objects_places(slots: Mapping[str, Any]) -> Iterator[FoundPlace]:
     if "for" not in slots:
         known = sorted({body.type for body in _furniture() if not body.is_environment})
-        problem = f"missing slot for: the object that is to be put there; {suggestion('', known)}"
+        problem = f"missing slot for: the object to put there; {suggestion('', known)}"
         raise _SLOTS.error(problem, "for")
     side, near = slots.get("side"), slots.get("near")
     robot = slots.get("reachable-for")

@@ -44,7 +44,8 @@ def navigating(target: Any, orientation: Sequence[float] | None = None) -> None:
 
     Args:
         target: A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame.
-        orientation: A quaternion [x, y, z, w] of its base, world frame; by default as the place has it, else unchanged.
+        orientation: A quaternion [x, y, z, w] of its base, world frame; by default the orientation of the place; if it
+            has none, unchanged.
     """
     position, turn = BulletWorld.current_robot().get_position_and_orientation()
     there = orientation is None or geometry.angle(turn, orientation) < _THERE[1]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _SLOTS: Final = SlotTable(
     "object",
     (
-        Slot("type", NAME, text='type of the object, as "milk"'),
+        Slot("type", NAME, text='type of the object, such as "milk"'),
         Slot("name", NAME, text="name of the object"),
     ),
     one_of=("type", "name"),
@@ -31,7 +31,7 @@ _SLOTS: Final = SlotTable(
 
 
 class ObjectDesignator(ResolvedDesignator):
-    """An object, as ``ObjectDesignator(type="milk")``, resolved by the robot's beliefs, the latest look first.
+    """An object, such as ``ObjectDesignator(type="milk")``, resolved by the robot's beliefs, the latest look first.
 
     Its solutions have ``object``, ``position`` and ``orientation``: the object, and its believed pose.
     """

@@ -63,7 +63,7 @@ def has_camera() -> bool:
 
 
 def detected(bodies: Sequence[Object]) -> Object:
-    """Return the one of several objects that the robot's camera sees best in its present direction.
+    """Return which of several objects the robot's camera sees best in its present direction.
 
     Raises:
         PerceptionError: It sees none of these objects.
@@ -100,7 +100,7 @@ class ObjectNotFound(PerceptionError):
 
     Attributes:
         object_type: Type of the object.
-        looked: The places of the looks, in order, each with the failure of the look.
+        looked: The searched places, in order, each with the reason why the object wasn't seen there.
         reasons: The message of the last failed look at each place, by place.
     """
 
@@ -121,9 +121,9 @@ export("pycram.actions", ObjectNotFound)
 class _Point:
     """A point of a surface."""
 
-    where: str  # its name in messages, as "on the island"
+    where: str  # its name in messages, such as "on the island"
     position: Vector  # world frame, m
-    container: str  # that holds the surface; "" for none
+    container: str  # container that holds the surface; "" for none
 
 
 @action("searching")
@@ -131,9 +131,9 @@ def searching(object: Any) -> Object:  # noqa: A002  the slot's name
     """Searches an object until the camera sees it, and returns it.
 
     The search begins at the object's believed place. Then it covers all surfaces, the nearest first: from the robot's
-    present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside, if need be
-    from the front, and closes them again. The action fails with ObjectNotFound, which names the searched places. A
-    robot without a camera asks the state of the world.
+    present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside (if
+    necessary, from the front) and closes them again. The action fails with ObjectNotFound, which names the searched
+    places. A robot without a camera asks the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -261,7 +261,7 @@ class _Search:
         return False
 
     def _from_before(self, access: Access, hidden: Sequence[_Point]) -> Iterator[None]:
-        """Look at hidden points from a place in front of the container from which some are in sight."""
+        """Look at hidden points from a place in front of the container, where some of the points are visible."""
         handle = access.body.get_link_position(access.handle)
         before = [(one + other) / 2 for one, other in zip(handle, hidden[0].position, strict=True)]
         with suppress(PlanFailure):

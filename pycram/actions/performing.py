@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 BUDGET: Final = 20
-"""Default number of tries of an action, including those of its subactions, that may fail."""
+"""Default number of tries that may fail, of an action and its subactions."""
 
 _ENDLESS: Final = 10**9  # retries; only the budget limits them
 _MAX_REASONS: Final = 4  # kinds of failures in the message of an ActionFailed
@@ -218,7 +218,7 @@ def perform(designator: ActionDesignator | MotionDesignator) -> Any:
     Raises:
         DesignatorError: It isn't a designator of an action or motion, or a slot is missing, unknown or wrong.
         ActionFailed: No choice succeeded, or the budget is spent.
-        PlanFailure: The action's failure where there was nothing to choose, or the reason why there is no choice.
+        PlanFailure: The failure of an action without choices, or the reason why no choice was found.
     """
     if isinstance(designator, MotionDesignator):
         return ProcessModule.perform(designator)
@@ -382,7 +382,7 @@ class _Tries(FailureHandling):
                     self._found = itertools.chain(batch[len(outcomes) :], self._found)
                     yield solution
                 else:
-                    assert outcome.failure is not None  # noqa: S101  as it hasn't succeeded
+                    assert outcome.failure is not None  # noqa: S101  it hasn't succeeded
                     self._tried.append(Try(self._choice(solution), outcome.failure, imagined=True))
         self._spent = True
 

@@ -147,7 +147,7 @@ class JointTree:
         return found
 
     def drives(self) -> bool:
-        """Return whether the robot has wheels, a footprint link as driving bases do, or a planar or floating joint."""
+        """Return whether the robot has wheels, a driving base's footprint link, or a planar or floating joint."""
         joints = self.urdf.joints.values()
         return "footprint" in self.urdf.root or any(
             joint.movable and (_WHEEL.search(joint.name) or self._is_free(joint)) for joint in joints

@@ -63,7 +63,7 @@ def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
 
 
 def _reach(robot: Object, arm: Arm) -> Finding:
-    """Check that inverse kinematics solves poses of the tool that some postures have."""
+    """Check that inverse kinematics solves tool poses that were computed from postures."""
     chain = chain_of(robot, arm)
     postures = chain.limited(halton_postures(chain, 0, _POSES))
     root = robot.get_link_position_and_orientation(arm.base_link)
@@ -88,7 +88,7 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
     fingers = gripper.jaws(robot.urdf, arm.tool_frame, arm.tool_offset)
     opened, closed = (corners.jaws(fingers, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0))
     if opened is None or closed is None:
-        yield Finding(False, about, "its fingers have no shapes on both sides of the tool frame")
+        yield Finding(False, about, "its fingers don't have shapes on both sides of the tool frame")
         return
     wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # y of the middle between jaws that close unevenly
     middle = max(abs((jaws.left + jaws.right) / 2 - y) for jaws, y in ((opened, wide), (closed, 0.0)))

@@ -106,7 +106,7 @@ def as_toml(
         lines += ["", "[camera]", f"frame = {quoted(guess.camera)}"]
         lines += [_USUAL] if "optical" in guess.camera.lower() else [_OPTICAL_OFFSET, _USUAL]
     if not guess.arms:
-        lines += ["", f"# no arms: no chain of {ARM} joints that isn't a leg or a head"]
+        lines += ["", f"# no arms: no chain of {ARM} joints, other than legs and heads"]
     for arm, hand in guess.arms:
         lines += _arm(arm, hand, (postures or {}).get(arm.name))
     return "\n".join(lines) + "\n"

@@ -209,7 +209,7 @@ def explore_runs(
 
 
 def _orders(count: int, depth: int, attempts: dict[int, OrderedRun]) -> Iterator[Sequence[str]]:
-    """Yield the orders of each round, drawn over as many turns as the longest run so far had."""
+    """Yield the orders of each round; they change at random turns, up to the turns of the longest run so far."""
     yield [ADDED]
     for start in range(1, count, _ROUND):
         turns = max(attempt.turns for attempt in attempts.values())
@@ -366,7 +366,7 @@ class PlanRunner:
                 for own, first, second, passed in answer["made"]
             )
         if result.late:
-            ending = Ending(TIME_LIMIT, f"it still ran after {self._limit:g} s")
+            ending = Ending(TIME_LIMIT, f"it was still running after {self._limit:g} s")
         return OrderedRun(order, ending, turns, made, result.seconds)
 
 
@@ -392,7 +392,7 @@ class Ending:
     """The ending of a run, with the final state of its worlds and fluents."""
 
     kind: str  # "succeeded", "failed", "deadlock", "time limit" or "died"
-    failure: str = ""  # type and message of the plan's failure; where branches wait in a deadlock; or the cause
+    failure: str = ""  # type and message of the plan's failure; in a deadlock, where branches wait; or the cause
     line: str = ""  # the plan's line that raised the failure, FILE:LINE; "" if unknown
     bodies: dict[str, _Body] = field(default_factory=dict)  # by "WORLD/BODY"
     held: list[str] = field(default_factory=list)  # attached bodies, "WORLD: CARRIER holds BODY"

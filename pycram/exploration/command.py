@@ -163,6 +163,6 @@ def _shown_line(line: str) -> str:
 
 
 def _shown(file: Path) -> str:
-    """Return a path, relative to the working directory if it is below that."""
+    """Return a path; below the working directory, a relative path."""
     here = os.path.relpath(file)
     return str(file) if here.startswith("..") else here

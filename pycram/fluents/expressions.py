@@ -10,8 +10,8 @@ the fluent's expression as an operand. A change counts once, however many paths 
 
 One lock guards all leaves of the process, for the few assignments of a change. While it is held, no user code runs: no
 function of a network, no ``__eq__``, no conversion to JSON, no finalizer of an old value. It is acquired after a
-world's lock and before a journal's, so the order of records is the order of changes. It is re-entrant, as the garbage
-collector may run finalizers anywhere, and they may set fluents.
+world's lock and before a journal's, so the order of records is the order of changes. It is re-entrant, because the
+garbage collector may run finalizers anywhere, and they may set fluents.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Expression(ABC):
     __slots__ = ("__weakref__", "counters", "operands")
 
     waiters: Iterable[LeafListener] = ()
-    """Notified of changes; only leaves have any."""
+    """The waiters that changes notify; only leaves have waiters."""
 
     def __init__(self, operands: tuple[Expression, ...]) -> None:
         self.operands = operands  # the expressions from which the value is computed
@@ -108,7 +108,7 @@ class Leaf(Expression):
 
     @property
     def leaves(self) -> tuple[Leaf, ...]:
-        """The leaf itself; not stored, as a reference to itself would delay its freeing."""
+        """The leaf itself; not stored, because a reference to itself would delay its freeing."""
         return (self,)
 
     def value(self, state: State) -> Value:
@@ -220,7 +220,7 @@ class Behavior(Enum):
 class _Seen:
     """A state that a counter of changes has seen, after an earlier one.
 
-    Its pulses are counted when they are read, as the functions of networks never run while a fluent changes.
+    Its pulses are counted when they are read, because the functions of networks never run while a fluent changes.
     """
 
     __slots__ = ("before", "count", "state", "value")
@@ -240,16 +240,13 @@ class _Seen:
             state, before = seen.state, seen.before  # once each: another thread may read them as well
             if state is None:
                 continue
+            # kept if the function of a network raises an error; it may succeed in the next state
+            value, count = (None, 0) if before is None else (before.value, before.count)
             try:
-                value = of.value(state)
-                count = 0 if before is None else before.count + is_pulse(before.value, value)
-            except Exception:  # the function of a network, which may succeed in the next state
-                if before is not None:
-                    seen.value, seen.count = before.value, before.count
-                raise
-            else:
-                seen.value, seen.count = value, count
+                now = of.value(state)
+                value, count = now, 0 if before is None else before.count + is_pulse(before.value, now)
             finally:
+                seen.value, seen.count = value, count
                 seen.state = seen.before = None
         return self.count
 
@@ -405,7 +402,7 @@ class Variable(Leaf):
         return self.name
 
     def serialize(self) -> None:
-        """Convert the value to JSON; never with a lock held, as the value may have its own conversion."""
+        """Convert the value to JSON; never with a lock held, because the value may have its own conversion."""
         if self.json is None and not isinstance(self.held, Ended):
             held = self.held
             json = records.to_json(held)

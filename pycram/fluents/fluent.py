@@ -10,7 +10,7 @@ A fluent has a value; any branch or thread may read it, set it, and wait until i
         s(low.wait_for)
 
 Operators make networks, whose values are computed from their operands at one moment. Comparisons and AND, OR, NOT, IS,
-IS_NOT give True or None, never False, as waits end at a value that is not None. None means that there is no value
+IS_NOT give True or None, never False, because waits end at a value that is not None. None means that there is no value
 (yet): every order relation with None is None, and so is a sum with None. AND and OR read their second operand only if
 they have to, as in ``(speed != 0).AND(distance / speed < 10)``.
 
@@ -69,7 +69,7 @@ __all__ = ["Behavior", "FalseEndsWait", "Fluent", "NotSettable", "NotTrueOrFalse
 
 
 class NotSettable(UsageError):
-    """A fluent can't be set, as its value is computed from other fluents or a world."""
+    """A fluent can't be set, because its value is computed from other fluents or a world."""
 
     def __init__(self, fluent: str, of_world: bool) -> None:
         cause = "follows a world; change the world" if of_world else "is computed from other fluents; set these fluents"
@@ -79,7 +79,7 @@ class NotSettable(UsageError):
 
 
 class FalseEndsWait(RuntimeWarning):
-    """A wait ended immediately, as the value was False."""
+    """A wait ended immediately, because the value was False."""
 
 
 class NotTrueOrFalse(UsageError):
@@ -151,7 +151,7 @@ class Fluent:
 
     @property
     def name(self) -> str:
-        """The fluent's name; of a network, its operation."""
+        """The fluent's name; the name of a network is its operation."""
         return self.expression.text()
 
     def __repr__(self) -> str:
@@ -174,7 +174,7 @@ class Fluent:
 
     @refusing("fluent")
     def set_value(self, value: Value) -> None:
-        """Set the value (of a branch's future, its result), pulse the fluent, and wake the waits for it.
+        """Set the value, pulse the fluent, and wake the waits for it; a future stands for its result.
 
         Raises:
             NotSettable: The fluent is a network, counts pulses or follows a world.
@@ -281,11 +281,11 @@ class Fluent:
         return _network("NOT {}", lambda values: None if any(values) else True, self)
 
     def IS(self, other: object) -> Fluent:  # noqa: N802  the original's name
-        """True if the value is the same object as the other, else None."""
+        """True if both values are the same object, else None."""
         return _comparison("IS", operator.is_, self, other)
 
     def IS_NOT(self, other: object) -> Fluent:  # noqa: N802  the original's name
-        """True if the value is another object than the other, else None."""
+        """True if the two values are different objects, else None."""
         return _comparison("IS_NOT", operator.is_not, self, other)
 
     def __eq__(self, other: object) -> Fluent:  # type: ignore[override]  # returns a network

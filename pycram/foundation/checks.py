@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Set as AbstractSet
+from collections.abc import Collection, Iterable, Mapping, Set as AbstractSet
 from typing import TYPE_CHECKING, SupportsFloat, TypeAlias, cast
 
 import numpy as np
@@ -48,7 +48,7 @@ def in_range(argument: str, value: object, low: float, high: float = math.inf) -
 
 
 def count(argument: str, value: object) -> int:
-    """Return a whole number from 0 up to the largest in JSON."""
+    """Return a whole number from 0 to 2**53 - 1, the largest number that JSON holds exactly."""
     result = number(argument, value)
     if result != int(result) or not 0 <= result < _MAX_COUNT:
         raise BadArgument(argument, value, "a whole number from 0 up")
@@ -96,6 +96,14 @@ def text(argument: str, value: object) -> str:
     if not isinstance(value, str) or not value.strip() or any("\ud800" <= letter <= "\udfff" for letter in value):
         raise BadArgument(argument, value, "a string that isn't empty")
     return value
+
+
+def one_of(argument: str, value: object, options: Collection[str]) -> str:
+    """Return a value that is one of these texts."""
+    for option in options:
+        if option == value:
+            return option
+    raise BadArgument(argument, value, f"one of {', '.join(options)}")
 
 
 def texts(argument: str, value: object) -> tuple[str, ...]:

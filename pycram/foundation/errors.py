@@ -127,7 +127,7 @@ def _restored(
 ) -> PycramError:
     """Return an error from its pickled parts."""
     error = kind.__new__(kind, *args)
-    vars(error).update(fields)  # not by assignments: its class may refuse them
+    vars(error).update(fields)  # assignments could be rejected by the error's class
     for name, value in slots.items():
         getattr(kind, name).__set__(error, value)
     return error
@@ -282,7 +282,7 @@ class ObjectsChanged(UsageError):
         since = " and ".join(
             f"{', '.join(names)} {'were' if names[1:] else 'was'} {how}" for names, how in changes if names
         )
-        return f"a saved state of {self.world} can't be restored, as {since} since it was saved"
+        return f"a saved state of {self.world} can't be restored, because {since} since it was saved"
 
 
 @dataclass_error
@@ -339,6 +339,27 @@ def call_all(calls: Iterable[Callable[[], object]]) -> list[Exception]:
     return errors
 
 
+class OnError:
+    """Calls a function with an error of its ``with`` block, also with an interrupt; then the error propagates.
+
+    An error that a signal handler raises at the end of the block, after its last statement, may pass without a call:
+    code that must not miss it needs ``except``.
+    """
+
+    __slots__ = ("_call", "_kind")
+
+    def __init__(self, call: Callable[[BaseException], object], kind: type[BaseException] = BaseException) -> None:
+        self._call = call
+        self._kind = kind
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, self._kind):
+            self._call(error)
+
+
 def raise_unchanged(error: BaseException) -> NoReturn:
     """Raise an error with its own context, even while another error is being handled."""
     context = error.__context__
@@ -371,7 +392,7 @@ def _detached(error: BaseException, known: set[int]) -> bool:
 
 
 def qualified_name(function: object) -> str:
-    """Return module and qualified name of a callable; for a partial, those of the wrapped function."""
+    """Return module and qualified name of a callable; for a partial, of the wrapped function."""
     while isinstance(function, partial):
         function = function.func
     named = function if hasattr(function, "__qualname__") else type(function)

@@ -224,17 +224,17 @@ class NoPlace(PlanFailure):
     """No place fulfils all constraints at the same time."""
 
     wanted: str  # the purpose of the place
-    excluded: Mapping[str, int] = kept_as(dict)  # number of places that each constraint excluded, in their order
+    excluded: Mapping[str, int] = kept_as(dict)  # number of excluded places by constraint, in the constraints' order
     last: str  # the constraint that excluded the last places
     _: KW_ONLY
-    _why: str = ""  # the commonest reason of that constraint, and what would help; part of the message alone
+    _why: str = ""  # the commonest reason of that constraint, and what would help; only the message has it
 
     def _message(self) -> str:
         counts = ", ".join(f"{count} by {name}" for name, count in self.excluded.items())
         total = sum(self.excluded.values())
-        considered = f"of {total} places {counts} were excluded" if counts else "no place was left"
+        considered = f"{total} places were excluded, {counts}" if counts else "no place was left"
         why = f"; {self._why}" if self._why else ""
-        return f"no place for {self.wanted}: {considered}; the last by {self.last}{why}"
+        return f"no place for {self.wanted}: {considered}; the last place was excluded by {self.last}{why}"
 
 
 @dataclass_error
@@ -255,7 +255,7 @@ class LookingFailed(PlanFailure):
     angle: float  # between the camera's axis and the target, at the joint limits
 
     def _message(self) -> str:
-        return f"the head can't look at {_point(self.target)}: {self.angle:.3f} rad remain at its joint limits"
+        return f"the head can't look at {_point(self.target)}: its joint limits stop it {self.angle:.3f} rad before"
 
 
 @dataclass_error
@@ -273,7 +273,7 @@ class DoesNotFit(GraspFailed):
     """The object is too big or too thin for the gripper, from every allowed side."""
 
     def __init__(self, arm: str, body: str, widths: Sequence[float], gap: float, widest: float, how: str = "") -> None:
-        self.widths = tuple(sorted(widths))  # widths of the tried sides and rims between the fingers, m
+        self.widths = tuple(sorted(widths))  # widths of the sides and rims that were tried, m
         self.gap = gap  # between the fingers when closed, m: thinner things slip through
         self.widest = widest  # between the fingers when open, m
         thin = any(width < gap for width in widths)
@@ -367,8 +367,8 @@ class Displaced(PlanFailure):
     position: float
 
     _template = (
-        "{coordinate} of {body} was moved to {position:.3f} during a motion that continues from {expected:.3f}; "
-        "it stays there: perform the motion again"
+        "{coordinate} of {body} is at {position:.3f} instead of {expected:.3f}, because something else moved it during "
+        "the motion; it stays there: perform the motion again"
     )
 
 

@@ -48,7 +48,7 @@ def refusing(
                 return function(*args, **kwargs)
             except (kinds, TypeError) as error:
                 asked_wrongly = isinstance(error, kinds) or _is_of_call(error)
-                if asked_wrongly and not is_recorded(error) and not _is_part(sys._getframe(1)):  # noqa: SLF001  as inspect.currentframe() has it
+                if asked_wrongly and not is_recorded(error) and not _is_part(sys._getframe(1)):  # noqa: SLF001  like inspect.currentframe()
                     refused(error, name or function.__name__, _arguments(function, subject, args, kwargs))
                 raise
 
@@ -89,7 +89,7 @@ def refused(error: Error, name: str, arguments: Mapping[str, object]) -> Error:
 
 
 def mark_recorded(error: BaseException) -> None:
-    """Prevent the calls through which an error still propagates from recording it as a refusal."""
+    """Mark an error as recorded, so that the calls around it don't record it as a refusal."""
     BaseException.__setattr__(error, _RECORDED, True)
 
 

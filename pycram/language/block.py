@@ -4,8 +4,8 @@ The kinds of blocks differ in their :class:`Policy` only: whether branches run c
 branch decides the block. A decided block cancels its other branches, ends when all have ended, and has the outcome of
 the deciding branch. A block that nothing decided failed if any branch failed.
 
-A plan failure of the body ends the body and counts as one of the block's failures. It decides the block where a
-branch's failure would, and never changes a decision. A branch that is added to a decided block is cancelled.
+A plan failure of the body ends the body and counts as one of the block's failures. It decides the block if a branch's
+failure would decide it; an earlier decision stays. A branch that is added to a decided block is cancelled.
 
 Two errors fail any block, decided or not:
 
@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeAlias, cast, overload
 
-from pycram.foundation.errors import chained, raise_unchanged
+from pycram.foundation.errors import OnError, chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure
 from pycram.language.branch import Branch, Result, current_block, name_of, run
 from pycram.language.failures import BlockClosed, BranchesFailed, OutlivesTimeout, Retry, RunsEarly, leaves_uncleaned
@@ -90,7 +90,7 @@ class Block:
         self.reads_blocks = policy.concurrent  # whether its branches run the blocks in its body
         self.adds_actions = not policy.propagates  # whether actions in its body become branches; else they run in order
         self.branches: list[Branch] = []  # in the order in which they were added
-        self.scope = CancelScope(current_scope())  # of its body and branches; cancelled when the block is decided
+        self.scope = CancelScope(current_scope())  # scope of its body and branches; cancelled when the block is decided
         self.decider: Branch | None = None  # the branch that decided it
         self.state = State.CREATED
         self._around = current_scope()
@@ -166,7 +166,7 @@ class Block:
         return Future(branch)
 
     def _refuse_in_timeout(self, name: str) -> None:
-        """Reject a branch that the body adds in a timeout within the body; branches may add others."""
+        """Reject a branch that the body adds inside a timeout of the body itself; branches may do so."""
         scope = current_scope()
         if scope is None or scope is self.scope or current_branch() is not self._opened_in:
             return
@@ -187,7 +187,7 @@ class Block:
         if self.state is not State.RUNNING:
             branch.settle(State.CANCELLED)
             raise BlockClosed(self.name, branch.name)
-        try:
+        with OnError(branch.abandon):  # such as an error of a signal handler
             if self._decided or self.scope.is_cancelled:
                 branch.settle(State.CANCELLED)
                 branch.span.announce()
@@ -199,9 +199,6 @@ class Block:
             else:
                 branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
                 branch.context.run(self._run, branch)
-        except BaseException as error:  # such as an error of a signal handler
-            branch.abandon(error)
-            raise
         ends_body = self.policy.propagates or not isinstance(branch.error, PlanFailure)
         if branch.error is not None and ends_body and not self.policy.concurrent:
             raise branch.error
@@ -265,7 +262,7 @@ class Block:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
-        with self._entered:  # fails if it can't wait for its branches, or in another context than it began in
+        with self._entered:  # fails if it can't wait for its branches, or if it began in another context
             raised = self._close(error)
             self._span.error = raised or self._span.error
         if self._host is not None:
@@ -318,7 +315,7 @@ class Block:
         return State.FAILED if failures else State.SUCCEEDED
 
     def _record_body_failures(self) -> None:
-        """Record the failures of the body that are neither raised nor a branch's."""
+        """Record the body's failures that aren't raised and don't belong to a branch."""
         for failure in self._body_failures:
             if not any(branch.error is failure for branch in self.branches):
                 body = Span("branch", "body", parent=self._span.id)
@@ -370,7 +367,7 @@ class ReadBlock(Block):
     def __init__(self, policy: Policy, host: Block, failures: list[BaseException] | None = None) -> None:
         super().__init__(policy, failures)
         self.immediate, self.reads_blocks, self.adds_actions = False, True, True
-        self._host = None  # not to be added as a branch at its end: it is a branch from its beginning
+        self._host = None  # it is a branch from its beginning, so it isn't added as a branch at its end
         self._run_by = host
         self._pending: deque[Branch] = deque()
         self._dropping = False

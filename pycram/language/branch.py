@@ -149,7 +149,7 @@ def name_of(action: Callable[..., Result]) -> str:
 
 
 def current_block() -> Block | None:
-    """Return the block that actions become branches of here; None where they run in order and raise."""
+    """Return the block to which actions here are added as branches; None if actions here run in order."""
     return cast("Block | None", body.get())
 
 

@@ -122,7 +122,7 @@ class BranchesFailed(PlanFailure):
         return {**super().data, "failures": failures}
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle block and failures: its class is made for these failures."""
+        """Pickle the block and the failures; unpickling makes a class for them again."""
         return BranchesFailed, (self.block, self.failures)
 
     def __str__(self) -> str:
@@ -146,7 +146,7 @@ class Retry(BaseException):
     """Raised by ``retry`` to end its attempt; only the attempt catches it."""
 
     def __init__(self, attempt: object, number: int, changed: Mapping[str, Any], error: BaseException | None) -> None:
-        super().__init__(f"attempt {number} is to be retried")
+        super().__init__(f"attempt {number} ended by retry()")
         self.attempt = attempt
         self.changed = changed  # parameters of the next attempt
         self.error = error  # the error that was being handled

@@ -42,7 +42,7 @@ class Misnested(UsageError):
 
     def __init__(self, block: str) -> None:
         super().__init__(
-            f"a {block} block ends while a block that was opened after it is open, or not in its own branch; "
+            f"a {block} block must end in its own branch, and after all blocks that were opened in it; "
             "if a generator yields inside a block, it must leave the block before other code continues"
         )
         self.block = block  # its kind; here timeouts, attempts and cleanups are blocks too

@@ -38,7 +38,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from pycram.foundation.errors import chained, raise_unchanged
+from pycram.foundation.errors import OnError, chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.language.branch import run
 from pycram.language.failures import Retry, leaves_uncleaned
@@ -220,22 +220,19 @@ class Attempt(Scope["Attempt"]):
     @contextmanager
     def _run(self) -> Iterator[Attempt]:
         raised: BaseException | None = None
-        handled: BaseException | None = None  # its failure; after ``retry``, not the error ``raised``
+        handled: BaseException | None = None  # the failure to handle; after ``retry`` it differs from ``raised``
         changed: Parameters | None = None
-        try:
-            with self._attempts.entered():
-                span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
-                with span, Binding(_attempt, self):
-                    try:
-                        yield self
-                    except BaseException as error:  # noqa: BLE001  raised below, unless it is handled
-                        raised = handled = span.error = error
-                        if isinstance(error, Retry) and error.attempt is self:
-                            handled, changed = error.error or error, error.changed
-                            span.error = handled
-        except BaseException as error:  # the attempt has not started, or can't be recorded
-            self._attempts.finish(error)
-            raise
+        # the attempt may not start, or can't be recorded
+        with OnError(self._attempts.finish), self._attempts.entered():
+            span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
+            with span, Binding(_attempt, self):
+                try:
+                    yield self
+                except BaseException as error:  # noqa: BLE001  raised below, unless it is handled
+                    raised = handled = span.error = error
+                    if isinstance(error, Retry) and error.attempt is self:
+                        handled, changed = error.error or error, error.changed
+                        span.error = handled
         if not self._attempts.ended(raised, handled, changed) and raised is not None:
             raise_unchanged(raised)
 
@@ -271,7 +268,7 @@ class Attempts:
 
         Args:
             error: The error that left its body.
-            handled: Its failure; after ``retry``, not the same as ``error``.
+            handled: The failure to handle; after ``retry`` it differs from ``error``.
             changed: Changed parameters for the next attempt; None without ``retry``.
 
         Raises:

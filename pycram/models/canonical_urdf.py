@@ -168,7 +168,7 @@ def check_link(source: Path, link: ET.Element) -> None:
 def _check_shape(source: Path, where: str, geometry: ET.Element | None) -> None:
     shapes = list(geometry) if geometry is not None else []
     if len(shapes) != 1:
-        raise AssetError(source, f"{where}: takes one shape in <geometry>, has {len(shapes) or 'none'}")
+        raise AssetError(source, f"{where}: <geometry> must contain one shape, but contains {len(shapes) or 'none'}")
     shape = shapes[0]
     if shape.tag not in _SHAPES:
         raise AssetError(source, f"{where}: <{shape.tag}> isn't a shape; shapes are {', '.join(_SHAPES)}")
@@ -220,7 +220,7 @@ def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
     """Return the canonical text and the tree of a <robot> element from :func:`read`; the element is modified.
 
     Raises:
-        AssetError: The links and joints aren't a tree, a joint is broken, or the engine can't take so many.
+        AssetError: The links and joints aren't a tree, a joint is broken, or there are more than the engine supports.
     """
     tree = parse_urdf(ET.tostring(root), source, chains=True)
     chains = [joint for joint in root.findall("joint") if joint.get("type") in ("planar", "floating")]
@@ -300,7 +300,11 @@ def give_inertia(link: ET.Element, *, moved: bool) -> None:
     """
     inertia = link.find("inertial/inertia")
     if inertia is not None:
-        _balance(inertia)
+        ixx, ixy, ixz, iyy, iyz, izz = (float(inertia.get(moment, "0")) for moment in _MOMENTS)
+        low, middle, high = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]).tolist()
+        if low < 0 or high > low + middle:
+            mean = repr(max((ixx + iyy + izz) / 3, 0.0))
+            inertia.attrib.update(dict.fromkeys(_MOMENTS, "0") | {"ixx": mean, "iyy": mean, "izz": mean})
         return
     sizes = [size for collision in link.findall("collision") if (size := _box(collision)) is not None]
     if sizes:
@@ -313,14 +317,6 @@ def give_inertia(link: ET.Element, *, moved: bool) -> None:
     ET.SubElement(inertial, "mass", value=repr(mass))
     tensor = dict.fromkeys(_MOMENTS, "0") | dict(zip(("ixx", "iyy", "izz"), map(repr, moments), strict=True))
     ET.SubElement(inertial, "inertia", attrib=tensor)
-
-
-def _balance(inertia: ET.Element) -> None:
-    ixx, ixy, ixz, iyy, iyz, izz = (float(inertia.get(moment, "0")) for moment in _MOMENTS)
-    low, middle, high = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]).tolist()
-    if low < 0 or high > low + middle:
-        mean = repr(max((ixx + iyy + izz) / 3, 0.0))
-        inertia.attrib.update(dict.fromkeys(_MOMENTS, "0") | {"ixx": mean, "iyy": mean, "izz": mean})
 
 
 def _box(collision: ET.Element) -> tuple[float, float, float] | None:

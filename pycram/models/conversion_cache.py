@@ -62,7 +62,7 @@ def get(
 
 
 def kept(kind: str, sources: Iterable[bytes], convert: Callable[[], Sequence[Piece]]) -> Sequence[Piece]:
-    """Return the pieces that a conversion makes of nothing but the given bytes: from the cache if it has them."""
+    """Return the pieces of a conversion that reads only the given bytes, from the cache if possible."""
     where = cache_folder()
     if where is None:
         return convert()

@@ -91,12 +91,6 @@ def _rectangle(argument: str, value: object) -> tuple[tuple[float, float], ...]:
     return (-a, -b), (a, -b), (a, b), (-a, b)
 
 
-def _kind(argument: str, value: object) -> str:
-    if value not in (DRAWER, DOOR):
-        raise BadArgument(argument, value, f'"{DRAWER}" or "{DOOR}"')
-    return str(value)
-
-
 def _optional_text(argument: str, value: object) -> str:
     return "" if value == "" else checks.text(argument, value)
 
@@ -116,7 +110,7 @@ ENTRIES: Final[Mapping[str, Mapping[str, Callable[[str, object], Any]]]] = {
     _CONTAINERS: {
         "name": checks.text,
         "remove": checks.switch,
-        "kind": _kind,
+        "kind": lambda name, value: checks.one_of(name, value, (DRAWER, DOOR)),
         "joint": checks.text,
         "handle": _optional_text,
         "closed": checks.number,
@@ -148,12 +142,12 @@ def read(text: str, source: str | Path) -> Corrections:
 def _checked(source: str | Path, kind: str, name: str, said: object) -> Mapping[str, Any]:
     where, entries = f"{kind}.{name!r}", ENTRIES[kind]
     if not name or not isinstance(said, dict):
-        raise AssetError(source, f"{where}: takes a table with a name, has {said!r}")
+        raise AssetError(source, f"{where}: expected a table with a name, not {said!r}")
     for key in said:
         if key not in entries:
             raise AssetError(source, f"{where}.{key}: unknown entry; {suggestion(key, entries)}")
     if "size" in said and "outline" in said:
-        raise AssetError(source, f"{where}: takes size or outline, not both")
+        raise AssetError(source, f"{where}: give either size or outline, not both")
     try:
         return MappingProxyType({key: entries[key](key, value) for key, value in said.items()})
     except BadArgument as error:

@@ -48,7 +48,7 @@ _NARROW: Final = 0.2  # m, maximum width of the top of a wall
 _UPRIGHT: Final = 4.0  # minimum ratio of height to width of a wall
 _RAYS: Final = 24  # horizontal directions
 _NEAR: Final = 0.6  # m beyond the outline of a surface, within which a part hides it
-_HEIGHTS: Final = (0.3, 0.6, 0.9)  # of rays, in shares of the free height above a surface, which a hand needs
+_HEIGHTS: Final = (0.3, 0.6, 0.9)  # heights of rays above a surface, as shares of the free height that a hand needs
 _HAND: Final = 0.2  # m, free height that a hand needs
 _LEVEL: Final = 0.5  # maximum |z| of the axis of a horizontal joint
 _TRAVEL: Final = (0.05, 2.0)  # m, range of the travel of a drawer
@@ -208,7 +208,7 @@ class _Search:
             for name in joints
         ]
         by_joint = dict(zip(joints, distinct(names), strict=True))
-        # faces of one link are numbered: in a container from below, else by size
+        # faces of one link are numbered: in a container from low to high, else by size
         order = sorted(range(len(kept)), key=lambda number: 0.0 if kept[number][1] else -kept[number][0].area)
         named = dict(
             zip(order, distinct(readable(kept[number][0].link, self._urdf.name) for number in order), strict=True)

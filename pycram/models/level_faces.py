@@ -40,9 +40,9 @@ class Least(NamedTuple):
 
 AREA: Final = 0.02  # m^2, minimum area of a face of furniture
 FURNITURE: Final = Least(AREA, 0.06)  # as wide as a glass
-THINGS: Final = Least(0.0016, 0.04)  # of a plate, a box, or another object that robots carry
+THINGS: Final = Least(0.0016, 0.04)  # faces of a plate, a box, or another object that robots carry
 _CLEARANCES: Final = (0.25, 0.05)
-"""Minimum free heights in m. Faces with the first are searched for first: a low lamp then takes only its own area."""
+"""Minimum free heights in m. The search uses the first clearance first. So a low lamp excludes only its own area."""
 _LEVEL: Final = math.cos(math.radians(2.5))  # minimum z of the normal of a level face
 _THICK: Final = 0.004  # m, maximum difference in height of tops of one link that are one face
 _ROUGH: Final = 0.002  # m, maximum height of a bump that isn't an obstacle on a face
@@ -73,7 +73,7 @@ class Face:
 
 
 def faces(every: Sequence[Piece], least: Least | None = None) -> Iterator[Face]:
-    """Yield the faces of a model's pieces, link by link, from low to high; by default those of furniture."""
+    """Yield the faces of a model's pieces, link by link, from low to high; by default faces of furniture."""
     bounds = np.array([(piece.low, piece.high) for piece in every]).reshape(-1, 2, 3)
     by_link: dict[str, list[Piece]] = {}
     for piece in every:

@@ -370,7 +370,7 @@ def _with_normals(content: bytes) -> bytes:
     """Fill in the zero normals that many exporters write: the mesh would be rendered black."""
     table = stl_faces(content).copy()
     numbers = table["numbers"]
-    missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # components of a unit vector add up to 1 at least
+    missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # the absolute components of a unit vector add up to at least 1
     if not missing.any():
         return content
     a, b, c = (numbers[missing, corner].astype(np.float64) for corner in (1, 2, 3))

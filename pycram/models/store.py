@@ -35,8 +35,15 @@ _LOCK: Final = "lock"  # a file in each store
 def folder() -> Path:
     """Return the store's folder, which is removed at the end of the process."""
     _remove_abandoned(Path(tempfile.gettempdir()))
-    made = _make()
-    atexit.register(_remove, made, os.getpid())
+    made, owner = _make(), os.getpid()
+
+    def remove() -> None:
+        if os.getpid() == owner:  # a fork uses its parent's store and leaves it
+            with Uninterrupted():  # no traceback if Ctrl-C is pressed again
+                shutil.rmtree(made, ignore_errors=True)
+                drop_pending()
+
+    atexit.register(remove)
     return made
 
 
@@ -75,14 +82,6 @@ def _remove_abandoned(where: Path) -> None:
                 shutil.rmtree(found, ignore_errors=True)
             finally:
                 os.close(lock)
-
-
-def _remove(made: Path, owner: int) -> None:
-    """Remove the store at the end of the process; a fork uses its parent's store and leaves it."""
-    if os.getpid() == owner:
-        with Uninterrupted():  # no traceback if Ctrl-C is pressed again
-            shutil.rmtree(made, ignore_errors=True)
-            drop_pending()
 
 
 def write(name: str, content: bytes) -> Path:

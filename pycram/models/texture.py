@@ -1,8 +1,8 @@
 """Textures as colours of triangles: the engine and the viewers support one colour per shape.
 
-A texture is reduced to a palette. Triangles on which it changes are divided until each shows about one spot. A texture
-is upright on each face of a box. It wraps once around a cylinder, whose ends show a disc of it, and around a sphere
-from pole to pole.
+A texture is reduced to a palette. Triangles are divided until each has about one colour of the texture. A box shows the
+texture upright on each face. A cylinder shows it once around its side, and a disc of it on both ends. A sphere shows it
+once around, from pole to pole.
 """
 
 from __future__ import annotations

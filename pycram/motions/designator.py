@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Designator", "DesignatorError", "MotionDesignator", "ResolvedDesignator", "Solution"]
 
-_chains_lock = threading.Lock()  # of all chains, as they get joined; no other code runs while it is held
+_chains_lock = threading.Lock()  # of all chains, because chains are joined; held for a few assignments
 
 #: All parameters of a motion, action, object or place, by name.
 Solution: TypeAlias = Mapping[str, Any]
@@ -112,7 +112,7 @@ class Resolution:
 
 
 class Solutions:
-    """The solutions that a designator and its next ones share, in any number of threads.
+    """The solutions that a designator and its successors share, in any number of threads.
 
     Resolvers run without a lock: they may wait for a thread that requests the same solutions. Concurrent threads each
     search, and the first to find a solution decides.
@@ -125,7 +125,7 @@ class Solutions:
     def __init__(self, find: Callable[[], Iterator[tuple[Solution, str]]]) -> None:
         self._lock = threading.Lock()
         self._find = find
-        self._rest: Iterator[tuple[Solution, str]] | None = None  # yields the solutions after the kept ones
+        self._rest: Iterator[tuple[Solution, str]] | None = None  # yields the solutions that aren't known yet
         self._kept: list[tuple[Solution, str]] = []
         self._complete = False
 
@@ -165,7 +165,7 @@ def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
 
 @contextmanager
 def _recorded(name: str, designator: Designator, index: int | None = None) -> Iterator[Question]:
-    """Put a plan's request for a solution on record; the block answers it.
+    """Record a plan's request for a solution, which the block answers.
 
     A UsageError is a refusal, which the caller records; other failures go into the record.
 
@@ -278,7 +278,7 @@ class Designator(ABC):
     # --- chains ------------------------------------------------------------------------------------------------------
 
     def equate(self, other: Self) -> None:
-        """State that this describes the same as another designator, and is newer than all of the other's chain.
+        """Equate this designator with another one, as the newest of the other's chain.
 
         Raises:
             BadArgument: The other isn't a designator.
@@ -420,7 +420,7 @@ class Designator(ABC):
         return designator
 
     def __reduce__(self) -> tuple[type[Designator], tuple[list[tuple[str, Value]]]]:
-        """Return the means to make a designator with the same slots, in any process; it is equated with nothing."""
+        """Pickle as a new designator with the same slots, which is equated with nothing."""
         return type(self), (list(self._slots),)
 
     def __record__(self) -> object:
@@ -438,9 +438,9 @@ class ResolvedDesignator(Designator):
     """A designator whose solutions are found by resolvers, one by one.
 
     A resolver takes the designator and returns solutions, a list or a generator, or None for designators of other
-    types. Users add resolvers with :meth:`add_resolver`, also a decorator. They are called in order, first those of the
-    subclass, then its parents', then PyCRAM's own. If a resolver raises DesignatorError, the next resolver is called;
-    the error is raised if none has a solution.
+    types. Users add resolvers with :meth:`add_resolver`, also a decorator. They are called in order: first the
+    subclass's resolvers, then its parents', then PyCRAM's own. If a resolver raises DesignatorError, the next resolver
+    is called; the error is raised if none has a solution.
     """
 
     resolvers: ClassVar[Resolvers[Resolver]] = Resolvers("designators")
@@ -553,7 +553,7 @@ class MotionDesignator(ResolvedDesignator):
     def resources(self) -> Resources | None:
         """Return its needs of the robot: by its type, and once it is effective, by the ``cmd`` of its solution.
 
-        Other motions than PyCRAM's get the whole robot, unless their process module or a subclass returns less.
+        Motions of other packages get the whole robot, unless their process module or a subclass returns less.
         """
         if self._effective and isinstance(solution := self._referenced(), Mapping):
             return motion_types.resources_of(solution)

@@ -352,7 +352,7 @@ class ContinuousExecution(Execution):
 
 
 def _led(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return positions without joints that mimic another joint among them: motors leave these slightly apart."""
+    """Return positions without the joints that mimic one of the others: motors leave them slightly apart."""
     mimics = robot.urdf.mimics if robot.model.loading.mimic else {}
     return {name: at for name, at in positions.items() if name not in mimics or mimics[name].leader not in positions}
 

@@ -82,7 +82,7 @@ _GRIPPER: Final = Slot(
     "gripper",
     slots.ARM,
     default=lambda _: slots.only_arm(),
-    otherwise="The only arm; required of a robot that has several",
+    otherwise="The only arm; required if the robot has several arms",
 )
 _OBJECT_TYPE: Final = Slot("object-type", slots.OBJECT_TYPE, required=True, aliases=("object",))
 
@@ -121,7 +121,7 @@ TYPES: Final = {
                     "arm",
                     slots.ARM,
                     default=_holding_arm,
-                    otherwise='The arm that holds the object; the only one, or "left", if none does',
+                    otherwise='The arm that holds the object; if no arm does, the only arm, or "left"',
                 ),
             ),
             cmd="place",
@@ -232,7 +232,7 @@ def resolve(designator: ResolvedDesignator) -> Iterator[Solution]:
 
 
 def _filled(motion: MotionType, given: Mapping[str, Value]) -> Iterator[dict[str, Value]]:
-    """Yield the slots with each solution of the designators among their values."""
+    """Yield the slots, once for each solution of the designators in their values."""
     names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
     for key, value in given.items():
         values_for = getattr(type(value), "values_for", None)

@@ -170,8 +170,8 @@ def register(robot: str, environment: str, modules: Modules, *, replace: bool = 
         robot: The robot's name in its URDF.
         environment: The execution environment.
         modules: Process modules by the ``cmd`` of the solutions that they take.
-        replace: Whether the robot has only these modules in the environment, without PyCRAM's own and those that were
-            registered before.
+        replace: Whether the robot has only these modules in the environment, without PyCRAM's own modules and earlier
+            registered modules.
 
     Raises:
         BadArgument: They aren't process modules.
@@ -269,8 +269,8 @@ def _undescribed(robot: Object) -> str:
 class Motion:
     """A motion from its request to its end: it queues for resources, is resolved, and is carried out in a world.
 
-    Motions that are parts of a motion queue among themselves, for the resources that it holds. So no motion waits for
-    one that waits for it. A motion in another world, performed to look ahead, queues there like any other motion.
+    Motions that are parts of a motion queue among themselves, for the resources that it holds. So two motions never
+    wait for each other. A motion in another world, performed to look ahead, queues there like any other motion.
     """
 
     def __init__(self, designator: Designator, world: BulletWorld) -> None:
@@ -354,7 +354,7 @@ class ProcessModule(ABC):
     """False for a module without state: two arms may move by the same module."""
 
     failures: ClassVar[tuple[type[PlanFailure], ...]] = ()
-    """The failures that it may raise in any environment; the reference lists those of PyCRAM's modules."""
+    """The failures that it may raise in any environment; for PyCRAM's modules, the reference lists them."""
 
     failures_in_time: ClassVar[tuple[type[PlanFailure], ...]] = ()
     """Further failures that it may raise where motions take simulated time."""
@@ -394,7 +394,7 @@ class ProcessModule(ABC):
         return needs
 
     def execute(self, designator: Designator) -> Result:
-        """Carry a designator out, after all earlier ones if need be; a failure frees the module for the next."""
+        """Carry a designator out, if necessary after earlier designators; a failure frees the module for the next."""
         inner = _inner_queues.get()
         queue = self._queue if inner is None else inner.setdefault(self, ResourceQueue())
         turn = Ticket(queue, _ONE_AT_A_TIME if self.one_at_a_time else _TOGETHER).turn()

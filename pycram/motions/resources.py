@@ -6,10 +6,10 @@ moves or needs. A motion enters the queue when it is requested. It gets all its 
 earlier motion conflicts with it. So conflicting motions run in the order of the plan, and others run concurrently.
 There is no deadlock, because each motion waits for earlier motions only.
 
-The needs of a motion are certain when it is resolved and its process module is chosen, at its turn. Until then, it
-requests the resources of its designator, or the whole robot if these are unknown. Then its resources are corrected,
-*before* it moves anything. If it needs more, it releases its resources, keeps its place, and also waits for later
-motions that already run. These wait for nothing in this queue, so there is still no deadlock.
+The needs of a motion are known for certain only at its turn, when it is resolved and its process module is chosen.
+Until then, it requests the resources of its designator, or the whole robot if these are unknown. Then its resources are
+corrected, *before* it moves anything. If it needs more, it releases its resources, keeps its place, and also waits for
+later motions that already run. These wait for nothing in this queue, so there is still no deadlock.
 
 Each world has a queue of its own, and a motion may perform motions in another world. If such motions would wait for
 each other, the last of them is refused.
@@ -57,12 +57,13 @@ class ResourceError(UsageError):
 
 
 class Deadlock(UsageError):
-    """A motion would wait for a motion that waits, in another world, for the first motion's own outer motion."""
+    """A motion would wait for a motion in another world that waits for the first motion's outer motion."""
 
     def __init__(self, motion: str, blocker: str) -> None:
         super().__init__(
-            f"{motion} can't wait for {blocker}, which waits for the outer motion of {motion}: each performs motions "
-            "in the other's world; perform them there before or after the motion, or in a world of their own"
+            f"{motion} can't wait for {blocker}, which waits for the outer motion of {motion}: each outer motion "
+            "performs a motion in the other's world; perform these motions before or after the outer motions, or in "
+            "another world"
         )
         self.motion = motion  # its name
         self.blocker = blocker  # name of the motion that it would wait for
@@ -118,7 +119,7 @@ class ResourceQueue:
     """Motions that wait for resources of one robot, in order of arrival.
 
     Args:
-        outer: Resources of the motion that the queued ones are parts of.
+        outer: Resources of the outer motion of the queued motions.
     """
 
     def __init__(self, outer: Resources = EVERYTHING) -> None:
@@ -180,7 +181,7 @@ class Ticket:
 
     @contextmanager
     def turn(self) -> Iterator[None]:
-        """Enqueue if need be, wait for the turn, run the ``with`` block, and leave.
+        """Enqueue if necessary, wait for the turn, run the ``with`` block, and leave.
 
         Raises:
             Deadlock: It would wait forever.
@@ -195,7 +196,7 @@ class Ticket:
             self.leave()
 
     def correct(self, resources: Resources | None) -> None:
-        """Change the resources of a granted ticket before anything has moved; wait again if need be.
+        """Change the resources of a granted ticket before anything has moved; wait again if necessary.
 
         Raises:
             ResourceError: The outer motion doesn't hold all of them.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import ResolvedDesignator
 
-#: Slots as plans write them; also constraints and properties.
+#: The form in which plans write slots, constraints and properties.
 Description: TypeAlias = Iterable[tuple[str, object]] | Mapping[str, object]
 #: Any value of a slot.
 Value: TypeAlias = Any
@@ -146,7 +146,7 @@ class Slot:
     required: bool = False
     default: Callable[[dict[str, Value]], Value] | None = None  # infers a missing value from the given slots
     aliases: tuple[str, ...] = ()
-    text: str = ""  # description of its values; that of its kind by default
+    text: str = ""  # description of its values; by default the description of its kind
     otherwise: str = ""  # the effect of leaving it out
 
     @property
@@ -166,9 +166,9 @@ class SlotTable:
 
     type: str
     slots: tuple[Slot, ...]  # without ``type``
-    one_of: tuple[str, ...] = ()  # slots of which at least one is required
-    only_one: bool = False  # whether exactly one of these is required
-    designator: str = ""  # the class, if it has no slot ``type``: "an ObjectDesignator"
+    one_of: tuple[str, ...] = ()  # at least one of these slots is required
+    only_one: bool = False  # whether exactly one of these slots is required
+    designator: str = ""  # name of the class, such as "an ObjectDesignator", if there is no slot ``type``
 
     def describe(self) -> str:
         """Return a description of the slots, for messages."""
@@ -290,19 +290,6 @@ def _body(name: str, value: Value) -> Value:
     return value
 
 
-def _arm(name: str, value: Value) -> Value:
-    arms = arm_names()
-    if checks.text(name, value) not in arms:
-        raise BadArgument(name, value, f"one of {', '.join(arms)}")
-    return value
-
-
-def _grasp(name: str, value: Value) -> Value:
-    if value not in GRASPS:
-        raise BadArgument(name, value, f"one of {', '.join(GRASPS)}")
-    return value
-
-
 def _posture(name: str, value: Value) -> Value:
     described = _arms().get(name.removesuffix("-arm"))
     if isinstance(value, str):
@@ -336,8 +323,16 @@ OBJECT_TYPE: Final = ValueKind(
     "str | Object",
     "ObjectDesignator",
 )
-ARM: Final = ValueKind('An arm\'s name: "left" or "right" on the PR2', _arm, "str")
-GRASP: Final = ValueKind('The side from which the gripper comes: "front", "top", "left" or "right"', _grasp, "str")
+ARM: Final = ValueKind(
+    'An arm\'s name: "left" or "right" on the PR2',
+    lambda name, value: checks.one_of(name, checks.text(name, value), arm_names()),
+    "str",
+)
+GRASP: Final = ValueKind(
+    'The side from which the gripper comes: "front", "top", "left" or "right"',
+    lambda name, value: checks.one_of(name, value, GRASPS),
+    "str",
+)
 DISTANCE: Final = ValueKind(
     "A distance in m, or an angle in rad for a door that turns, from 0 up",
     lambda name, value: checks.in_range(name, value, 0.0),

@@ -253,7 +253,7 @@ class Engine:
         self._forget(body)
 
     def pose_joints(self, body: LoadedBody, positions: Mapping[str, float]) -> None:
-        """Set positions of joints of a body that is never stepped: ten times as fast, as motors stay as they are."""
+        """Set positions of joints of a body that is never stepped; ten times as fast, because motors aren't set."""
         bullet.resetJointStatesMultiDof(
             body.id,
             [body.joints[name].index for name in positions],
@@ -507,7 +507,7 @@ def _pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.flo
 
     Args:
         camera: The window's camera as PyBullet describes it: width, height, ..., forward, horizontal, vertical, ...,
-            distance, target. The vectors span the picture far away.
+            distance, target. ``horizontal`` and ``vertical`` span the picture at a great distance.
         x: Pixels from the left.
         y: Pixels from above.
     """

@@ -45,7 +45,7 @@ _LINE_STEP: Final = 0.01  # m of the tool between neighbouring postures
 _LINE_TURN: Final = 0.05  # rad of the tool between neighbouring postures
 _JUMP: Final = 0.35  # rad or m of a joint between neighbouring postures, above which the arm changes its posture
 _ROOM: Final = 3.0  # m around start and goal for a path
-_WIDER: Final = 9.0  # m around start and goal for a second search, as to the next door
+_WIDER: Final = 9.0  # m around start and goal for a second search, such as a detour through the next door
 _METRES_A_TURN: Final = 0.5  # m for a radian of turn, as a robot's outline moves
 _BASE_STEP: Final = 0.06  # m between checked poses in a search
 
@@ -189,13 +189,13 @@ def through(body: Object, way_points: Sequence[Mapping[str, float]]) -> PlannedM
 
 
 def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> list[PlannedMotion]:
-    """Return the fastest motions of several bodies, as an arm and a drawer, that reach their way points together.
+    """Return the fastest motions of several bodies, such as an arm and a drawer, that reach their way points together.
 
     Collisions aren't checked. Corners between distant way points are rounded by up to 0.04 rad.
 
     Args:
-        paths: for each body its way points, as many as the other bodies have, from its present state to its goal:
-            joint values in rad or m of the same joints by name.
+        paths: for each body its way points from its present state to its goal, equally many for all bodies. A way point
+            has values in rad or m by joint name; all way points of a body have the same joints.
 
     Raises:
         UnknownName: A body has no such joint.

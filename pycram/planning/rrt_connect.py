@@ -37,7 +37,7 @@ _one_query = threading.Lock()  # because the process has one sequence of seeds
 class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
     """Checks whole edges of the trees.
 
-    An error, as Ctrl-C, can't be raised through OMPL. It is kept, and ends the search.
+    An error, such as Ctrl-C, can't be raised through OMPL. It is stored, and ends the search.
     """
 
     def __init__(self, information: Any, check: Callable[[Array, Array], bool], dimensions: int) -> None:
@@ -87,7 +87,7 @@ def search(
         clearance: checks configurations.
         step: weighted distance of any coordinate between checked configurations in the search.
         fine: weighted distance between checked configurations during shortening.
-        seed: from 1 to 2**31.
+        seed: a number from 1 to 2**31.
         max_checks: number of the clearance's checks after which the search ends.
 
     Returns:

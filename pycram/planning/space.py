@@ -66,8 +66,8 @@ class Clearance:
     """Checks of configurations for collisions, which are counted.
 
     A configuration is a row of joint values, or a pose of a base. The robot keeps a few millimetres away from objects,
-    because it would push them. If it is nearer at the start or at the goal, as to an object that it touches or takes,
-    it may be as near all the way.
+    because it would push them. If it is nearer at the start or at the goal, for example to an object that it takes, it
+    may be that near on the whole path.
 
     Args:
         predict: returns the checker's candidates for configurations (n, d).
@@ -83,8 +83,8 @@ class Clearance:
         self._allowed: dict[Pair, float] = {}  # allowed overlap of each pair in m
         self._last: Pair | None = None
         self._deepest: dict[Pair, float] = {}
-        # whether the robot keeps its distance; if not, it may be as near as possible, and hulls of its own links may
-        # overlap a little more, because they overlap where the robot doesn't
+        # whether the robot keeps its distance; if not, it may nearly touch, and hulls of its own links may overlap a
+        # little more: they are larger than the links
         self.strict = True
         self.checks = 0  # number of checked configurations
         # how often each pair of links was in the way, and its deepest overlap in m
@@ -161,6 +161,6 @@ class Clearance:
 
 
 def _spread(count: int) -> Sequence[int]:
-    """Return the numbers from 0 to count - 1, spread over the range from the beginning on, by reversed bits."""
+    """Return the numbers from 0 to count - 1 in an order that covers the range coarsely first (by reversed bits)."""
     bits = max(1, (count - 1).bit_length())
     return sorted(range(count), key=lambda number: int(f"{number:0{bits}b}"[::-1], 2))

@@ -37,7 +37,7 @@ _STILL: Final = 1e-4  # rad or m; shorter paths are one step
 _GRID: Final = 25  # points of toppra's grid between way points, if its own choice fails
 _FINE: Final = np.linspace(0.0, 1.0, 9)  # shares of the time between two knots, at which velocities are checked
 _DEFAULTS: Final = MotionLimits()
-_OCTAGON: Final = math.cos(math.pi / 8)  # distance of an octagon's sides in shares of the circle's radius
+_OCTAGON: Final = math.cos(math.pi / 8)  # distance of an octagon's sides from the centre, as a share of its radius
 
 
 @dataclass(frozen=True, slots=True)

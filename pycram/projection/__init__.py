@@ -373,7 +373,7 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """Finds objects and worlds by their names; those that this process lacks are replaced by their names."""
+    """Finds objects and worlds by their names; if this process lacks one, the name itself replaces it."""
 
     def persistent_load(self, names: tuple[str, ...]) -> object:
         world = next((each for each in open_worlds() if each.name == names[0]), None)

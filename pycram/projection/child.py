@@ -35,7 +35,7 @@ Job = TypeVar("Job")
 
 GRACE: Final = 5.0  # seconds that an interrupted run of a plan is given to end
 _PR_SET_PDEATHSIG: Final = 1
-_SIZE: Final = "/proc/self/statm"  # of this process, in pages
+_SIZE: Final = "/proc/self/statm"  # file with the size of this process, in pages
 _BLOCK: Final = 1 << 20  # bytes of one read
 _CRASHED: Final = 70  # exit code of a child that has an error of its own
 _prctl: Any = None  # looked up once: in each child, the lookup would change half a megabyte of memory
@@ -305,10 +305,10 @@ def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
 
 def run_from_start(answer: Callable[[], bytes]) -> Child:
     """Fork a child that runs a program from its start, with the same names of worlds as in a new process."""
-    return Child(partial(_answer_from_start, answer))
 
+    def answer_from_start() -> bytes:
+        number_anew()
+        scheduler().alone = False  # it may wait for a signal
+        return answer()
 
-def _answer_from_start(answer: Callable[[], bytes]) -> bytes:
-    number_anew()
-    scheduler().alone = False  # it may wait for a signal
-    return answer()
+    return Child(answer_from_start)

@@ -109,8 +109,8 @@ class Choice(Question):
         """Reject a candidate.
 
         Args:
-            candidate: its name, as "front".
-            count: number of similar candidates that it stands for, as postures for one grasp.
+            candidate: its name, such as "front".
+            count: number of similar candidates that it stands for, such as postures for one grasp.
         """
         if self.wanted:
             self._rejected[candidate] = reason, count

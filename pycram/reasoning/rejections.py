@@ -32,7 +32,7 @@ class Rejection:
         return type(self), self.alike()
 
     def miss(self) -> float:
-        """Return the size of the miss; a group's record has the reason with the smallest one."""
+        """Return the size of the miss; a group's record has the reason with the smallest miss."""
         return 0.0
 
 
@@ -93,7 +93,7 @@ class Uneven(Rejection):
 
 
 TAKEN: Final = "the place is taken, or leaves no room for a finger"
-"""Reason of a :class:`NoRoom`, which fewer objects on the surface would remove."""
+"""Reason of a :class:`NoRoom` that disappears if objects are taken off the surface."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ Value = TypeVar("Value")
 
 
 class Binding(Generic[Value]):
-    """Sets a context variable for a ``with`` block; a class, as a generator would be slower for each branch."""
+    """Sets a context variable for a ``with`` block; a class, because a generator would be slower for each branch."""
 
     __slots__ = ("_token", "_value", "_variable")
     _token: Token[Value]
@@ -54,7 +54,7 @@ class CancelScope(Condition):
 
     def __init__(self, parent: CancelScope | None = None, deadline: Limit | None = None) -> None:
         super().__init__()
-        #: The scopes around it, from the inside out; without itself, as reference cycles are freed late.
+        #: The scopes around it, from the inside out; without itself, because reference cycles are freed late.
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
         if len(self.around) >= sys.getrecursionlimit():  # Python doesn't check this: each branch has its own stack
             raise RecursionError(f"{len(self.around)} nested blocks and timeouts of the plan")
@@ -220,7 +220,7 @@ def wait_until(condition: Condition, predicate: Callable[[], bool], limit: Deadl
     with Waiter(sources) as waiter:
         while not predicate():
             raise_if_cancelled()
-            if limit is not None and limit.struck:  # passed before the wait; others run first nevertheless
+            if limit is not None and limit.struck:  # it passed before the wait; other branches still run first
                 waiter.wake()
             waiter.sleep()
             if limit is not None and limit.has_come:

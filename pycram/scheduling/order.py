@@ -74,7 +74,7 @@ class AppliedPrecedence(NamedTuple):
     precedence: Precedence
     first: BranchLine  # line of the branch that ran first
     second: BranchLine  # line of the other branch
-    #: Smaller precedences: the branch before each other ready branch that it passed, the nearest in rank first.
+    #: Smaller precedences: the branch runs before each ready branch that it overtook, nearest in rank first.
     passed: list[Precedence]
 
 
@@ -191,7 +191,7 @@ class Order:
         return chosen
 
     def _preceding(self, top: Ranked, ready: Collection[Ranked]) -> Ranked:
-        """Return the branch that a precedence puts before the first in rank; of several, the one requested first."""
+        """Return the branch that a precedence puts before the first in rank; the earliest request counts."""
         asked = self._asked.get((top.number, top.stops), ())
         while asked:
             number = asked.popleft()  # a branch that isn't ready loses its precedence

@@ -92,7 +92,7 @@ class Waiter:
         return _plan_line(self.branch, self._greenlet)
 
     def sleep(self) -> bool:
-        """Yield until woken, perhaps spuriously; return whether a patient wait resumes as nothing else is ready."""
+        """Yield until woken, perhaps spuriously; return whether a patient wait resumes: nothing else is ready."""
         self._scheduler.park(self)
         return self.undisturbed
 
@@ -200,7 +200,7 @@ def seed_order(seed: int | None, order: str = "") -> None:
         seed: None for the order in which branches became ready.
         order: Another order, as text of :mod:`pycram.scheduling.order`; raises BadArgument if it isn't an order.
     """
-    global _seed, _order  # of the run: a process has one run
+    global _seed, _order  # seed of the run: a process has one run
     order_of(order, seed)
     _seed, _order = seed, order
     scheduler().draw_from(seed, order)
@@ -241,8 +241,8 @@ class Scheduler:
         self.failing: dict[_Branch | None, BaseException] = {}  # errors that branches raise at their next checkpoints
         self._ready: OrderedDict[Ready, None] = OrderedDict()
         self.draw_from(_seed, _order)
-        self.alone = False  # whether no signal can end a wait, as in a forked copy: then a wait may be a deadlock
-        self._deadlocked = False  # whether one branch has had the error of a deadlock
+        self.alone = False  # whether no signal can end a wait (in a forked copy): then a wait may be a deadlock
+        self._deadlocked = False  # whether the error of a deadlock was raised in a branch
         self.patient: dict[Waiter, None] = {}  # patient waits, in order of arrival
         self._first: Waiter | None = None  # runs next, before all that are ready
         self.strike_sources: dict[StrikeSource, None] = {}  # polled in this order
@@ -277,7 +277,7 @@ class Scheduler:
         failed: Callable[[BaseException], None],
         site: CallSite = ("", 0),
     ) -> None:
-        """Schedule a new branch, or raise; from any thread.
+        """Schedule a new branch; after an error it isn't scheduled. May be called from any thread.
 
         Args:
             name: Name in records.
@@ -298,12 +298,12 @@ class Scheduler:
             raise
 
     def add(self, ready: Ready) -> None:
-        """Append a branch or wait to those that are ready, if it isn't among them; from any thread."""
+        """Append a branch or wait to the ready ones, if it isn't among them; from any thread."""
         self._ready[ready] = None
         self.ring()
 
     def forget(self, ended: Waiter) -> None:
-        """Remove a wait that has ended from those that are ready."""
+        """Remove a wait that has ended from the ready ones."""
         self._ready.pop(ended, None)
 
     def ring(self) -> None:
@@ -412,7 +412,7 @@ class Scheduler:
             self.running = None
 
     def _next_patient(self) -> Waiter | None:
-        """Return the first patient wait that may resume, as nothing is ready."""
+        """Return the first patient wait that may resume because nothing is ready."""
         for waiter in self.patient:
             if waiter.parked and waiter.patience is not None and waiter.patience():
                 waiter.undisturbed = True

@@ -77,7 +77,7 @@ class Sweep:
     remarks: list[str] = field(default_factory=list)  # errors of hooks
 
     def take(self, outcome: RunOutcome) -> bool:
-        """Count a run; return whether it was recorded: if not, no other run would be."""
+        """Count a run; return whether it was recorded. If not, no other run can be recorded."""
         if outcome.unrecorded:
             self.stopped = f"run {outcome.number} couldn't be recorded: {outcome.unrecorded}"
             return False
@@ -91,7 +91,7 @@ class Sweep:
         return True
 
     def has_not_begun(self) -> bool:
-        """Return whether the first run failed before the plan did anything, as all other runs would.
+        """Return whether the first run failed before the plan did anything; then all other runs would fail, too.
 
         If so, its outcome gets the new name of its recording.
         """
@@ -111,14 +111,14 @@ def sweep(
     folder: str | Path,
     *,
     seed: int = 0,
-    set: Mapping[str, Sequence[Any]] | None = None,  # noqa: A002  as the command has it
+    set: Mapping[str, Sequence[Any]] | None = None,  # noqa: A002  as on the command line
     sample: Mapping[str, str] | None = None,
     cores: int = 0,
     limit: float = LIMIT,
     memory: int = 0,
     arguments: Sequence[str] = (),
     motion: str = "",
-    locals: bool = True,  # noqa: A002  as they are called in Python
+    locals: bool = True,  # noqa: A002  Python's names
     ray: str | None = None,
     progress: Callable[[Sweep, RunOutcome | None], None] = lambda _, __: None,
 ) -> Sweep:
@@ -133,7 +133,7 @@ def sweep(
             ``ray``, a folder that all nodes share, or any URL that fsspec supports.
         seed: Run N has the seed ``seed + N``; its parameters are drawn from this seed.
         set: Values of parameters; the runs take all combinations in turn.
-        sample: Distributions of parameters, as ``"uniform(0,1)"``; also normal, integers, choice.
+        sample: Distributions of parameters, such as ``"uniform(0,1)"``; also normal, integers, choice.
         cores: Maximum number of parallel runs; 0 for one per core.
         limit: Seconds of wall-clock time for each run.
         memory: Bytes of additional memory for each run; 0 for no limit.

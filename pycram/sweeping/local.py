@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pycram import running
 from pycram.failures import PlanFailure
-from pycram.foundation.errors import export
+from pycram.foundation.errors import call_all, export
 from pycram.models import store, warming
 from pycram.plan_parameters import Variations
 from pycram.projection.child import GRACE, ChildPool, die_with, limit_memory, run_from_start, usable_cores
@@ -169,7 +169,7 @@ def run_once(
 
     def late() -> str:
         over = time.monotonic() - began >= spec.limit
-        return f"the run still ran after {spec.limit:g} s" if over else ""
+        return f"the run was still running after {spec.limit:g} s" if over else ""
 
     def sink_of(start: Run) -> Sink:
         if sinks:  # a recording that the plan itself makes: all runs would write to the same file
@@ -236,12 +236,8 @@ def hooks() -> tuple[Callable[[Path], object], ...]:
 
 
 def _call_hooks(path: Path) -> str:
-    try:
-        for hook in hooks():
-            hook(path)
-    except Exception as error:  # noqa: BLE001  hooks are code of other packages
-        return f"{type(error).__name__}: {error}"
-    return ""
+    errors = call_all([hooks]) or call_all(partial(hook, path) for hook in hooks())
+    return "; ".join(f"{type(error).__name__}: {error}" for error in errors)
 
 
 # --- many runs --------------------------------------------------------------------------------------------------------
@@ -319,7 +315,7 @@ class Local:
         if result.answer:  # it was interrupted, and its recording says so
             return None
         how = f"its process {result.how}"
-        cause = f"it still ran after {self._spec.limit:g} s, and was killed" if result.late else how
+        cause = f"it was still running after {self._spec.limit:g} s, and was killed" if result.late else how
         cause += f", at each of {_ATTEMPTS} attempts"
         part = self._spec.part(job.number)
         if part.exists():

@@ -53,7 +53,7 @@ class Followed:
     def __init__(self, body: Object, following: records.Following, sim_step: int) -> None:
         self.body = body
         self.following = following  # its record; ``stopped`` is set when the trajectory is stopped
-        #: The trajectory of all joints that move, with those that mimic others.
+        #: The trajectory of all joints that move, including joints that mimic others.
         self.trajectory = with_followers(body, Trajectory.of_record(following.begin.trajectory))
         #: The joints that move; empty for the base.
         self.joints: tuple[MovableJoint, ...] = tuple(body.handle.joints[name] for name in self.trajectory.joints)
@@ -284,7 +284,9 @@ def resume(body: Object, following: records.Following) -> None:
     """
     world = body.world
     if not following.began <= world.sim_step >= following.stopped >= 0 or has_ended(following, world.sim_step):
-        raise BadArgument("following", following.begin.number, f"a trajectory that is followed at {world.sim_step}")
+        raise BadArgument(
+            "following", following.begin.number, f"a trajectory in progress at simulated step {world.sim_step}"
+        )
     _check(body, Trajectory.of_record(following.begin.trajectory))
     world.trajectories.add(Followed(body, following, world.sim_step))
 

@@ -11,7 +11,7 @@ import threading
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
-from pycram.foundation.errors import call_all, chained, qualified_name
+from pycram.foundation.errors import OnError, call_all, chained, qualified_name
 from pycram.foundation.failures import BadArgument, UnknownName
 from pycram.foundation.refusals import mark_recorded, refusing
 from recorder import records
@@ -126,21 +126,20 @@ class Event:
             )
             steps = span.emit(record, world=world, sim_step=sim_step)
 
+        def call_one(handler: Handler) -> None:
+            with (
+                span.span("handler", qualified_name(handler), {"event": self.name, "sender": self.sender}),
+                OnError(mark_recorded, Exception),  # the handler's task records it, so it isn't a refusal
+            ):
+                handler(*args, **kwargs)
+
         def call() -> None:
             with journal.caused_by(steps):
-                errors = call_all(partial(self._call, handler, args, kwargs) for handler in handlers)
+                errors = call_all(partial(call_one, handler) for handler in handlers)
             if errors:
                 raise chained(errors[0], errors[1:])
 
         return call if handlers else lambda: None
-
-    def _call(self, handler: Handler, args: tuple[object, ...], kwargs: Mapping[str, object]) -> None:
-        with span.span("handler", qualified_name(handler), {"event": self.name, "sender": self.sender}):
-            try:
-                handler(*args, **kwargs)
-            except Exception as error:  # any error of a handler: its task records it, so it isn't a refusal
-                mark_recorded(error)
-                raise
 
     def fire(self, *args: object, **kwargs: object) -> None:
         """Record the event, then call the handlers with these arguments.

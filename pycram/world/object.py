@@ -278,7 +278,7 @@ class Object(ReadOnlyAttributes):
     @property
     @refusing("object")
     def tops(self) -> tuple[Surface, ...]:
-        """Surfaces on top of a free object as it lies now: of a plate, a box or a tray; none for what is fixed."""
+        """Surfaces on top of a free object as it lies now: of a plate, a box or a tray; a fixed object has none."""
         x, y, z, w = self.get_orientation()
         found = () if self.fixed else tops_of(self.model.path, (x, y, z, w))
         return tuple(replace(surface, name=f"{surface.name} of {self.name}") for surface in found)
@@ -377,7 +377,7 @@ class Object(ReadOnlyAttributes):
         self._move(None, checks.quaternion("orientation", orientation))
 
     def _move(self, position: Vector | None, orientation: Quaternion | None) -> None:
-        """Set the pose; None is the present value inside the transaction: other branches may move the object before."""
+        """Set the pose; None keeps the value that the object has when the transaction begins."""
         with self.world.transactions.begin(records.Mutation(move_body=records.MoveBody(body=self.name))) as transaction:
             self.world.trajectories.refuse("set its pose", self)
             now = self.world.engine.pose(self.handle)

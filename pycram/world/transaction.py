@@ -80,7 +80,7 @@ class Transaction:
 class Observer(Protocol):
     """A follower of a world's transactions, called with its lock held, in their order.
 
-    It must not call user code nor wait for anything.
+    It must not call user code, and must not wait for anything.
     """
 
     def time_passed(self) -> None:

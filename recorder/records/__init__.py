@@ -122,7 +122,7 @@ PACKAGE: Final = log_pb2.DESCRIPTOR.package
 
 @cache
 def known_definitions() -> frozenset[str]:
-    """Return the names of all messages, fields and enum values, as ``Mutation``, ``Mutation.effect``, ``Task.LEFT``."""
+    """Return the names of all messages, fields and enum values: ``Mutation``, ``Mutation.effect``, ``Task.LEFT``."""
     from google.protobuf.descriptor_pb2 import FileDescriptorProto  # noqa: PLC0415  few readers need it
 
     own = FileDescriptorProto()

@@ -57,7 +57,7 @@ def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[st
     Args:
         robot: name of the robot that looked.
         source: "seen" or "told".
-        poses: of objects in the world, by their names: xyz in m, xyzw.
+        poses: poses of objects in the world, by their names: xyz in m, xyzw.
     """
     found: dict[str, Plain] = {
         name: {"position": list(position), "orientation": list(orientation)}
@@ -67,7 +67,7 @@ def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[st
 
 
 def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: int = -1) -> list[Key]:
-    """Fold the evidence of a query; return the keys of new beliefs. A look doesn't change beliefs about held objects.
+    """Fold the evidence of a query; return the keys of new beliefs. Beliefs about held objects don't change.
 
     Raises:
         ValueError: the evidence is malformed.
@@ -78,7 +78,7 @@ def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: 
         if found is None:
             continue
         if not isinstance(found, dict) or not isinstance(robot, str):
-            raise ValueError(f"{fact}={found!r} of {robot!r} isn't the evidence of a look")  # noqa: TRY004  data, not a type
+            raise ValueError(f"{fact}={found!r} isn't evidence of a perception by {robot!r}")  # noqa: TRY004  data, not a type
         for name, pose in found.items():
             key = robot, name
             known = beliefs.get(key)
@@ -104,7 +104,7 @@ def follow(
     """Fold a change of the world; return the keys of new beliefs.
 
     Args:
-        beliefs: before the change.
+        beliefs: the beliefs before the change.
         record: the change; only its command is needed.
         sim_step: steps of simulated time of the world after the change.
         step: number of the record.

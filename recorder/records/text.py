@@ -48,7 +48,7 @@ _ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT
 _SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
-_LEVELS: Final = {  # by the names of Python's logging levels
+_LEVELS: Final = {  # levels by the names of Python's logging levels
     "DEBUG": _DEBUG,
     "INFO": _INFO,
     "WARNING": _WARNING,
@@ -126,7 +126,7 @@ def _query(record: Query) -> Line:
     rejected = f"; {text}" if record.candidates and (text := rejections(record)) else ""
     if record.HasField("failure"):
         return f"{asked} raised {record.failure.type}{rejected}", _WARNING
-    by = f", by the fork; else {by_name(record.own_answer_json)}" if record.by_fork else ""
+    by = f", set by the fork (own answer: {by_name(record.own_answer_json)})" if record.by_fork else ""
     return f"{asked} -> {by_name(record.answer_json)}{by}{rejected}", _INFO
 
 
@@ -224,7 +224,7 @@ def _began(command: BeginTrajectory) -> str:
     return f"{text}, {'along a given path' if search.planner == 'given' else search.planner}{checks}"
 
 
-_DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; other commands have no details
+_DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # details by command; other commands have none
     "open_world": lambda command: str(command.mode),
     "load_body": lambda command: (
         f"{command.body} {_numbers(command.position)}"
@@ -325,7 +325,7 @@ def reason_text(candidate: Candidate) -> str:
 
 
 def rejection_text(reason: str, data: Mapping[str, Any]) -> str:
-    """Return a reason for a rejection in words, from its type and data; "" for a user's own, or one with other data."""
+    """Return a reason for a rejection in words, from its type and data; "" for a user's own type, or for other data."""
     phrase = _REASONS.get(reason)
     try:
         return phrase(data) if phrase is not None else ""
@@ -334,7 +334,7 @@ def rejection_text(reason: str, data: Mapping[str, Any]) -> str:
 
 
 def pair_text(pair: Mapping[str, object]) -> str:
-    """Return a recorded collision pair as text, as "milk in the left gripper would touch sink_area_surface of kitchen".
+    """Return a collision pair as text, such as "milk in the left gripper would touch sink_area_surface of kitchen".
 
     Args:
         pair: ``mover`` and its ``link``, the touched ``body`` and its ``body_link``, and the ``gripper`` that holds
@@ -376,7 +376,7 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     ),
     "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
     "Unseen": lambda data: (
-        (f"seen to {data['share']:.0%} only" if data["share"] else "not seen")
+        (f"only {data['share']:.0%} visible" if data["share"] else "not seen")
         + (f" (behind {', '.join(data['hidden_by'])})" if data["hidden_by"] else "")
     ),
     "Unreached": lambda data: (

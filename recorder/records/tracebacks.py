@@ -88,7 +88,7 @@ def _is_small_group(error: BaseException) -> bool:
 
 
 def _is_quickly_printed(error: BaseException) -> bool:
-    """Return whether Python visits few errors to print an error; nested groups have quadratically many visits."""
+    """Return whether Python visits only few errors to print an error; for nested groups, visits grow quadratically."""
     errors = [error]
     for each in errors:
         members = each.exceptions if isinstance(each, BaseExceptionGroup) else ()

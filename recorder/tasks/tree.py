@@ -32,7 +32,7 @@ _ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED
 
 
 class State(IntEnum):
-    """Status of a task; the numbers are those of the records."""
+    """Status of a task, with the same numbers as in records."""
 
     CREATED = Task.CREATED
     RUNNING = Task.RUNNING

@@ -115,7 +115,7 @@ def is_resumable(frame: FrameType) -> bool:
 
 def call_site() -> CallSite:
     """Return the innermost line of the plan that led to the present call; ("", 0) if no such line exists."""
-    return _innermost(sys._getframe(1))[1] or ("", 0)  # noqa: SLF001  as inspect.currentframe() has it
+    return _innermost(sys._getframe(1))[1] or ("", 0)  # noqa: SLF001  like inspect.currentframe()
 
 
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
@@ -143,7 +143,7 @@ def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
 
 
 def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
-    """Return the origin of a frame's code and its line; cached, as decoding the line is slow."""
+    """Return the origin of a frame's code and its line; cached, because decoding the line is slow."""
     code = frame.f_code
     key = (
         id(code),

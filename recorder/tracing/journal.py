@@ -405,7 +405,7 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
     Raises:
         RecursionError: the stack has no room for the keyframes.
     """
-    global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
+    global _open, _opened  # noqa: PLW0603  a process has one set of open journals
     context.require_stack_room(context.FOR_TASK)
     with _registry, running or nullcontext(()) as tasks:
         _opened += 1

@@ -205,7 +205,7 @@ class Span:
         )
 
     def _emit(self, record: Task) -> None:
-        global _tree_of  # noqa: PLW0603  the tree is the process's
+        global _tree_of  # noqa: PLW0603  a process has one tree
         if not self.parent and record.phase != _FINISHED and _tree_of != journal.recording_number():
             _tree_of = journal.recording_number()
             _tree.forget()

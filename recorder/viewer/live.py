@@ -315,7 +315,7 @@ def main(arguments: list[str]) -> None:
         arguments: the socket's descriptor, the target, the recording's title, and the time for a late viewer after the
             recording's end, s.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C stops only the plan; a new session would undo the niceness
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C stops only the plan; a new session would undo nice()
     connection = Connection(int(arguments[0]))
     target = Target.parse(arguments[1])
     absent = threading.Event()
@@ -400,7 +400,7 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
         elif not answers(url):
             absent.set()
             batches.report(Status.ABSENT)
-            _print(f"no viewer at {url} yet; start it at any time: rerun")
+            _print(f"no viewer answers at {url} yet; to start one at any time, run: rerun")
             wait_for_answer(url)
             absent.clear()
         stream.set_sinks(rr.GrpcSink(url))

@@ -56,7 +56,7 @@ class Marks:
         self._paths: list[str] = []
 
     def add(self, world: str, parts: Sequence[str], now: TimePoint, *shapes: rr.AsComponents) -> None:
-        """Show shapes from now on, as the entity of these names below the world's entity."""
+        """Show shapes from now on; ``parts`` is the path of their entity below the world's entity."""
         path = self._columns.path(world, *parts)
         self._columns.set_frame(path, self.scene.frame(world))
         self._columns.send(path, now, *shapes)
@@ -180,7 +180,7 @@ class Attachments:
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
-        self._paths: dict[tuple[str, str, str], str] = {}  # by world, carrier and body
+        self._paths: dict[tuple[str, str, str], str] = {}  # entities by world, carrier and body
 
     def show(self, record: Mutation | Keyframe, now: TimePoint) -> None:
         """Show the changed attachments of a record."""
@@ -226,7 +226,7 @@ class CameraFrustums:
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
-        self._paths: dict[tuple[str, str], str] = {}  # by world and robot
+        self._paths: dict[tuple[str, str], str] = {}  # entities by world and robot
 
     def show(self, world: str, now: TimePoint) -> None:
         """Show the cameras of the robots that are in a world now."""
@@ -338,8 +338,8 @@ class TrajectoryPaths:
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
-        self._followed: dict[str, dict[int, _Followed]] = {}  # by world and number
-        self._stopped: dict[tuple[str, str], list[_Path]] = {}  # by world and body
+        self._followed: dict[str, dict[int, _Followed]] = {}  # trajectories by world and number
+        self._stopped: dict[tuple[str, str], list[_Path]] = {}  # paths of stopped trajectories by world and body
 
     def move(self, world: str, body: str, time: TimePoint) -> None:
         """Extend the driven lines of a moved body."""
@@ -431,7 +431,7 @@ class TrajectoryPaths:
                 yield arm, scene.frame(world, begin.body), at_tool, points
 
     def _end(self, world: str, number: int, now: TimePoint, driven: float) -> None:
-        """End a trajectory of which ``driven`` seconds were executed."""
+        """End a trajectory after ``driven`` executed seconds."""
         followed = self._followed[world].pop(number, None)
         if followed is None:
             return  # the trajectory began before the recording

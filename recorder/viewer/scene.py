@@ -71,7 +71,7 @@ class ViewerScene:
         self._first: TimePoint | None = None
         self.bodies: dict[str, dict[str, SceneBody]] = {}  # the bodies by world and name
         self.robots: dict[str, str] = {}  # names of the controlled robots, by world
-        #: Missing files of bodies, as ``<sha256>/<file name>``; one for each body.
+        #: Missing files of bodies, such as ``<sha256>/<file name>``; one for each body.
         self.absent: dict[str, None] = {}
 
     def attach(self, asset: AssetFile) -> None:

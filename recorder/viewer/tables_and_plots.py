@@ -83,7 +83,7 @@ def _word(enum: EnumTypeWrapper, number: int) -> str:
 
 
 def _line(file: str, line: int) -> str:
-    """Return a line with the file's name only, as columns are narrow."""
+    """Return a line with the file's name only, because columns are narrow."""
     return notebook.place(file.rpartition("/")[2], line)
 
 
@@ -133,7 +133,7 @@ KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
 
 
 class RecordTables:
-    """A table for each type of record; keyframes have none, as they contain no new facts."""
+    """A table for each type of record; keyframes have none, because they contain no new facts."""
 
     def __init__(self, columns: Columns) -> None:
         self._tables = {

@@ -103,7 +103,7 @@ class Translator:
 
     def _show_change(self, record: Mutation | Keyframe, now: TimePoint) -> None:
         world, end = record.world, record.sim_step
-        effect = record.effect if isinstance(record, Mutation) else None  # kept in a variable, as access is slow
+        effect = record.effect if isinstance(record, Mutation) else None  # kept in a variable, because access is slow
         only_moves = isinstance(record, Mutation) and record.WhichOneof("command") in _MOTIONS
         motions = self.scene.motions(record)
         if not only_moves or world not in self.scene.bodies:

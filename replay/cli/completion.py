@@ -88,11 +88,6 @@ def _loaded(log: Recording) -> Iterator[LoadBody]:
     return (record.load_body for record in _within_limit(log.records(Mutation)) if record.HasField("load_body"))
 
 
-def _joints(log: Recording) -> Iterator[str]:
-    for body in _loaded(log):
-        yield from (body.body, *(f"{body.body}.{joint}" for joint in body.joints))
-
-
 def _within_limit(records: Iterator[Any]) -> Iterator[Any]:
     end = time.monotonic() + _LIMIT
     for record in records:
@@ -101,18 +96,16 @@ def _within_limit(records: Iterator[Any]) -> Iterator[Any]:
         yield record
 
 
-def _steps_and_files(prefix: str, **given: Any) -> list[str]:
-    return [*COMPLETERS["STEP"](prefix, **given), *files_ending(".mcap")(prefix)]
-
-
 #: Completers by the names or the placeholders of arguments.
 COMPLETERS: Final[dict[str, Callable[..., list[str]]]] = {
     "LOG": files_ending(".mcap"),
     "LOG2": files_ending(".mcap"),
     "STEP": _names(_steps),
-    "STEP|LOG": _steps_and_files,
+    "STEP|LOG": lambda prefix, **given: [*COMPLETERS["STEP"](prefix, **given), *files_ending(".mcap")(prefix)],
     "object": _names(lambda log: (body.body for body in _loaded(log))),
-    "OBJECT[.JOINT]": _names(_joints),
+    "OBJECT[.JOINT]": _names(
+        lambda log: (f"{body.body}{joint}" for body in _loaded(log) for joint in ("", *(f".{j}" for j in body.joints)))
+    ),
     "world": _names(lambda log: (lifetime.world for lifetime in log.lifetimes)),
     "task": _names(_tasks),
 }

@@ -40,7 +40,7 @@ _CONTROL: Final = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e\
 
 
 def visible(text: str) -> str:
-    r"""Return a text with control characters as escapes, as ``\x1b``; newlines and tabs stay."""
+    r"""Return a text with control characters as escapes, such as ``\x1b``; newlines and tabs stay."""
     return _CONTROL.sub(_escape, text)
 
 

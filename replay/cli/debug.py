@@ -72,7 +72,7 @@ help (h) [COMMAND]  quit (q)"""
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the plan and the checkpoints."""
-    parser.epilog = "The commands are those of pdb; help lists them. A script on stdin may contain commands, too."
+    parser.epilog = "The commands are the same as in pdb; help lists them. A script on stdin may contain commands, too."
     parser.add_argument(
         "step", metavar="STEP", nargs="?", help=f"begin at this step (default: the failure, or 0): {HINT}"
     )

@@ -27,7 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--all",
         action="store_true",
-        help="also print small moves by which objects settle in simulation, and every joint",
+        help="also print every joint, and small moves of objects that settle in simulation",
     )
     parser.add_argument(
         "--tolerance", type=_tolerance, default=0.0, metavar="X", help="treat numbers that differ by at most X as equal"

@@ -28,7 +28,7 @@ _VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add whether to print what to do next, which ``pycram-replay LOG`` does."""
+    """Print no suggestions of next commands; only ``pycram-replay LOG`` prints them."""
     parser.set_defaults(next_steps=False)
 
 

@@ -56,7 +56,7 @@ def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:
         yield f"lost   {losses.messages} messages that can't be decoded"
     yield from (f"lost   the attached file {name}: {cause}" for name, cause in losses.files.items())
     if not (losses.steps or losses.chunks or losses.messages or losses.files):
-        yield "lost   nothing that is known"
+        yield "lost   nothing, as far as known"
 
 
 def add_output(parser: argparse.ArgumentParser, kind: str) -> None:

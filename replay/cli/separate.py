@@ -70,7 +70,7 @@ def _lines(runs: Runs, found: Separation, shown: tuple[Claim, ...]) -> Iterator[
         low, high = claim.fact.interval
         scores = (
             f"Ochiai {claim.ochiai:.2f}, Tarantula {claim.fact.tarantula:.2f}, "
-            f"probability by chance {max(claim.chance, 1e-99):.0e}"
+            f"probability of a random result {max(claim.chance, 1e-99):.0e}"
         )
         effect = f"{percent(claim.fact.effect)} (95 %: {percent(low)} to {percent(high)})"
         yield f"   raises the failure rate by {effect}; {scores}"

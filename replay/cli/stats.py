@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
-from recorder.packages import NotInstalled
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FINE
 from replay.errors import ReplayError
@@ -347,9 +346,7 @@ def picture(folder: Path, run: str, step: int | None) -> Image.Image | None:
     with Recording(folder / run) as log:
         try:
             return log.render(log.final_step() if step is None else step, size=_SIZE)
-        except NotInstalled:
-            raise
-        except Exception:  # noqa: BLE001  no world was open, a model is lost: the other pictures matter more
+        except ReplayError:  # no world was open, or a model is lost: the other pictures matter more
             return None
 
 

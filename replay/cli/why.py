@@ -94,6 +94,6 @@ def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[s
         from replay.restore.render import write_pictures  # noqa: PLC0415
 
         return FINE, [str(path) for path in write_pictures(log, why, Path(folder))]
-    except Exception as error:  # noqa: BLE001  the explanation matters more than its pictures
+    except (ReplayError, ModuleNotFoundError) as error:  # the explanation matters more than its pictures
         print_message(f"no pictures: {format_error(error)}")
         return INCOMPLETE if isinstance(error, Damaged) else USAGE, []

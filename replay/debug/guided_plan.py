@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _MAX_WAITING: Final = 64  # largest number of waiting copies
 _SHOWN: Final = 2000  # number of shown characters from the end of an ended process's stderr
 _POLL: Final = 0.2  # seconds between checks for Ctrl-C and for a process that ended without a message
-_PARTS: Final = 40  # number of parts of a run, each of which begins with a copy
+_PARTS: Final = 40  # number of parts of a run; each part begins with a copy
 _SHORTEST: Final = 50_000_000  # shortest duration of a part in ns
 _FINEST: Final = 4  # smallest number of steps between a copy and the target of going back
 

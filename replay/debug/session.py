@@ -156,7 +156,7 @@ class Session:
         """Go back to the last change of an expression; see :meth:`set_watch`.
 
         Raises:
-            NoFurther: it didn't change before this step.
+            NoFurther: the value didn't change before this step.
         """
         watch = self._watch(expression, frame)
         step = last_before(watch.steps, self.step)

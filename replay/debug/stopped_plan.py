@@ -19,6 +19,7 @@ import signal
 import socket
 import sys
 import time
+import traceback
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -40,7 +41,7 @@ from replay.retrace.plan_process import Guidance
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-    from types import FrameType, TracebackType
+    from types import FrameType
     from typing import NoReturn
 
     from recorder.records import Record
@@ -98,7 +99,7 @@ class Channel:
 
     @property
     def has_read(self) -> bool:
-        """Whether a message is in the buffer, of which select doesn't know."""
+        """Whether a message is in the buffer; select doesn't see buffered messages."""
         return b"\n" in self._received
 
     def close(self) -> None:
@@ -134,7 +135,7 @@ def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool)
     own = [PlanFrame(each, each.f_lineno) for each in plan_frames(frame)]
     error = sys.exception() if failing else None
     if error is not None and error.__traceback__ is not None:
-        left = list(_traceback(error.__traceback__))
+        left = [PlanFrame(each, line) for each, line in traceback.walk_tb(error.__traceback__) if is_plan(each)]
         lines = dict(left)
         running = {each for each, _ in own}
         own = [PlanFrame(each, lines.get(each, line)) for each, line in own]
@@ -256,7 +257,7 @@ class PausableClock:
 
 
 def _refuse(error: Exception) -> NoReturn:
-    sys.stderr.write(f"a change of the fork can't be made again: {error}\n")
+    sys.stderr.write(f"a change of the fork can't be repeated: {error}\n")
     sys.stderr.flush()
     os._exit(1)
 

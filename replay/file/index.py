@@ -347,7 +347,7 @@ class FileScan:
         return intact and footer.summary_start == behind
 
     def _define_from_summary(self, at: int, size: int) -> None:
-        """Read definitions of channels that are lost in the data from the summary, whose offsets may be wrong."""
+        """Read from the summary the definitions of channels that are lost in the data; its offsets may be wrong."""
         while at + HEADER <= size:
             opcode, extent = self._head(at)
             at = extent.stop

@@ -66,7 +66,7 @@ def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
 
 
 def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
-    """Return the numbers of the chunks with changes of each lifetime, with its keyframes, and with its looks."""
+    """Return for each lifetime the numbers of the chunks with its changes, its keyframes, and its perceptions."""
     chunks_of: dict[Owner, _Lists] = {}
     shared = chunks.share_worlds()
     last_number: dict[str, int] = {}  # number of the latest lifetime by name of the world

@@ -43,7 +43,7 @@ CHUNK_HEAD: Final = struct.Struct("<QQQII")
 MAX_INFLATED: Final = 64 << 20  # largest number of bytes of a decompressed chunk; recorders close chunks at about 1 MiB
 #: Errors that libraries raise when they decode a damaged file.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
-#: Errors of a damaged chunk: also those of Zstandard, and of LZ4, which are RuntimeErrors.
+#: Errors of a damaged chunk, including Zstandard's errors, and LZ4's, which are RuntimeErrors.
 CHUNK_DAMAGE: Final = (*DAMAGE, ZstdError, RuntimeError)
 
 

@@ -230,7 +230,7 @@ class RecordReader:
     def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
         """Stream the records of one or several types from ``start`` to before ``stop``; other records aren't decoded.
 
-        A type may also be a name, as "query".
+        A type may also be a name, such as "query".
 
         Raises:
             NoSuchName: there is no such type.
@@ -448,7 +448,7 @@ class Newer:
 
     release: str  # version of the release
     format: int  # its format; see :mod:`recorder.records.definition_new`
-    fields: tuple[str, ...]  # unknown fields of known messages, and values of enums, as ``Mutation.force``
+    fields: tuple[str, ...]  # unknown fields of known messages, and values of enums, such as ``Mutation.force``
     kinds: tuple[str, ...]  # unknown kinds of records
 
     def __str__(self) -> str:

@@ -137,5 +137,5 @@ def lost_before(index: Index) -> tuple[range, ...]:
 
 
 def range_text(steps: range) -> str:
-    """Return steps in words, as "3-7"."""
+    """Return steps in words, such as "3-7"."""
     return str(steps.start) if len(steps) == 1 else f"{steps.start}-{steps.stop - 1}"

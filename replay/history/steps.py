@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from replay.file.lifetimes import Lifetime
     from replay.file.record_reader import RecordReader
 
-HINT: Final = "a number (negative: from the end), last, failure, a simulated time as 12.5s, or task:PATH@start or @end"
+HINT: Final = "a number (negative: from the end), last, failure, a simulated time (12.5s), or task:PATH@start or @end"
 _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>start|end)")
 
 
@@ -124,7 +124,7 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
         end = log.end_of(lifetime)
         if end is not None and end.sim_step > limit:
             return max(0, _passing(log, lifetime, limit) - 1)
-        # the last step at which the world is open, as a closed world is empty
+        # the last step at which the world is open, because a closed world is empty
         if end is not None and end.sim_step == limit:
             return end.seq - 1 if closes_world(end) else (lifetime.stop or len(log)) - 1
         ends[lifetime.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0

@@ -37,7 +37,7 @@ class Summary:
     seconds: float  # seconds from the first to the last record
     worlds: tuple[WorldClock, ...]  # the worlds in the order of their opening
     outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" if its end is damaged
-    failure: str  # failure of the plan, as "Type: message"; "" without a failure
+    failure: str  # failure of the plan, such as "Type: message"; "" without a failure
     #: Names of the plan's own threads that failed while the plan continued, with their failures.
     threads: tuple[tuple[str, str], ...]
     records: int  # number of steps

@@ -87,10 +87,10 @@ def ask(
 ) -> QueryAnswer:
     """Ask a query at a past step, unrecorded; objects are moved first, with all objects that they carry.
 
-    A question is any of :data:`QUERIES` with the arguments of :mod:`pycram.bullet_world_reasoning`, as ``visible(milk,
-    wide_stereo_optical_frame)``; or ``believed(milk)``, with an object or a type. Without a question, the query that is
-    recorded at this step is asked again, in its world. By default the world is the last opened one that is open. For
-    ``moment`` see :func:`replay.restore.world.world_at`.
+    A question is any of :data:`QUERIES` with the arguments of :mod:`pycram.bullet_world_reasoning`, such as
+    ``visible(milk, wide_stereo_optical_frame)``; or ``believed(milk)``, with an object or a type. Without a question,
+    the query that is recorded at this step is asked again, in its world. By default the world is the last opened one
+    that is open. For ``moment`` see :func:`replay.restore.world.world_at`.
 
     Raises:
         BadQuestion: the question is invalid, the world has no answer, or the step's record is no query.

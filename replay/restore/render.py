@@ -135,8 +135,8 @@ class DrawnWorld:
         the "step", and the names of the cut links as "cut".
 
         Args:
-            camera: a frame of the robot, as "wide_stereo_optical_frame"; the frame of the robot's camera has its field
-                of view and range.
+            camera: a frame of the robot, such as "wide_stereo_optical_frame"; the frame of the robot's camera has its
+                field of view and range.
             eye: viewpoint, xyz in m; or a side of the robot: one of :data:`SIDES`; by default one with a clear view.
             target: the middle of the picture: a point, xyz in m; an object, or a link as "kitchen.sink_area"; several
                 of these; by default the robot and movable objects.

@@ -6,8 +6,8 @@ as far as the recording allows; the setters check the rest.
 
 Queries draw no random numbers and change nothing in a world. So a run that takes the recorded answers continues like a
 run that asks. An answer is taken only if the next recorded query is the same: with the same arguments, at the same
-moment, and without records in between. Always asked are failed queries, queries about many targets (the evidence of
-their single answers isn't on record) and the plan's own queries.
+moment, and without records in between. Three kinds of queries are always asked: failed queries, queries about many
+targets (the evidence of their single answers isn't on record) and the plan's own queries.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ ANSWERABLE: Final = tuple(name for name in btr.__all__ if hasattr(getattr(btr, n
 
 _ANSWERS: Final = {
     "Verdict": "true or false",
-    "Found[Object]": "a list of objects, as [milk, bowl] or []",
+    "Found[Object]": "a list of objects, such as [milk, bowl] or []",
     _OF_MANY: "a list of true and false, one for each target",
 }
 
@@ -136,7 +136,7 @@ class Setting:
 
 
 def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | None = None) -> list[Change]:
-    """Return settings, as ``milk.position=1,2,0.9``, as changes after a step; by default in the last opened world.
+    """Return settings, such as ``milk.position=1,2,0.9``, as changes after a step; by default in the last opened world.
 
     Raises:
         BadChange: a setting has another form.
@@ -278,7 +278,7 @@ def parse_answer(text: str) -> GivenAnswer:
         asked = parse(_ANY.sub(lambda match: f"{match[1].rstrip(',')})", left.strip()))
         given = parse(f"answer({right})").arguments if equals and right.strip() else ()
     except BadQuestion as error:
-        raise BadChange(text, f"expected QUERY(ARGUMENTS)=ANSWER, as stable(milk)=false: {error.cause}") from None
+        raise BadChange(text, f"expected QUERY(ARGUMENTS)=ANSWER, such as stable(milk)=false: {error.cause}") from None
     if asked.query not in ANSWERABLE:
         raise NoSuchName("query on record", asked.query, ANSWERABLE)
     kind = _kind(asked.query)

@@ -81,11 +81,11 @@ def fork(
         step: the last step that both runs have.
         file: the new recording; an existing file is replaced.
         plan: an edited plan, instead of the recorded one.
-        arguments: used instead of the recorded arguments.
-        settings: values to set after that step, as ``milk.position=1,2,0.9``; see :mod:`replay.retrace.changes`.
+        arguments: the plan's arguments, instead of the recorded arguments.
+        settings: values to set after that step, such as ``milk.position=1,2,0.9``; see :mod:`replay.retrace.changes`.
         world: the world of these settings; by default the open world that was opened last.
-        answers: for the next matching queries after that step, as ``reachable_object(milk)=false``.
-        seed: of random numbers and of the order of branches after that step.
+        answers: for the next matching queries after that step, such as ``reachable_object(milk)=false``.
+        seed: the seed of random numbers and of the order of branches after that step.
         control: whether the plan also runs again unchanged to its end. If it repeats the recording, all differences of
             the fork are due to the change.
         recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.

@@ -94,7 +94,7 @@ class GuidedRun:
     def run(
         self, plan: str, arguments: Sequence[str], sink_of: Callable[[Run], Sink], file: Path = Path(os.devnull)
     ) -> None:
-        """Run a plan as a program, and return however it ends.
+        """Run a plan as a program; return even if it raises an exception.
 
         When the plan starts the recording again, ``sink_of`` returns its sink, instead of the file.
         """
@@ -175,7 +175,9 @@ class _ReportedRun:
         if self._guided.changes.due:
             change = self._guided.changes.due[0]
             self._refuse(
-                BadChange(change_text(change), f"the plan ended before it could be made after step {change.step}")
+                BadChange(
+                    change_text(change), f"the plan ended before this change, which comes after step {change.step}"
+                )
             )
 
     def _sink_of(self, run: Run) -> Sink:

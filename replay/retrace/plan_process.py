@@ -1,8 +1,8 @@
 """Runs a recorded plan again in a process of its own, under the recorded conditions and guided by the recording.
 
 With ``recorded_source``, the source that is attached to the recording runs instead of the files on the disk. It is
-written to a folder. The attached files are the plan and those of its modules that are in a call stack, by their file
-names. The folder has links to the other files beside the plan.
+written to a folder. The attached files are the plan and the modules whose lines are in call stacks. The folder has
+links to the other files next to the plan.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Guidance:
     by_program: bool  # whether the plan itself starts the recording
     until: int | None = None  # the last compared step; None to compare all
     take_answers: bool = False  # whether queries get their recorded answers instead of being asked
-    changes: tuple[Change, ...] = ()  # changes, each of which is made after its step
+    changes: tuple[Change, ...] = ()  # changes; each is made after its step
     moved: tuple[str, str] | None = None  # the folder with the plan's recorded source, and the plan's own folder
 
     def as_json(self) -> dict[str, object]:
@@ -95,7 +95,7 @@ class PlanProcess:
     Args:
         log: the recording.
         plan: a file to run instead of the recorded plan.
-        arguments: used instead of the recorded arguments.
+        arguments: the plan's arguments, instead of the recorded arguments.
         until: the last compared step; by default the last step.
         recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
 
@@ -368,7 +368,7 @@ class _RecordedSource:
     def __str__(self) -> str:
         names = ", ".join(sorted(map(str, self.files)))
         others = f"{', '.join(sorted(set(self.left_out)))} and " if self.left_out else ""
-        return f"the recorded source runs: {names}; {others}all other files come from the disk"
+        return f"run from the recorded source: {names}; run from the disk: {others}all other files"
 
 
 def _lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:

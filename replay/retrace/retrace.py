@@ -82,7 +82,7 @@ def retrace(
     Args:
         log: the recording.
         plan: a file to run instead of the recorded plan.
-        arguments: used instead of the recorded arguments.
+        arguments: the plan's arguments, instead of the recorded arguments.
         answers: "asked" to ask reasoning queries again and compare their answers; "recorded" to take the answers from
             the recording, which is faster: then only the queries and their moments are compared.
         recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.

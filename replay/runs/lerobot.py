@@ -1,9 +1,9 @@
 """Runs as a data set in LeRobot's format v3.0: an episode per run, with 30 frames per second of simulated time.
 
-A frame has the robot's base pose and joints (``observation.state``), those of the next frame (``action``), and the
-poses of all bodies that move in any run (``observation.environment_state``). Between two changes nothing moves. So only
-runs whose motions take time (execution environment ``continuous``) have trajectories. The folder is written under a
-temporary name and renamed when it is complete.
+A frame has the robot's base pose and joints (``observation.state``), the base pose and joints of the next frame
+(``action``), and the poses of all bodies that move in any run (``observation.environment_state``). Between two changes
+nothing moves. So only runs whose motions take time (execution environment ``continuous``) have trajectories. The folder
+is written under a temporary name and renamed when it is complete.
 
 A video of the robot's camera can be drawn from the recordings. Episodes follow one another in AV1 files (MP4), at the
 frame rate of the data set. Every second frame is a key frame, because training reads single frames. A frame is drawn

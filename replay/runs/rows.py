@@ -56,7 +56,7 @@ NEW: Final = "new"
 """The subfolder of the tables with the rows of recordings that aren't merged yet."""
 _PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # other runs need the processors
 _NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow now imports pandas, if installed: once, before a process forks
-_NO_EVENT: Final = Event()  # for the fields that fluents lack
+_NO_EVENT: Final = Event()  # stands for the fields that fluents lack
 _STATUSES: Final = {Task.SUCCEEDED: "succeeded", Task.FAILED: "failed", Task.CANCELLED: "cancelled"}
 _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
 _OPTION: Final = re.compile(r"--([A-Za-z][\w-]*)(?:=(.*))?", re.DOTALL)
@@ -146,7 +146,7 @@ def tables_of(log: RecordReader) -> dict[str, pa.Table]:
 class _Rows:
     def __init__(self) -> None:
         self._of: dict[str, list[list[Any]]] = {table.name: [] for table in TABLES}
-        self._joints: list[list[Any]] = [[] for _ in COLUMNS["joints"]]  # by columns, as rows come by the dozen
+        self._joints: list[list[Any]] = [[] for _ in COLUMNS["joints"]]  # by columns, because there are dozens of rows
         self.first: Record | None = None
         self.last: Record | None = None
         self.start: Run | None = None

@@ -50,11 +50,11 @@ def _table(name: str, meaning: str, *columns: tuple[str, str, str]) -> Table:
 
 _STEP: Final = ("step", "whole", "step of the record")
 _TASK: Final = ("task", "whole", "id of the task in which it happened; 0: none")
-_PATH: Final = ("path", "text", "names of the tasks in which it happened, outermost first, as `a/b/c`")
+_PATH: Final = ("path", "text", "names of the tasks in which it happened, outermost first, in the form `a/b/c`")
 _WORLD: Final = ("world", "text", "name of the world")
 _SECONDS: Final = ("seconds", "number", "time in s since the recording began")
 _SIM: Final = ("sim_seconds", "number", "simulated time in s")
-_SOURCE: Final = ("source", "text", "the plan's line, as `file:line`")
+_SOURCE: Final = ("source", "text", "the plan's line, in the form `file:line`")
 _ERROR: Final = ("failure", "text", "type of the raised error; empty: none")
 
 TABLES: Final = (
@@ -91,7 +91,7 @@ TABLES: Final = (
         ("records", "whole", "number of records"),
         ("bytes", "whole", "size of the file in bytes"),
         ("plan_sha256", "text", "hash of the plan's text"),
-        ("complete", "yes/no", "whether nothing of the recording is missing or damaged"),
+        ("complete", "yes/no", "whether the recording is complete and undamaged"),
         ("release", "text", "PyCRAM's release that made it"),
         ("host", "text", "computer"),
     ),
@@ -101,10 +101,10 @@ TABLES: Final = (
         ("step", "whole", "step of the record of its start, or of its request"),
         ("task", "whole", "its id"),
         ("parent", "whole", "id of the task around it; 0: none"),
-        ("path", "text", "names from the outermost task to this task, as `a/b/c`"),
+        ("path", "text", "names from the outermost task to this task, in the form `a/b/c`"),
         ("kind", "text", "`motion`, `process-module`, `block`, `branch`, `attempt`, ..."),
         ("name", "text", "its name"),
-        ("label", "text", "its name with the objects among its parameters, as `pick-up(spoon)`"),
+        ("label", "text", "its name with the objects among its parameters, such as `pick-up(spoon)`"),
         _WORLD,
         ("status", "text", "`succeeded`, `failed`, `cancelled`, or `running` (its end isn't on record)"),
         ("last_step", "whole", "step of the record of its end; null: no such record"),
@@ -114,7 +114,7 @@ TABLES: Final = (
         ("sim_took", "number", "duration in simulated time, s"),
         ("attempt", "whole", "number of an attempt, from 1; 0 for other tasks"),
         ("parameters", "text", "JSON"),
-        ("solution", "text", "the resolved parameters: JSON"),
+        ("solution", "text", "the resolved parameters, as JSON"),
         ("result", "text", "JSON"),
         ("resolver", "text", "function that found the solution"),
         ("module", "text", "class of the process module"),
@@ -130,7 +130,7 @@ TABLES: Final = (
         _TASK,
         _PATH,
         ("name", "text", "name of the query"),
-        ("label", "text", "its name with the objects among its arguments, as `reachable_object(milk)`"),
+        ("label", "text", "its name with the objects among its arguments, such as `reachable_object(milk)`"),
         _WORLD,
         ("arguments", "text", "JSON"),
         ("answer", "text", "JSON; empty: none"),
@@ -150,11 +150,11 @@ TABLES: Final = (
         _PATH,
         ("query", "text", "name of the query"),
         ("label", "text", "the query's name with its objects"),
-        ("candidate", "text", "names of the candidates, as `front`"),
+        ("candidate", "text", "names of the candidates, such as `front`"),
         ("count", "whole", "number of candidates"),
         ("chosen", "yes/no", "whether it was chosen"),
         ("reason", "text", "type of the reason why it was rejected; empty: it wasn't rejected"),
-        ("details", "text", "data of the reason: JSON"),
+        ("details", "text", "data of the reason, as JSON"),
     ),
     _table(
         "mutations",
@@ -182,8 +182,8 @@ TABLES: Final = (
         ("label", "text", "its name with the objects of its arguments"),
         _WORLD,
         ("sender", "text", "object that fired the event"),
-        ("arguments", "text", "arguments of the event: JSON"),
-        ("value", "text", "value of the fluent after the change: JSON"),
+        ("arguments", "text", "arguments of the event, as JSON"),
+        ("value", "text", "value of the fluent after the change, as JSON"),
         ("handlers", "whole", "number of called handlers of the event"),
         _SECONDS,
         _SIM,
@@ -206,15 +206,15 @@ TABLES: Final = (
     ),
     _table(
         "failures",
-        "a failure of a task (in which it began), of a query or of the run, or a refusal",
+        "a failure of the task in which it began, of a query, or of the run; or a refusal",
         _STEP,
         _TASK,
         _PATH,
         ("of", "text", "`task`, `query`, `refusal`, `run` or `thread`"),
         ("type", "text", "type of the error"),
         ("message", "text", "message of the error"),
-        ("data", "text", "fields of the error: JSON"),
-        ("pairs", "texts", "links that would have collided, as `l_gripper_palm_link / counter`"),
+        ("data", "text", "fields of the error, as JSON"),
+        ("pairs", "texts", "links that would have collided, such as `l_gripper_palm_link / counter`"),
         ("cause", "text", "cause of the failure, without numbers"),
         ("root", "yes/no", "whether it explains how the run ended"),
         _SECONDS,
@@ -242,7 +242,7 @@ TABLES: Final = (
         ("x", "number", "position of its base in the world, in m"),
         ("y", "number", "m"),
         ("z", "number", "m"),
-        ("qx", "number", "position of its base's orientation, a unit quaternion"),
+        ("qx", "number", "orientation of its base, a unit quaternion: x"),
         ("qy", "number", ""),
         ("qz", "number", ""),
         ("qw", "number", ""),

@@ -39,7 +39,7 @@ LEVEL: Final = 0.01
 PRESENT: Final = frozenset({"happened", "reached"})
 """Kinds of sites without values: events that happened, and tasks that runs reached."""
 _ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "happened", "reached")
-#: Kinds of tasks whose parameters are those of their motion, or only describe the plan's structure.
+#: Kinds of tasks whose parameters repeat their motion's parameters, or only describe the plan's structure.
 _STRUCTURE: Final = frozenset({"process-module", "plan", "branch", "block", "cleanup"})
 _AXES: Final = ("x", "y", "z")
 _MAX_SITES: Final = 20_000
@@ -65,8 +65,8 @@ class Claim:
     also: tuple[str, ...]  # the other facts, in words
     ochiai: float  # the score, 0 to 1
     chance: float  # probability of a claim this strong if nothing separates the runs
-    failure: str  # name of a failed run of which the fact is true
-    success: str  # name of a similar successful run of which the fact is false, or ""
+    failure: str  # name of a failed run for which the fact is true
+    success: str  # name of a similar successful run for which the fact is false, or ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class Separation:
     cases: tuple[ComparedRun, ...]
     claims: tuple[Claim, ...]  # the claims, the strongest first; claims that reflect progress come last
     compared: int  # number of compared facts
-    explained: int  # number of failed runs of which a claim is true
+    explained: int  # number of failed runs for which a claim is true
 
     @property
     def failures(self) -> int:
@@ -142,7 +142,7 @@ def _separation(cases: tuple[ComparedRun, ...], found: list[Compared]) -> Separa
 
 
 def _pair(fact: Fact, facts: Sequence[Fact], cases: Sequence[ComparedRun]) -> tuple[str, str]:
-    """Return a failed run of which a fact is true, and the most similar successful run of which it is false."""
+    """Return a failed run for which a fact is true, and the most similar successful run for which it is false."""
     failed = [number for number in sorted(fact.true) if cases[number].failed]
     others = [number for number in sorted(fact.known - fact.true) if not cases[number].failed]
     if not others:
@@ -397,13 +397,13 @@ class Fact:
     kind: str  # kind of the fact's site
     text: str  # the fact in words, such as "arm=right at pick-up(spoon)"
     site: str  # name of its site
-    failed: int  # number of failed runs of which it is true
+    failed: int  # number of failed runs for which it is true
     failures: int  # number of failed runs that reached the site
-    succeeded: int  # number of successful runs of which it is true
+    succeeded: int  # number of successful runs for which it is true
     successes: int  # number of successful runs that reached the site
     step: float  # median of the first steps at which its value is known
     evidence: float  # how strongly it correlates with failure
-    true: frozenset[int]  # numbers of the runs of which it is true
+    true: frozenset[int]  # numbers of the runs for which it is true
     known: frozenset[int]  # numbers of the runs that reached the site
     how_far: bool  # whether it may only reflect how far the failed runs got
 
@@ -420,7 +420,7 @@ class Fact:
 
     @property
     def effect(self) -> float:
-        """The failure rate of runs of which it is true, minus that of other runs."""
+        """The failure rate of runs for which it is true, minus that of other runs."""
         others = len(self.known) - len(self.true)
         false = (self.failures - self.failed) / others if others else 0.0
         return self.failed / len(self.true) - false

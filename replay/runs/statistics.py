@@ -246,7 +246,7 @@ class FolderComparison:
     plan: str
     first: Share  # successes in the first folder
     second: Share  # successes in the second folder
-    causes: tuple[tuple[str, int, int], ...]  # of failures, with their counts in both, the largest change first
+    causes: tuple[tuple[str, int, int], ...]  # with their counts in both folders, the largest change first
     paired: int  # number of pairs of runs
     mended: tuple[tuple[str, str], ...]  # names of pairs that fail in the first folder only
     broken: tuple[tuple[str, str], ...]  # names of pairs that fail in the second folder only
@@ -324,7 +324,7 @@ def lines(found: FolderComparison, first: Path, second: Path) -> Iterator[str]:
     yield f"first    {found.first}: {first}"
     yield f"second   {found.second}: {second}"
     yield f"change   {signed(found.effect)} (95 %: {signed(low)} to {signed(high)})"
-    yield f"paired   {plural(found.paired, 'run')} of both with the same number, seed and parameters"
+    yield f"paired   {plural(found.paired, 'pair')} of runs with the same number, seed and parameters"
     for what, pairs in (("fail no more", found.mended), ("fail only in the second", found.broken)):
         if pairs:
             yield from ("", f"{len(pairs)} of them {what}")

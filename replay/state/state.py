@@ -27,11 +27,11 @@ class Body:
     name: str
     type: str  # "robot", "environment", "milk", ...
     loaded: LoadBody  # the record of its loading: models, initial pose, robot description
-    position: Vector  # of its base link in the world, m
-    orientation: Quaternion  # of its base link in the world, xyzw
-    velocity: tuple[float, ...] = (0.0,) * 6  # of its base link: linear (m/s), then angular (rad/s)
+    position: Vector  # position of its base link in the world, m
+    orientation: Quaternion  # orientation of its base link in the world, xyzw
+    velocity: tuple[float, ...] = (0.0,) * 6  # velocity of its base link: linear (m/s), then angular (rad/s)
     joints: Mapping[str, float] = field(default_factory=dict)  # positions by name, rad or m
-    joint_velocities: Mapping[str, float] = field(default_factory=dict)  # by name, rad/s or m/s
+    joint_velocities: Mapping[str, float] = field(default_factory=dict)  # velocities by name, rad/s or m/s
     color: tuple[float, ...] = ()  # RGBA 0..1; empty: the color of its model
 
     def __repr__(self) -> str:
@@ -69,7 +69,7 @@ class RecordedBelief:
 
     robot: str
     object: str
-    position: Vector  # of the object's base in the world, m; of a held object, its true position
+    position: Vector  # position of the object's base in the world, m; the true position of a held object
     orientation: Quaternion  # of the same, xyzw
     source: str  # "seen"; "told", by the world's state; "held"; "placed", where the robot released it
     sim_step: int  # simulated steps of 1/240 s until the robot learned it
@@ -93,8 +93,8 @@ class World:
     realtime: bool = False  # whether it is simulated in real time
     robot: str = ""  # name of the robot of plans
     lifetime: int = 1  # the number of its lifetime, from 1: a name can be reused
-    bodies: Mapping[str, Body] = field(default_factory=dict)  # by name, in the order of loading
-    attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)  # by names of carrier and body
+    bodies: Mapping[str, Body] = field(default_factory=dict)  # bodies by name, in the order of loading
+    attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)  # by carrier and body
     following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow, by number
     #: Beliefs by names of robot and object, the latest last.
     beliefs: Mapping[tuple[str, str], RecordedBelief] = field(default_factory=dict)
@@ -192,11 +192,11 @@ class State:
     """All worlds after a step, or at a moment within the stretch of simulation that follows it."""
 
     step: int
-    worlds: Mapping[str, World]  # by name, in the order of their opening
+    worlds: Mapping[str, World]  # worlds by name, in the order of their opening
     uncertainty: str = ""  # lost records that may have changed the state, in words
     assets: Assets | None = field(default=None, repr=False, compare=False)  # the recording's attached files
     sampled: Sampled | None = None  # the moment within a stretch of simulation; None after a step
-    source: MomentSource | None = field(default=None, repr=False, compare=False)  # of states of an open recording
+    source: MomentSource | None = field(default=None, repr=False, compare=False)  # of an open recording
 
     def __repr__(self) -> str:
         worlds = "; ".join(world._summary() for world in self.worlds.values())  # noqa: SLF001  same module

@@ -400,7 +400,7 @@ class Gripper:
     open: tuple[float, ...]  # position of each joint when open, rad or m
     fingers: tuple[str, ...]  # links of the fingers
     aperture: float  # m between the finger tips when open
-    depth: float  # m from the tool frame back towards the palm, in which an object fits
+    depth: float  # m from the tool frame back to the palm: the room for an object
     tips: float  # m from the tool frame forward to the finger tips when closed; open fingers reach less far
     underside: float  # m from the tool frame down to the gripper's lowest point when it is level
     gap: float = 0.0  # m between the finger tips when closed; thinner objects slip through
@@ -460,7 +460,7 @@ class Gripper:
         return bias if abs(bias) > _EVEN else 0.0
 
     def middle(self, width: float, bias: float) -> float:
-        """Return y in the tool frame, m, of the middle of an object of a width in m when the fingers close on it."""
+        """Return where the fingers bring the middle of an object of a given width (m): y in the tool frame, m."""
         return bias * ((width - self.gap) / 2 + _AIR)
 
     def _ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> dict[str, Vector]:

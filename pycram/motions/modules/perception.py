@@ -64,7 +64,7 @@ def _sightings(robot: Object, source: str, bodies: Iterable[Object]) -> dict[str
 def _reason(evidence: dict[str, Any]) -> str:
     """Return the reason why an object isn't seen."""
     share, hiders = evidence["share"], ", ".join(evidence["hidden_by"])
-    reason = evidence.get("reason") or (f"is seen to {share:.0%} only" if share else "is not seen")
+    reason = evidence.get("reason") or (f"is only {share:.0%} visible" if share else "is not seen")
     return f"{reason} (behind {hiders})" if hiders else reason
 
 

@@ -102,7 +102,7 @@ class PickUp(SimulatedModule):
             raise GraspFailed(arm.name, body.name, "it is fixed")
         if giver is not None and (giver.name == arm.name or self.held(robot, giver) is not body):
             which = "is the same gripper" if giver is arm else "doesn't hold it"
-            reason = f"it can't take it from the {giver.name} gripper, which {which}"
+            reason = f"it can't be taken from the {giver.name} gripper, which {which}"
             raise GraspFailed(arm.name, body.name, reason)
         if giver is None and body.carrier is not None:
             raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
@@ -112,7 +112,7 @@ class PickUp(SimulatedModule):
         velocity = robot.world.engine.velocity(body.handle)
         speed, turning = math.hypot(*velocity[:3]), math.hypot(*velocity[3:])
         if speed > _MOVING[0] or turning > _MOVING[1]:
-            moves = f"it moves, with {speed:.2f} m/s and {turning:.1f} rad/s"
+            moves = f"it moves at {speed:.2f} m/s and {turning:.1f} rad/s"
             raise GraspFailed(arm.name, body.name, f"{moves}; world.settle() waits until it is at rest")
         for other in robot.world.objects:
             if other is not body and not other.fixed:  # hulls of furniture may hold what lies in it
@@ -204,7 +204,7 @@ def _check_sides(robot: Object, arm: Arm, body: Object) -> None:
 
 
 def _meeting(robot: Object, arm: Arm, giver: Arm, posture: Mapping[str, float]) -> list[CollisionPair]:
-    """Return the contacts between the links of two hands, where one takes an object from the other; hulls are tight."""
+    """Return the contacts between the links of two hands when one takes an object from the other; hulls are tight."""
     hands = [{each.gripper.palm, *each.gripper.fingers} for each in (arm, giver)]
     opened = arm.gripper.positions("open")
     with CollisionChecker(robot, [*posture, *opened]) as checker:

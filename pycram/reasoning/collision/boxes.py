@@ -328,7 +328,7 @@ class MovingLinks:
 
 @dataclass(frozen=True, slots=True)
 class _Structure:
-    """The part of moving links that doesn't depend on the pose of the robot."""
+    """Data of moving links that doesn't depend on the pose of the robot."""
 
     moving: frozenset[str]  # links that are checked
     owners: Sequence[Owner]  # (k,) the owner of each checked box

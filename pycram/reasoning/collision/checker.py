@@ -67,7 +67,7 @@ class CollisionChecker:
         joints: names of the moving joints; links that they don't move aren't checked.
         ignored: objects that may be touched.
         all_links: whether to check all links of the robot, not only the moved links.
-        ignored_links: objects with links that may be touched, as links that move along.
+        ignored_links: objects with links that may be touched, such as links that move along.
         margin: distance in m up to which other objects are checked as well.
     """
 
@@ -168,7 +168,7 @@ class CollisionChecker:
         transforms: NDArray[np.float64],
         moved: NDArray[np.float64],
     ) -> list[PostureCandidate]:
-        """Return candidates for transforms by the joints, and for transforms (n, joints + 1, 4, 4) with the base."""
+        """Return candidates for postures: for the transforms by joints, and the transforms that include the base."""
         centers, axes = self._links.boxes.moved(moved[:, self._links.drivers])
         posture, box, other = overlaps(centers, axes, self._links.boxes.half_extents, self._other_boxes)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
@@ -344,7 +344,7 @@ class CollisionChecker:
             engine.set_pose(self._clone.body(body.name), geometry.multiply(engine.link_pose(robot, link), pose))
 
     def links_beyond(self, joints: Collection[str]) -> set[str]:
-        """Return the robot's links below all of some joints: the hand for an arm's joints.
+        """Return the robot's links below the last of some joints: for an arm's joints, the hand.
 
         Args:
             joints: names of moving joints in a chain.

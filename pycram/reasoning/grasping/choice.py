@@ -275,7 +275,7 @@ def holding_grasps(
     Args:
         robot: its world is locked.
         names: the allowed sides; None for all.
-        failures: receives the reasons against other grasps. The caller may add failures; after a few of both the
+        failures: receives the reasons against other grasps. The caller may add failures; after a few failures the
             search ends.
         choice: receives the reasons by grasp.
         base: assumed pose of the robot's base; its present pose by default.
@@ -303,7 +303,7 @@ def _nothing(
     """Return why there is no grasp."""
     if plan.posture is None:
         tilt = geometry.angle(leaning(body), geometry.IDENTITY[1])
-        lies = f"as it leans, by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
+        lies = f"because it leans by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
         if arm.gripper.suction:
             return GraspFailed(arm.name, body.name, f"{lies}it is nowhere flat enough for the suction cup")
         sides = Choice("grasp", {})  # needed even if nothing is recorded

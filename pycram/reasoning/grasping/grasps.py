@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 FREE: Final = 0.004
 """Metres of the aperture that must stay free."""
 _CLEARANCE: Final = 0.002  # m between the finger tips and the support of the object
-_PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, at which rays are cast
+_PADS: Final = (-0.01, 0.0, 0.01)  # m; rays are cast at these places across the finger pads
 _STEP: Final = 0.004  # m between rays along the fingers
 _LEVELS: Final = 6  # levels below a rim at which its wall is measured
 _EDGE: Final = 0.004  # m below a rim at which its wall begins
@@ -64,10 +64,10 @@ class Grasp:
     """A pose of the tool that takes an object."""
 
     name: str  # the side from which the gripper comes
-    position: Vector  # of the tool frame in the world, m
-    orientation: Quaternion  # of the tool frame in the world, xyzw
+    position: Vector  # position of the tool frame in the world, m
+    orientation: Quaternion  # orientation of the tool frame in the world, xyzw
     width: float  # m between the fingers when they hold the object
-    label: str = ""  # unique among the candidates, as "top across"; the side if empty
+    label: str = ""  # unique among the candidates, such as "top across"; the side if empty
 
     def __str__(self) -> str:
         return self.label or self.name
@@ -87,7 +87,7 @@ def candidates(
 
     Args:
         robot: its heading defines the front.
-        arm: the arm whose gripper is to take it.
+        arm: the arm whose gripper must take it.
         names: the allowed sides; all by default.
         off_center: return only grasps of a long object from the top, between its middle and its ends.
         base: assumed pose of the robot's base; its present pose by default.

@@ -2,8 +2,8 @@
 
 A handle is a bar. A gripper takes it from the front, as the robot faces the closed door or drawer, with the fingers
 across the bar; it closes a door in the same way. The gripper may turn about the bar, also during the motion, and may
-hold the bar beside its middle. If an arm has no path, :func:`remedies` finds another arm or another place of the
-robot.
+hold the bar at some distance from its middle. If an arm has no path, :func:`remedies` finds another arm or another
+place of the robot.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 ANGLES: Final = tuple(math.radians(angle) for angle in range(-90, 91, 30))
 """Angles in rad about the bar, by which a gripper may be turned from the front."""
 
-#: Shares of the distance from the bar's middle to where the gripper would reach over its end.
+#: Places along the bar: shares of the way from its middle to where the gripper would reach over its end.
 _SHIFTS: Final = {"middle": 0.0, "one side": 0.5, "other side": -0.5}
 _MAX_TURN: Final = math.radians(31)  # rad about the bar between neighbouring values of the joint
 _MAX_JUMP: Final = 1.6  # rad of an arm's joint between neighbouring values
@@ -336,7 +336,7 @@ class _Search:
         return self._end(grip, layers, len(nodes), obstacles)
 
     def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
-        """Return the nodes with the same links at the same pose: all nodes for links of the body, many for the hand."""
+        """Return the nodes at which some links have one pose: all nodes for the body's links, many for the hand."""
         robot = self._robot.name
         own = ([pair.link, pair.body_link] if pair.body == robot else [pair.link] for pair in pairs)
         if any(self._links.isdisjoint(links) for links in own):
@@ -501,7 +501,7 @@ class InTheWay:
 def arms_in_the_way(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], pairs: Sequence[CollisionPair]
 ) -> list[Remedy | InTheWay]:
-    """Return for each other arm in an arm's way whether it is a remedy to park it.
+    """Return for each arm that is in the way of another arm whether parking it helps.
 
     Args:
         robot: its world is locked.

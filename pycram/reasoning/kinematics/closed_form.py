@@ -422,7 +422,7 @@ def _crossing(first: bytes, second: bytes) -> tuple[float, float, Array, Array]:
 
 
 def twice(vectors: Array) -> Array:
-    """Return vectors (3, n) repeated side by side; a single one (3, 1) as it is."""
+    """Return vectors (3, n) repeated side by side; a single vector (3, 1) is returned unchanged."""
     return vectors if vectors.shape[1] == 1 else np.concatenate([vectors, vectors], axis=1)
 
 
@@ -449,7 +449,7 @@ def opened(hinge: Hinge, distance: Array) -> tuple[Array, Array]:
     """Return the angle about an axis that brings a point to a distance from another point: subproblem 3.
 
     Args:
-        hinge: of the axis and both points.
+        hinge: the hinge of the axis and both points.
         distance: between both points, (n,), m.
 
     Returns:

@@ -58,7 +58,7 @@ EDGE: Final = 0.01  # m from an object to the edge of its surface
 FINGERS: Final = 0.025  # m from an object to others, so that a finger fits between
 _RESOLUTION: Final = 0.025  # m between cells
 _FINEST: Final = 0.005  # m between cells, at least, on a surface that is hardly wider than the object
-_CELLS: Final = 3  # cells across the strip of a surface in which the object's middle can be
+_CELLS: Final = 3  # cells across the part of a surface where the object's middle can be
 _ABOVE: Final = 0.003  # m above a surface at which obstacles begin: the surface's own boxes are a little too high
 _NEAR: Final = 0.15  # m from a point, at which a score is halved
 _FAR: Final = 1.0  # m from a point or an object, above which a place isn't near it
@@ -184,7 +184,7 @@ class SurfaceSearch(Search):
         wanted = f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}"
         super().__init__(body.world, wanted, arguments)
         self._body, self._orientation, self._near, self._away = body, orientation, near, away
-        self._side, self._reference = side  # the object beside which the place must be; None for a side of each surface
+        self._side, self._reference = side  # the object next to the place; None for a side of each surface
         self._robot, self._arms, self._seed = robot, arms, seed
         self._surfaces = [SearchedSurface(furniture, surface) for furniture, surface in surfaces]
         self._done: list[Vector] = []  # places that were offered or tried

@@ -81,7 +81,7 @@ class Goal(Protocol):
         """Return the name of the goal for messages."""
 
     def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]] | None:
-        """Return for each stage rough poses of the tool, one of which it must reach with the base at a pose.
+        """Return for each stage rough poses of the tool; with the base at a pose, the tool must reach one of them.
 
         None means any pose.
         """
@@ -179,7 +179,7 @@ class TakeGoal:
         unfit = _no_free_hand(self._robot, arm)
         if unfit is not None:
             return unfit
-        solver = Solver(self._robot, arm.tool_frame)  # a cheap test, as most places are out of reach
+        solver = Solver(self._robot, arm.tool_frame)  # a cheap test, because most places are out of reach
         grasps = [
             *candidates(self.body, self._robot, arm, self._grasps, base=base),
             *candidates(self.body, self._robot, arm, self._grasps, base=base, off_center=True),

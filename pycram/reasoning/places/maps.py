@@ -128,7 +128,7 @@ class Footprints:
         return counted
 
     def _along(self, points: Array, counted: NDArray[np.bool_]) -> Iterator[tuple[Array, Array]]:
-        """Yield points (n, 2) in the frames of rectangles, (m, 2, n) in m, with half extents (m, 2, 1).
+        """Yield points (n, 2) in the frames of k rectangles, (k, 2, n) in m, and half of the sizes (k, 2, 1).
 
         The rectangles come in parts that fit into the processor's cache.
         """
@@ -250,7 +250,7 @@ def room(robot: Object, centers: Array) -> Array:
     """Return 0 where a robot would touch something in any heading, up to 1 where nothing is near.
 
     Args:
-        robot: with the objects that it holds; its world is locked, and the clone is in sync.
+        robot: the robot, with the objects that it holds; its world is locked, and the clone is in sync.
         centers: (cells, 2) positions of its base, m.
     """
     clone = clone_of(robot.world, "reach")

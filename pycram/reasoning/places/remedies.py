@@ -33,16 +33,16 @@ class Reasons:
         self._maps = ""  # why the maps left no place, and the remedy
 
     def add(self, constraint: str, reason: Rejection) -> None:
-        """Count a reason; of equal ones, the narrowest miss is kept."""
+        """Count a reason; of equal reasons, the one with the narrowest miss is kept."""
         group = self._found.setdefault(constraint, {})
         count, nearest = group.get(reason.group(), (0, reason))
         group[reason.group()] = count + 1, min(nearest, reason, key=lambda each: each.miss())
 
     def excluded_by_maps(self, constraint: str, *, alone: bool) -> None:
-        """Remember the constraint that left no place on the maps; ``alone`` if the others leave places without it."""
+        """Remember the constraint that excluded all places of the maps; with ``alone``, places are left without it."""
         self._maps = _SURFACE.get(constraint, "")
         if not self._maps and alone and constraint.startswith(("near", "away-from", "side")):
-            self._maps = f"without {constraint}, the other constraints leave places: change it or leave it out"
+            self._maps = f"there are places without {constraint}: change it or leave it out"
 
     def text(self, constraint: str, objects: Sequence[Object], *, drives: bool) -> str:
         """Return the commonest reason of a constraint, and the remedy; "" if neither is known.

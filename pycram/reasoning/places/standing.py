@@ -300,7 +300,7 @@ class StandingSearch(Search):
         super()._exclude(batch, spot, constraint, reason)
 
     def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
-        """Return for each place the constraint that excludes it by a quick check of all; None if there is none."""
+        """Check all places quickly; return for each place the constraint that excludes it, or None."""
         found = self._collisions(spots)
         for goal, look in itertools.product(self._goals, (self._struck, self._out_of_reach)):
             left = [number for number, excluded in enumerate(found) if excluded is None]
@@ -318,7 +318,7 @@ class StandingSearch(Search):
         return [None if promising else OutOfReach(None) for promising in promises]
 
     def _collisions(self, spots: Sequence[Spot]) -> list[tuple[str, Rejection] | None]:
-        """Return for each place what the robot would touch there; None for nothing, and at its present place."""
+        """Return for each place what the robot would touch there; None for a free place, and for its present place."""
         found: list[tuple[str, Rejection] | None] = []
         if not spots:
             return found

@@ -30,7 +30,7 @@ T = TypeVar("T")
 P = ParamSpec("P")
 
 RECORDED_AS: Final = {"gripper_name": "gripper"}
-"""Names in records of arguments whose parameters have other names."""
+"""Names of arguments in records, if these differ from the names of the parameters."""
 _OBJECTS: Final = ("object", "object1", "object2", "robot")
 
 
@@ -163,7 +163,7 @@ _oracle: Oracle | None = None
 @contextmanager
 def answered_by(oracle: Oracle) -> Iterator[None]:
     """Let an oracle answer all queries of this process in the block."""
-    global _oracle  # noqa: PLW0603  a run is the process's
+    global _oracle  # noqa: PLW0603  a process has one run
     before, _oracle = _oracle, oracle
     try:
         yield

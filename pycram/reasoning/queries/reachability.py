@@ -154,7 +154,7 @@ def reachable_poses(
         bases: positions and orientations of the robot's base to try; its present pose by default.
         orientations: xyzw of the link at the targets, one or as many as poses; any by default.
         collision_free: whether nothing may be in the way, including the robot at each base.
-        ignoring: objects that may be touched, as the object to grasp.
+        ignoring: objects that may be touched, such as the object to grasp.
 
     Returns:
         The answers in order, each with its evidence.
@@ -187,7 +187,7 @@ def reachable_poses(
 
 
 def _summed_up(verdicts: Sequence[Verdict]) -> Choice:
-    """Return the reasons why targets aren't reached, as a choice of the first reached target."""
+    """Return a choice of the first reached target, with the reasons why other targets aren't reached."""
     considered = considering()
     for number, verdict in enumerate(verdicts, 1):
         reasons = verdict.considered.reasons() if verdict.considered is not None else []

@@ -68,7 +68,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     """Return whether an object stays in place when time runs (thesis 4.4.1).
 
     Args:
-        world: only for calls as in the thesis.
+        world: the object's world; the thesis passes it.
 
     Returns:
         False if the object would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence has the
@@ -133,7 +133,7 @@ def _participants(body: Object) -> list[Object]:
 
 
 def _reach(body: Object, free: Mapping[Object, Box]) -> float:
-    """Return the distance in m that any body can cover in time, at the greatest speed plus a fall's to the foot."""
+    """Return the distance in m that any body can cover in time, at the greatest speed plus the speed of a fall."""
     world = body.world
     strength = math.hypot(*world.gravity)
     down = [part / strength for part in world.gravity] if strength else [0.0, 0.0, 0.0]
@@ -229,7 +229,7 @@ class SolidPart(Solid):
         self._turns = geometry.to_matrices(orientations)
 
     def link(self, contact: Contact) -> str:
-        """Return the link with the box nearest to a contact; of several boxes around it the smallest."""
+        """Return the link with the box nearest to a contact; the smallest box, if several contain the contact."""
         within = np.einsum("kji,kj->ki", self._turns, contact.position - self._positions)
         beyond = np.maximum(np.maximum(self._low - within, within - self._high), 0.0)
         distances = np.maximum((beyond**2).sum(axis=1), _FLAT**2)

@@ -41,11 +41,11 @@ VISIBLE_SHARE: Final = 0.8
 """Share of an object's pixels above which the object is visible (thesis 4.4.3)."""
 
 _PIXELS: Final = 80**2  # pixels of the rendered part
-_FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of view, for cameras without another one
+_FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of view of cameras without a description
 _MAX_NAMES: Final = 250  # names in a picture; objects with higher numbers aren't shown
 _MARGIN: Final = 0.05  # share of the part's size around the object
 _RAY: Final = 1e-3  # half the width of a ray, at 1 m
-_AT: Final = 0.05  # m before a point within which an object doesn't hide the point, such as the board below it
+_AT: Final = 0.05  # m; objects within this distance before a point, such as a board, don't hide it
 
 
 @query
@@ -155,7 +155,7 @@ def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View
     """Return the view of an object by a camera; its world is locked.
 
     Args:
-        without: objects that hide nothing, as a robot that will move.
+        without: objects that hide nothing, such as a robot that will move.
     """
     frame = camera.window
     window, reason = _window(body, camera, frame)
@@ -187,7 +187,7 @@ def _pixels(
     """Return the names of the bodies in a picture, and the number of the body at each pixel."""
     owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)  # 0 is the object, -1 is no object
     near = [int(owner) for owner in np.unique(owners) if owner > 0][:_MAX_NAMES]
-    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last number is for -1
+    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last is for owner -1: no object
     numbers[0] = 1
     numbers[near] = range(2, len(near) + 2)
     return [body.name, *(others[owner - 1].name for owner in near)], numbers[owners]

@@ -332,7 +332,7 @@ def _setters(text: str, name: str) -> tuple[int, ...]:
 
 
 def _last_name(node: ast.expr) -> str:
-    """Return the last name of an expression, as ``door`` of ``self.door``."""
+    """Return the last name of an expression, such as ``door`` of ``self.door``."""
     return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
 
 

@@ -93,7 +93,7 @@ def test_machines_get_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--explore", "5", "--order", "added"], "--explore makes many"),
         (["--explore", "5", "--debug-on-failure"], "--debug-on-failure is for one run"),
         (["--explore", "5", "--limit", "0"], "not a time in seconds greater than 0"),
-        (["--json"], "--json goes with --explore"),
+        (["--json"], "--json is only for --explore"),
         (["--order", "first"], "'first' is not an order: expected"),
     ],
 )

@@ -355,8 +355,8 @@ def test_a_toml_next_to_the_urdf_renames_corrects_adds_and_removes(tmp_path: Pat
         ("[surfaces.case]\nclearance = -1", "clearance"),
         ("[surfaces.case]\noutline = [[0, 0], [0, 1], [1, 1]]", "counter-clockwise"),
         ("[surfaces.case]\nsize = [0, 1]", "above 0 m"),
-        ("[surfaces.case]\nsize = [1, 1]\noutline = [[0, 0], [1, 0], [1, 1]]", "takes size or outline, not both"),
-        ("[containers.door]\nkind = 'lid'", '"drawer" or "door"'),
+        ("[surfaces.case]\nsize = [1, 1]\noutline = [[0, 0], [1, 0], [1, 1]]", "give either size or outline, not both"),
+        ("[containers.door]\nkind = 'lid'", "one of drawer, door"),
         ("[surfaces", "is not TOML"),
     ],
 )

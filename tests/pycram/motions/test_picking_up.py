@@ -71,7 +71,7 @@ def test_what_moves_says_so_and_no_time_passes(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
     milk.set_position([1.3, 1.0, 1.2])
     scene.simulate(0.1)
-    with pytest.raises(GraspFailed, match=r"it moves, with 0\.98 m/s .* world\.settle\(\) waits"):
+    with pytest.raises(GraspFailed, match=r"it moves at 0\.98 m/s .* world\.settle\(\) waits"):
         perform(type="pick-up", object=milk, arm="left")
     assert scene.settle()
     milk.set_position_and_orientation([1.3, 1.0, 0.947], [0, 0, 0, 1])
@@ -93,7 +93,7 @@ def test_what_is_inside_of_something_says_so(scene: BulletWorld) -> None:
 def test_what_leans_and_fits_from_no_side_says_both(scene: BulletWorld) -> None:
     lean = list(geometry.from_rpy(math.radians(20), 0, 0))
     pot = Object("pot", "pot", "pot.stl", [1.3, 0.9, 1.1], lean)
-    with pytest.raises(DoesNotFit, match="as it leans, by 20 degrees, it is too big for the gripper") as refused:
+    with pytest.raises(DoesNotFit, match="because it leans by 20 degrees, it is too big for the gripper") as refused:
         perform(type="pick-up", object=pot, arm="left", grasp="front")
     assert min(refused.value.widths) > refused.value.widest == pytest.approx(0.086)
     assert "up to 86 mm fit between the fingers" in str(refused.value)

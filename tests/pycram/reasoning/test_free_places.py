@@ -141,8 +141,8 @@ def test_constraints_that_exclude_each_other_are_named(room: BulletWorld, table:
     finally:
         bowl.set_position(bowl_was)
     assert refused.value.last == "side back"
-    remedy = "without side back, the other constraints leave places: change it or leave it out"
-    assert str(refused.value).endswith(f"the last by side back; {remedy}")
+    remedy = "there are places without side back: change it or leave it out"
+    assert str(refused.value).endswith(f"the last place was excluded by side back; {remedy}")
     next(free_places(cup, on=on(table), seed=0))
 
 

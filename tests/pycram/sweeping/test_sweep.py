@@ -219,7 +219,7 @@ def test_what_is_no_distribution_is_refused(text: str) -> None:
     [
         ({"set": {"y": [1]}}, "plan.py has no parameter 'y'; "),
         ({"set": {"whta": ["fine"]}}, "did you mean what?"),
-        ({"set": {"x": ["far"]}}, "a parameter of type float, as its default 0.5"),
+        ({"set": {"x": ["far"]}}, "a value of type float, because the default is 0.5"),
         ({"sample": {"x": "uniform(0)"}}, "uniform(a,b)"),
         ({"sample": {"x": "unifrom(0,1)"}}, "did you mean uniform?"),
         ({"sample": {"x": "__import__('os')"}}, "a distribution"),
@@ -388,7 +388,7 @@ def test_a_run_that_hangs_is_ended(plan: Path, tmp_path: Path) -> None:
     result = pycram.sweep(plan, 2, tmp_path / "runs", set={"what": ["fine", "hangs"]}, limit=4)
     assert (result.done, result.failed) == (2, 1)
     began, ended = ends(recordings(tmp_path / "runs")[1])
-    assert (ended.failure.type, ended.failure.message) == ("TimeLimit", "the run still ran after 4 s")
+    assert (ended.failure.type, ended.failure.message) == ("TimeLimit", "the run was still running after 4 s")
     assert began.sweep.attempt == 2
 
 

@@ -206,7 +206,7 @@ def test_what_only_the_setter_knows_ends_the_fork(log: Recording, tmp_path: Path
         ({"settings": ["robot.position=0,0,1"]}, BadChange, "has no robot at step"),
         ({"answers": ["stabel(milk)=false"]}, NoSuchName, "did you mean stable"),
         ({"answers": ["stable(milk)=[cup]"]}, BadChange, "its answer is true or false"),
-        ({"answers": ["occluding(milk)=true"]}, BadChange, r"a list of objects, as \[milk, bowl\]"),
+        ({"answers": ["occluding(milk)=true"]}, BadChange, r"a list of objects, such as \[milk, bowl\]"),
         ({"answers": ["stable(milk, who=cup)=true"]}, BadChange, "who"),
         ({"answers": ["stable(mlik)=false"]}, NoSuchName, "no object 'mlik'; did you mean milk"),
         (

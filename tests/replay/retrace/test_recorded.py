@@ -121,7 +121,7 @@ def test_the_recorded_source_runs_where_the_files_are_others_now(
         result = retrace(recording, recorded_source=True)
         assert result.identical
         assert result.notes == (
-            "the recorded source runs: parts/steps.py, plan.py; all other files come from the disk",
+            "run from the recorded source: parts/steps.py, plan.py; run from the disk: all other files",
         )
         fork(recording, 2, tmp_path / "on.mcap", recorded_source=True)
     with replay.open(tmp_path / "on.mcap") as on, replay.open(log) as recording:
