@@ -152,13 +152,6 @@ def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool)
     return own
 
 
-def _traceback(trace: TracebackType | None) -> Iterator[PlanFrame]:
-    while trace is not None:
-        if is_plan(trace.tb_frame):
-            yield PlanFrame(trace.tb_frame, trace.tb_lineno)
-        trace = trace.tb_next
-
-
 def variables(frame: FrameType, *, arguments: bool = False) -> list[dict[str, str | int]]:
     """Return a frame's variables, without a module's definitions, or only its arguments."""
     values = dict(frame.f_locals)
