@@ -252,7 +252,8 @@ def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
     times = [clock(moment) for moment in moments]
     begin, end = (min(times), max(times)) if times else (0, 1)
     height = _TOP + _ROW * len(shown) + 12
-    size = f'width="{_NAMES + _BARS + 30}" height="{height}"'
+    width = _NAMES + _BARS + 30
+    size = f'width="{width}" height="{height}" viewBox="0 0 {width} {height}"'  # JupyterLab narrows it: scaled, not cut
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="DejaVu Sans, sans-serif" font-size="11">',
         '<rect width="100%" height="100%" fill="white"/>',

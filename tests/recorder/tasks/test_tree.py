@@ -230,6 +230,7 @@ def test_text_json_dot_and_picture(log: Path, capsys: pytest.CaptureFixture[str]
     assert len(facts) == len(tree)
     assert {fact["status"] for fact in facts} == {"succeeded", "failed", "cancelled"}
     picture = ET.fromstring(tree.to_svg())
+    assert picture.attrib["viewBox"] == f"0 0 {picture.attrib['width']} {picture.attrib['height']}"  # scaled, never cut
     titles = [title.text for title in picture.iter("{http://www.w3.org/2000/svg}title")]
     assert len(titles) == len(tree)
     assert any("Unreachable" in title for title in titles)
