@@ -11,7 +11,9 @@ if TYPE_CHECKING:
 MAX_ROWS: Final = 20  # largest number of shown rows of a table
 _MAX_CELL: Final = 80  # largest number of characters in a cell
 _MAX_LINES: Final = 40  # largest number of shown lines of a section
-_PRE: Final = '<pre style="margin:0 0 0.3em 1em;white-space:pre-wrap;line-height:1.3">'
+_PRE: Final = (
+    '<pre style="margin:0 0 0.3em 1em;white-space:pre-wrap;word-break:normal;overflow-wrap:anywhere;line-height:1.3">'
+)
 _CELL: Final = '<td style="text-align:left">'
 _HEAD: Final = '<th style="text-align:left">'
 
