@@ -53,6 +53,7 @@ _WHOLE: Final = 0.97  # minimum free share of a face that keeps its shape
 _PARALLEL: Final = 1e-9  # maximum component of a unit normal along a parallel line
 _SIMPLE: Final = 16  # planes of a piece, up to which no line is left out
 _ROUNDING: Final = 1e-9  # share by which rounding may change an area
+_COLUMNS: Final = 8  # of a matrix that BLAS multiplies together
 _SAME_PLANE: Final = 6  # decimals in which planes of triangles on one side of a hull agree
 
 
@@ -304,13 +305,15 @@ def _near(piece: Piece, origins: Array, directions: Array) -> NDArray[np.intp]:
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (np.stack([piece.low - _GAP, piece.high + _GAP])[:, None] - origins) / directions
     low, high = np.sort(ends, axis=0)  # (n, 3) by axis; infinite where a line is parallel to a side
-    return np.flatnonzero(low.max(axis=1) <= high.min(axis=1))
+    found = np.flatnonzero(low.max(axis=1) <= high.min(axis=1))
+    return np.resize(found, 2) if len(found) == 1 else found  # twice, as BLAS rounds a single row differently
 
 
 def _between_planes(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[Array, Array]:
     """Return the same as :func:`_through`, by all planes of all pieces for each line."""
     starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
     planes = np.concatenate([piece.planes for piece in every])
+    planes = np.concatenate([planes, planes[[-1] * (-len(planes) % _COLUMNS)]])  # BLAS rounds odd columns differently
     slopes = np.broadcast_to(directions @ planes[:, :3].T, (len(origins), len(planes)))
     heights = origins @ planes[:, :3].T + planes[:, 3]
     along = np.abs(slopes) < _PARALLEL
