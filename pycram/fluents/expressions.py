@@ -28,11 +28,14 @@ from pycram.foundation.failures import WorldClosed
 from pycram.scheduling.schedule import shared_lock
 from recorder import records
 from recorder.tracing import journal, span
+from recorder.tracing.context import current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from weakref import WeakValueDictionary
+
+    from pycram.scheduling.schedule import Clock
 
 
 #: Any value that a plan gives to a fluent.
@@ -89,6 +92,15 @@ class Expression(ABC):
     @abstractmethod
     def text(self, depth: int = 0) -> str:
         """Return the expression's name, inside of ``depth`` operations."""
+
+    def variables(self) -> Iterator[Variable]:
+        """Yield the variables from which the value follows, also through counters."""
+        leaves: list[Expression] = [*self.leaves]
+        for leaf in leaves:  # the loop appends to it
+            if isinstance(leaf, Variable):
+                yield leaf
+            for operand in leaf.operands:
+                leaves.extend(operand.leaves)
 
     def state(self) -> State:
         """Return the present values of the leaves, all of the same moment."""
@@ -388,7 +400,7 @@ _numbers = itertools.count(1)
 class Variable(Leaf):
     """A value that a plan or a world sets; each assignment is recorded."""
 
-    __slots__ = ("bodies", "json", "name", "source")
+    __slots__ = ("bodies", "json", "name", "set_by", "source")
 
     def __init__(self, value: Value, name: str | None = None, source: str = "", bodies: tuple[str, ...] = ()) -> None:
         super().__init__((), value)
@@ -396,10 +408,15 @@ class Variable(Leaf):
         self.source = source  # the quantity of a world that it follows ("pose", "joint", ...); "" if a plan sets it
         self.bodies = bodies  # names of the objects that it follows
         self.json: str | None = None  # the value as JSON, for the record; None if unknown
+        self.set_by = ""  # name of the branch or thread that set it last; "" if none did
 
     def text(self, depth: int = 0) -> str:  # noqa: ARG002  names have no depth
         """Return the name."""
         return self.name
+
+    def clock(self) -> Clock | None:
+        """Return the simulated time that waits for the variable let pass; None if time doesn't change it."""
+        return None
 
     def serialize(self) -> None:
         """Convert the value to JSON; never with a lock held, because the value may have its own conversion."""
@@ -427,6 +444,7 @@ def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0)
     Raises:
         RecordingError: A change can't be recorded, and isn't made.
     """
+    name = current_name()
     serialized: dict[Variable, str] = {}
     if journal.recording():
         for variable, value in values.items():
@@ -440,6 +458,7 @@ def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0)
             for variable, value in values.items():
                 old.append(variable.held)
                 variable.held, variable.json = value, serialized.get(variable)
+                variable.set_by = name
             pulse(values)
 
 

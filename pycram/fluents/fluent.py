@@ -30,7 +30,7 @@ import operator
 import warnings
 from collections import deque
 from contextlib import nullcontext
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from pycram.fluents.expressions import (
     Behavior,
@@ -66,6 +66,8 @@ if TYPE_CHECKING:
 
 
 __all__ = ["Behavior", "FalseEndsWait", "Fluent", "NotSettable", "NotTrueOrFalse", "network"]
+
+_MAX_NAME: Final = 60  # characters of a network in a message
 
 
 class NotSettable(UsageError):
@@ -417,6 +419,7 @@ class StateStream:
 
     def states(self, limit: Deadline | None = None) -> Iterator[State]:
         """Yield the states in order, and end at a deadline, however fast states come; None for no deadline."""
+        clock = next(filter(None, (variable.clock() for variable in self._expression.variables())), None)
         while True:
             late = limit is not None and limit.has_come
             if self._states:
@@ -426,7 +429,16 @@ class StateStream:
                 yield self._states.popleft()
             if late:
                 return
-            wait_until(self._news, lambda: bool(self._states), limit)
+            wait_until(self._news, lambda: bool(self._states), limit, clock=clock, reason=self._reason)
+
+    def _reason(self) -> tuple[str, list[str]]:
+        text = self._expression.text()
+        text = text if len(text) <= _MAX_NAME else f"{text[: _MAX_NAME - 3]}..."
+        variables = dict.fromkeys(self._expression.variables())
+        if any(each.source for each in variables):
+            return f"{text}, while nobody simulates", []
+        set_by = [each.set_by for each in variables if each.set_by]
+        return f"{text}, {f'last set by {set_by[0]}' if set_by else 'which nobody has set'}", set_by
 
 
 def first_value(expression: Expression, timeout: float | None = None) -> Value:

@@ -22,9 +22,11 @@ from pycram.fluents.expressions import Ended, Variable, assign, end
 from pycram.fluents.fluent import Derived
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.refusals import refusing
+from pycram.motions.process_module import CONTINUOUS, current_environment
 from pycram.reasoning.queries.contact import touches
 from pycram.reasoning.queries.query import world_of
 from pycram.scheduling.future import unwrap
+from pycram.world.simulation import WorldClock
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -126,6 +128,10 @@ class _WorldVariable(Variable):
         super().__init__(read(), f"{source} of {name}", source, tuple(body.name for body in objects))
         self.read = read  # returns the present value; called with the world's lock held, while the objects exist
         self.objects = objects
+
+    def clock(self) -> WorldClock | None:
+        """Return the world's time, if motions take time."""
+        return WorldClock(self.objects[0].world, last=False) if current_environment() == CONTINUOUS else None
 
     def gone(self) -> str:
         """Return the object that has been removed; "" for none."""

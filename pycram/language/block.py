@@ -51,7 +51,7 @@ from pycram.scheduling.schedule import Condition, LockHeld, refuse_held, schedul
 from recorder.tasks import State
 from recorder.tracing import interrupts
 from recorder.tracing.call_stack import call_site
-from recorder.tracing.context import current_branch, enter_branch
+from recorder.tracing.context import current_branch, current_name, enter_branch
 from recorder.tracing.span import Cancelled, Span, current_call_stack
 
 if TYPE_CHECKING:
@@ -195,8 +195,10 @@ class Block:
             elif self.policy.concurrent:
                 name = f"{self.name}-{self._taken} {branch.name}"
                 site = branch.span.source.line if branch.span.source is not None else ("", 0)
+                branch.runs_in = name
                 self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon, site)
             else:
+                branch.runs_in = current_name()
                 branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
                 branch.context.run(self._run, branch)
         ends_body = self.policy.propagates or not isinstance(branch.error, PlanFailure)
@@ -332,7 +334,7 @@ class Block:
         while True:
             joining, own.joining = own.joining, own.joining or interrupt is not None
             try:
-                join(self._changed, self._all_ended)
+                join(self._changed, self._all_ended, self._reason)
             except LockHeld:  # waiting again would be rejected again
                 raise
             except BaseException as error:  # noqa: BLE001  raised when the branches have ended
@@ -347,6 +349,9 @@ class Block:
                 if self._all_ended():  # else a thread of the plan's own has added a branch
                     self.state = State.CANCELLED  # closed; the final state is set next
                     return interrupt
+
+    def _reason(self) -> tuple[str, list[str]]:
+        return f"the end of {self.name}", [branch.runs_in for branch in self.branches if not branch.done]
 
     def _all_ended(self) -> bool:
         while self._joined < len(self.branches) and self.branches[self._joined].done:
@@ -437,12 +442,14 @@ class ReadBlock(Block):
             while not self._body_ended or self._pending:
                 if self._pending:
                     self._take(self._pending.popleft())
-                wait(self._changed, lambda: bool(self._pending) or self._body_ended)
+                wait(self._changed, lambda: bool(self._pending) or self._body_ended, reason=self._reason_to_read)
         except BaseException as stop:  # noqa: BLE001  raised below
             self.scope.cancel()  # no need to read the rest
             stopped = stop
         self._drop()
-        join(self._changed, lambda: self._body_ended)  # actions of the body itself are part of this block too
+        join(
+            self._changed, lambda: self._body_ended, self._reason_to_read
+        )  # actions of the body itself are part of this block too
         error = self._body_error
         if isinstance(error, PlanFailure):
             self._body_failed(error)
@@ -450,6 +457,9 @@ class ReadBlock(Block):
         raised = self._close(error or stopped)
         if raised is not None:
             raise_unchanged(raised)
+
+    def _reason_to_read(self) -> tuple[str, tuple[str, ...]]:
+        return f"the body of {self.name}", ()
 
     def _drop(self) -> None:
         """Cancel the branches that haven't started."""

@@ -79,6 +79,7 @@ class Branch:
         self.span = span if span is not None else Span("branch", name)
         self.state = State.CREATED
         self.error: BaseException | None = None  # the raised error; None also after success and cancellation
+        self.runs_in = ""  # name in records of the concurrent branch, or thread, that runs it; "" before it is known
         self._dropped = dropped
         self._begun = False
         self._changed = changed
@@ -119,7 +120,7 @@ class Branch:
         Raises:
             Cancelled: The waiting branch is cancelled.
         """
-        return wait(self._changed, lambda: self.done, timeout)
+        return wait(self._changed, lambda: self.done, timeout, lambda: (f"the end of {self.name}", [self.runs_in]))
 
     def result(self, timeout: float | None = None) -> Result:
         """Wait for its end, at most for a timeout in s; return its result, or raise its action's error.

@@ -17,6 +17,7 @@ from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
 from pycram.language.nesting import scope, sequential
 from pycram.scheduling.cancellation import CancelScope, current_scope, entered, raise_if_cancelled
 from pycram.scheduling.schedule import Deadline, Limit, scheduler
+from pycram.world.simulation import WorldClock
 from recorder.records import STEPS_PER_SECOND
 from recorder.tracing.span import Cancelled, span
 
@@ -42,7 +43,8 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
 
     Args:
         seconds: The limit in s, from 0 up.
-        simulated: Whether to measure simulated time of the current world instead of the clock's.
+        simulated: Whether to measure simulated time of the current world instead of the clock's. If all branches wait,
+            and only passing time can end a wait in the block, it passes.
 
     Raises:
         TimedOut: The block missed its deadline.
@@ -75,17 +77,18 @@ class _SimulatedDeadline(Limit):
     def __init__(self, world: BulletWorld, seconds: float) -> None:
         super().__init__()
         self._world = world
-        self._end = world.sim_step + round(seconds * STEPS_PER_SECOND)
+        self.end = world.sim_step + round(seconds * STEPS_PER_SECOND)
+        self.clock = WorldClock(world, last=True)
 
     @property
     def has_come(self) -> bool:
         """Whether the deadline is reached."""
-        return self._world.sim_step >= self._end
+        return self._world.sim_step >= self.end
 
     @property
     def was_missed(self) -> bool:
         """Whether the deadline has passed."""
-        return self._world.sim_step > self._end
+        return self._world.sim_step > self.end
 
 
 @contextmanager
@@ -104,7 +107,7 @@ def _simulated_timer(seconds: float) -> Iterator[CancelScope]:
     if world is None:
         raise NoWorld
     deadline = _SimulatedDeadline(world, seconds)
-    world.time_listeners[deadline.notify_all] = None
+    world.time_listeners[deadline.notify_all] = deadline.end
     try:
         yield CancelScope(current_scope(), deadline)
     finally:

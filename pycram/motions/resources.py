@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.scheduling.cancellation import Binding, wait
 from pycram.scheduling.schedule import Condition
+from recorder.tracing.context import current_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Set as AbstractSet
@@ -172,6 +173,7 @@ class Ticket:
         self._motion = motion
         self._outer = _around.get()
         self._waiting: dict[Ticket, None] = {}  # parts of this motion that wait for their turn
+        self._branch = current_name()  # of the branch, or thread, that performs the motion
 
     def enqueue(self) -> None:
         """Take the last place, unless it has a place, without waiting."""
@@ -226,7 +228,7 @@ class Ticket:
         try:
             if not self._grant():
                 self._refuse_deadlock()
-                wait(self._queue.changed, self._grant)
+                wait(self._queue.changed, self._grant, reason=self._reason)
         finally:
             for outer in self._outer:
                 outer._waiting.pop(self, None)  # noqa: SLF001  same class
@@ -244,6 +246,11 @@ class Ticket:
                 earlier = False
             elif (earlier or known.granted) and known.resources.conflicts(self.resources):
                 yield known
+
+    def _reason(self) -> tuple[str, list[str]]:
+        blockers = list(self._blockers())
+        names = ", ".join(dict.fromkeys(blocker._motion for blocker in blockers))  # noqa: SLF001  same class
+        return f"the end of {names}, as {self._motion} {self.resources}", [each._branch for each in blockers]  # noqa: SLF001
 
     def _refuse_deadlock(self) -> None:
         reached = dict.fromkeys(self._blockers())

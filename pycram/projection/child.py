@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, NoReturn, TypeVar
 from pycram.language.nesting import nothing_open
 from pycram.motions.process_module import forget_claims
 from pycram.scheduling.cancellation import begin_alone, checkpoint
-from pycram.scheduling.schedule import MISSED_SIGNALS_EVERY, is_held, scheduler
+from pycram.scheduling.schedule import MISSED_SIGNALS_EVERY, is_held
 from pycram.world.world import number_anew, open_worlds
 from recorder.tracing import forking, interrupts
 
@@ -308,7 +308,6 @@ def run_from_start(answer: Callable[[], bytes]) -> Child:
 
     def answer_from_start() -> bytes:
         number_anew()
-        scheduler().alone = False  # it may wait for a signal
         return answer()
 
     return Child(answer_from_start)

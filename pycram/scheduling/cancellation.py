@@ -12,14 +12,14 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
-from pycram.scheduling.schedule import Condition, Deadline, Waiter, is_held, schedule_alone, scheduler
+from pycram.scheduling.schedule import Condition, Deadline, Waiter, is_held, schedule_alone, scheduler, unknown_reason
 from recorder.tracing.span import Cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextvars import Token
 
-    from pycram.scheduling.schedule import Limit
+    from pycram.scheduling.schedule import Clock, Limit, Reason
 
 Value = TypeVar("Value")
 
@@ -193,43 +193,63 @@ def raise_if_cancelled() -> None:
         raise Cancelled
 
 
-def wait(condition: Condition, predicate: Callable[[], bool], timeout: float | None = None) -> bool:
+def wait(
+    condition: Condition,
+    predicate: Callable[[], bool],
+    timeout: float | None = None,
+    reason: Reason = unknown_reason,
+) -> bool:
     """Wait until a predicate holds, while other branches run; return whether it holds, False only after the timeout.
 
     Args:
         condition: Notified whenever the predicate may have changed.
         predicate: Called in the branch that waits, without a lock.
         timeout: In seconds; None for no limit.
+        reason: What it waits for, for messages.
 
     Raises:
         Cancelled: The branch is cancelled, and the predicate doesn't hold.
+        DeadlockedBranches: Nothing can wake any branch.
         LockHeld: The caller holds a lock.
     """
     if predicate():
         return True
     if timeout is None:
-        return wait_until(condition, predicate)
+        return wait_until(condition, predicate, reason=reason)
     with Deadline(timeout) as limit:
-        return wait_until(condition, predicate, limit)
+        return wait_until(condition, predicate, limit, reason=reason)
 
 
-def wait_until(condition: Condition, predicate: Callable[[], bool], limit: Deadline | None = None) -> bool:
-    """Wait until a predicate holds, or a deadline has passed; see :func:`wait`. The caller has entered the deadline."""
+def wait_until(
+    condition: Condition,
+    predicate: Callable[[], bool],
+    limit: Deadline | None = None,
+    *,
+    clock: Clock | None = None,
+    reason: Reason = unknown_reason,
+) -> bool:
+    """Wait until a predicate holds, or a deadline has passed; see :func:`wait`. The caller has entered the deadline.
+
+    While nothing else is ready, a simulated clock passes: the given one, or the one of a deadline around the wait.
+    """
     scope = _scope.get()
     sources = (condition, *(() if scope is None else scope.sources), *(() if limit is None else (limit,)))
-    with Waiter(sources) as waiter:
+    if clock is None and scope is not None and scope.deadlines:
+        clock = next((each.clock for each in scope.deadlines if each.clock is not None), None)
+    with Waiter(sources, None if clock is None else clock.may_pass, last=True, reason=reason) as waiter:
         while not predicate():
             raise_if_cancelled()
             if limit is not None and limit.struck:  # it passed before the wait; other branches still run first
                 waiter.wake()
-            waiter.sleep()
+            if waiter.sleep() and clock is not None:
+                clock.let_pass()
             if limit is not None and limit.has_come:
                 return predicate()
     return True
 
 
-def join(condition: Condition, predicate: Callable[[], bool]) -> None:
+def join(condition: Condition, predicate: Callable[[], bool], reason: Reason = unknown_reason) -> None:
     """Wait until a predicate holds, even if the branch is cancelled; see :func:`wait`."""
-    with Waiter((condition,)) as waiter:
+    with Waiter((condition,), reason=reason) as waiter:
         while not predicate():
             waiter.sleep()

@@ -24,7 +24,7 @@ from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
 #: A branch that takes this many turns in a row, for example because it polls, then lets all other branches run.
 MOST_IN_A_ROW: Final = 100
@@ -34,16 +34,51 @@ _PCT: Final = re.compile(r"pct:(\d+):([1-9]\d*):([1-9]\d*)")
 _PRECEDENCE: Final = re.compile(r"(\d+(?:\.\d+)*)-(\d+(?:\.\d+)*)@(\d+)")
 
 
+@dataclass(frozen=True, slots=True)
+class BlockedWait:
+    """A wait that nothing can end."""
+
+    branch: str  # name of the branch, or of the thread for code outside of branches
+    line: str  # FILE:LINE of the plan's line that waits
+    reason: str  # what it waits for; "" if unknown
+    depends_on: tuple[str, ...]  # names of the branches that could end it, or that last set what it waits for
+
+    def __str__(self) -> str:
+        return f"{self.branch} at {self.line}{self.reason and f' waits for {self.reason}'}"
+
+
 class DeadlockedBranches(UsageError):
     """All branches wait, and nothing can wake one of them.
 
-    It is raised only in orders that are requested by name, and in projections; otherwise a signal may end the wait.
+    It isn't raised while a wait may end otherwise: at a deadline, or by a thread or a signal handler of the plan.
     """
 
-    def __init__(self, waiting: Mapping[str, str]) -> None:
-        where = ", ".join(f"{name} at {line}" for name, line in waiting.items())
-        super().__init__(f"deadlock: all branches wait, and nothing can wake them: {where}")
-        self.waiting = dict(waiting)  # FILE:LINE where each branch waits, by its name
+    def __init__(self, waits: Sequence[BlockedWait]) -> None:
+        self.waits = tuple(waits)
+        self.cycle = _cycle(waits)  # names of branches that wait for each other, the first also last; () for none
+        where = "; ".join(map(str, waits))
+        cycle = f"; cycle: {' -> '.join(self.cycle)}" if self.cycle else ""
+        super().__init__(f"deadlock: all branches wait, and nothing can wake them: {where}{cycle}")
+
+    @property
+    def waiting(self) -> dict[str, str]:
+        """FILE:LINE where each branch waits, by its name."""
+        return {each.branch: each.line for each in self.waits}
+
+
+def _cycle(waits: Sequence[BlockedWait]) -> tuple[str, ...]:
+    depends_on = {each.branch: each.depends_on for each in waits}
+    for start in depends_on:
+        paths: list[tuple[str, ...]] = [(start,)]
+        seen = {start}
+        for path in paths:  # the loop appends to it
+            for name in depends_on.get(path[-1], ()):
+                if name == start:
+                    return (*path, start)
+                if name not in seen:
+                    seen.add(name)
+                    paths.append((*path, name))
+    return ()
 
 
 export("pycram.failures", DeadlockedBranches)

@@ -10,7 +10,8 @@ main thread are recorded; a run that a recording guides has its strikes at the s
 
 A branch that yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. If
 none is ready, the first patient wait resumes, such as a wait in simulated time. If there is none, the thread sleeps
-until another thread rings its bell or the first deadline passes. The code outside of all branches takes turns, too.
+until another thread rings its bell or the first deadline passes. If neither can come, all branches are in a deadlock,
+and the code outside of them gets the error. That code takes turns, too.
 
 A signal handler may raise an error between any two instructions, and a deep recursion may end in any call. Then the
 loop ends and the code outside of all branches gets the error. The next loop schedules all branches again.
@@ -33,16 +34,16 @@ from copy import copy
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from greenlet import getcurrent, greenlet
 
 from pycram.foundation.errors import UsageError
 from pycram.foundation.refusals import refused
-from pycram.scheduling.order import BranchLine, DeadlockedBranches, order_of
+from pycram.scheduling.order import BlockedWait, BranchLine, DeadlockedBranches, order_of
 from recorder import notebook
 from recorder.tracing import context, forking, interrupts, journal
-from recorder.tracing.call_stack import call_site, plan_frame, recorded_file
+from recorder.tracing.call_stack import plan_frame, recorded_file
 from recorder.tracing.context import enter_branch, new_branch
 
 if TYPE_CHECKING:
@@ -55,9 +56,19 @@ if TYPE_CHECKING:
     from recorder.tracing.call_stack import CallSite
 
 
+_BEFORE: Final = frozenset(sys._current_frames())  # noqa: SLF001  idents of threads that aren't the plan's
 #: Seconds until a signal is noticed that arrives just before the thread sleeps: Python doesn't wake it then.
 MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
+
+
+#: Returns what a wait waits for, and the names of the branches that it depends on; called only in a deadlock.
+Reason: TypeAlias = "Callable[[], tuple[str, Collection[str]]]"
+
+
+def unknown_reason() -> tuple[str, Collection[str]]:
+    """Return that it isn't known what a wait waits for."""
+    return "", ()
 
 
 class Waiter:
@@ -66,16 +77,26 @@ class Waiter:
     Args:
         sources: The conditions that wake it.
         patience: For a patient wait, which resumes when nothing else of its thread is ready: whether it may resume now.
+        last: Whether it resumes only if no other patient wait may resume.
+        reason: What it waits for.
     """
 
-    __slots__ = ("_greenlet", "_scheduler", "_sources", "branch", "parked", "patience", "undisturbed")
+    __slots__ = ("_greenlet", "_scheduler", "_sources", "branch", "last", "parked", "patience", "reason", "undisturbed")
 
-    def __init__(self, sources: Collection[Condition] = (), patience: Callable[[], bool] | None = None) -> None:
+    def __init__(
+        self,
+        sources: Collection[Condition] = (),
+        patience: Callable[[], bool] | None = None,
+        *,
+        last: bool = False,
+        reason: Reason = unknown_reason,
+    ) -> None:
         self._greenlet = getcurrent()
         self._scheduler = scheduler()
         self._sources = sources
         self.branch = self._scheduler.running  # None outside of all branches
-        self.patience = patience
+        self.patience, self.last = patience, last
+        self.reason = reason
         self.parked = False  # whether it sleeps
         self.undisturbed = False  # whether it resumed because nothing else was ready
 
@@ -86,6 +107,15 @@ class Waiter:
     def resume(self) -> None:
         """Switch to the waiting code; called by the scheduler's loop."""
         self._greenlet.switch()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the code that waited has ended."""
+        return self._greenlet.dead
+
+    def fail(self, error: BaseException) -> None:
+        """Switch to the waiting code, which raises an error."""
+        self._greenlet.throw(error)
 
     def plan_line(self) -> BranchLine:
         """Return the plan's line that waits."""
@@ -107,7 +137,7 @@ class Waiter:
         for source in self._sources:
             source.waiters.pop(self, None)
         self._scheduler.patient.pop(self, None)
-        if self._scheduler.order is not None or self.patience is not None:
+        if self._scheduler.order is not None or (self.patience is not None and not self.last):
             self._scheduler.forget(self)
 
 
@@ -162,10 +192,13 @@ Ready: TypeAlias = "Waiter | _Branch"
 
 
 def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine:
-    frame = plan_frame(suspended.gr_frame)[0] if suspended is not None else None
     site = branch.site if branch else ("", 0)
-    if frame is not None:
-        site = (recorded_file(frame.f_code.co_filename), frame.f_lineno)
+    if suspended is not None:
+        running = suspended is getcurrent()
+        plan, foreign = plan_frame(sys._getframe() if running else suspended.gr_frame)  # noqa: SLF001  as inspect has it
+        frame = plan or (foreign if branch is None else None)
+        if frame is not None:
+            site = (recorded_file(frame.f_code.co_filename), frame.f_lineno)
     return BranchLine(threading.current_thread().name if branch is None else branch.name, *site)
 
 
@@ -241,8 +274,8 @@ class Scheduler:
         self.failing: dict[_Branch | None, BaseException] = {}  # errors that branches raise at their next checkpoints
         self._ready: OrderedDict[Ready, None] = OrderedDict()
         self.draw_from(_seed, _order)
-        self.alone = False  # whether no signal can end a wait (in a forked copy): then a wait may be a deadlock
-        self._deadlocked = False  # whether the error of a deadlock was raised in a branch
+        self._parked: dict[Waiter, None] = {}  # waits that sleep
+        self._deadlocked = False  # whether the code outside of the present branches has had the error of a deadlock
         self.patient: dict[Waiter, None] = {}  # patient waits, in order of arrival
         self._first: Waiter | None = None  # runs next, before all that are ready
         self.strike_sources: dict[StrikeSource, None] = {}  # polled in this order
@@ -342,6 +375,7 @@ class Scheduler:
             self._ranked(self.order).stops += 1
         outside = self._is_outside()
         waiter.parked, waiter.undisturbed = True, False
+        self._parked[waiter] = None
         try:
             if not self.branches:
                 self._sleep_alone()
@@ -354,6 +388,7 @@ class Scheduler:
                 self._loop.switch()
         finally:
             waiter.parked = False
+            self._parked.pop(waiter, None)
             if outside:
                 self._outside = None
         if outside and not self.joining:
@@ -400,20 +435,24 @@ class Scheduler:
                     chosen = schedule(self._ready, self._dice, self.order)
                 elif (patient := self._next_patient()) is not None:
                     chosen = patient
+                elif not self.can_be_woken():
+                    self._fail_deadlocked()
+                    continue
                 else:
                     self._sleep()
                     slept = True
                     continue
-                self.running = chosen.branch
+                self.running = chosen.branch if not chosen.ended else None  # the code outside may run then
                 chosen.resume()
+            self._deadlocked = False
         finally:
             self._resume_all()
             self._loop = None
             self.running = None
 
     def _next_patient(self) -> Waiter | None:
-        """Return the first patient wait that may resume because nothing is ready."""
-        for waiter in self.patient:
+        """Return the first patient wait that may resume, because nothing is ready."""
+        for waiter in sorted(self.patient, key=lambda each: each.last):
             if waiter.parked and waiter.patience is not None and waiter.patience():
                 waiter.undisturbed = True
                 return waiter
@@ -435,6 +474,8 @@ class Scheduler:
     def _sleep_alone(self) -> None:
         self.poll()
         while not self._ready and self._next_patient() is None and not interrupts.is_pending():
+            if not self.can_be_woken():
+                raise DeadlockedBranches(self._blocked())
             self._sleep()
             self.poll(again=True)
         for ready in list(self._ready):
@@ -444,20 +485,49 @@ class Scheduler:
     def _sleep(self) -> None:
         """Block the thread until the bell rings or a deadline passes."""
         first = min((each.end for each in self.strike_sources if not each.struck), default=math.inf)
-        known = self.alone or self.order is not None
-        if known and first == math.inf and self._bell.locked() and not forking.others():
-            self._raise_deadlock()
         while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
-            if first <= time.monotonic():  # otherwise Python has called signal handlers
+            if first <= time.monotonic() or self.patient:  # otherwise Python has called signal handlers
                 break
 
-    def _raise_deadlock(self) -> None:
-        """Raise DeadlockedBranches, once: cleanup code may wait again."""
-        if not self._deadlocked:
+    def awaits_strike(self) -> bool:
+        """Return whether a deadline of the clock or a worker will wake a wait."""
+        return any(not each.struck for each in self.strike_sources)
+
+    def can_be_woken(self) -> bool:
+        """Return whether a deadline, a thread or a signal handler of the plan may wake a wait of this thread.
+
+        A thread of native code isn't known before it has run Python.
+        """
+        if self.awaits_strike() or threads_of_plan() or interrupts.has_handlers():
+            return True
+        return not self._bell.locked()  # last: a thread may have rung it before it ended
+
+    def _fail_deadlocked(self) -> None:
+        """Raise DeadlockedBranches outside of the branches, or in one of them if that didn't end their waits.
+
+        The first error cancels the branches. Then only their cleanup code can wait.
+        """
+        error = DeadlockedBranches(self._blocked())
+        inside = next((each for each in self._parked if each.branch is not None), None)
+        if not self._deadlocked or inside is None:
             self._deadlocked = True
-            lines = [branch.plan_line() for branch in list(self.branches)]
-            lines = lines or [BranchLine(threading.current_thread().name, *call_site())]
-            raise DeadlockedBranches({each.branch: notebook.place(Path(each.file).name, each.line) for each in lines})
+            raise error
+        self.running = inside.branch
+        inside.fail(error)
+
+    def _blocked(self) -> list[BlockedWait]:
+        """Return the waits of all branches, and of the code outside unless it only waits for these branches."""
+        waits = {each.branch: each for each in self._parked}
+        blocked: list[BlockedWait] = []
+        for branch in (*self.branches, None):
+            if (waiter := waits.get(branch)) is not None:
+                reason, depends_on = waiter.reason()
+                name, file, line = waiter.plan_line()
+                joins = bool(depends_on) and {*depends_on} <= {each.branch for each in blocked}
+                if branch is not None or not joins:
+                    place = notebook.place(Path(file).name, line)
+                    blocked.append(BlockedWait(name, place, reason, tuple(depends_on)))
+        return blocked
 
     def poll(self, *, again: bool = False) -> None:
         """Poll the sources of strikes, and notify the waits of each source that strikes.
@@ -507,6 +577,14 @@ def _in_own_code(frame: FrameType) -> bool:
     return False
 
 
+def threads_of_plan() -> bool:
+    """Return whether another thread may run the plan's code, also one that the threading module doesn't know."""
+    if forking.others():
+        return True
+    known = {thread.ident for thread in threading.enumerate()}
+    return bool(sys._current_frames().keys() - known - _BEFORE)  # noqa: SLF001  no other function knows them
+
+
 class _Local(threading.local):
     def __init__(self) -> None:
         self.scheduler = Scheduler()
@@ -530,14 +608,26 @@ def schedule_alone() -> None:
     """
     before, _local.scheduler = _local.scheduler, Scheduler()
     _local.scheduler.continue_order(before)
-    _local.scheduler.alone = True
 
 
 # --- deadlines and other strikes -------------------------------------------------------------------------------------
 
 
+class Clock(Protocol):
+    """Simulated time that a wait lets pass when nothing else of its thread is ready."""
+
+    def may_pass(self) -> bool:
+        """Return whether it may pass now."""
+
+    def let_pass(self) -> None:
+        """Let it pass until something is ready."""
+
+
 class Limit(Condition, ABC):
     """A deadline of a part of the plan; notified when it comes."""
+
+    clock: Clock | None = None
+    """The simulated time that the waits before it let pass; None for a deadline in wall-clock time."""
 
     @property
     @abstractmethod

@@ -233,7 +233,8 @@ def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
 def _pass_time(world: BulletWorld, waiting: Wait) -> None:
     scope = current_scope()
     sources = () if scope is None else scope.sources
-    with Waiter(sources, patience=lambda: not world.realtime) as waiter:
+    reason = partial(_awaited_time, world)
+    with Waiter(sources, patience=lambda: not world.realtime, reason=reason) as waiter:
         waiting.waiter = waiter
         world.waits.add(waiting)
         try:
@@ -242,16 +243,56 @@ def _pass_time(world: BulletWorld, waiting: Wait) -> None:
                 if world.closed:
                     raise WorldClosed(world.name, "wait in simulated time")
                 if waiter.sleep():
-                    _simulate_until_needed(world, scope)
+                    _simulate_until_needed(world, scope, lambda: bool(world.time_listeners))
         finally:
             world.waits.remove(waiting)
 
 
+def _awaited_time(world: BulletWorld) -> tuple[str, tuple[str, ...]]:
+    return f"simulated time of {world.name}", ()
+
+
+class WorldClock:
+    """The simulated time of a world, for waits that only passing time can end; a clock of the scheduler.
+
+    Args:
+        world: The world.
+        last: Whether it stands still while a deadline in wall-clock time or a worker can end a wait of the thread, and
+            keeps pace with the wall clock while a thread or a signal handler of the plan may end one.
+    """
+
+    def __init__(self, world: BulletWorld, *, last: bool) -> None:
+        self._world = world
+        self._last = last
+        self._began: tuple[float, int] | None = None  # when it began to keep pace: wall-clock time in s, and step
+        self._end = math.inf  # step up to which it may pass now
+
+    def may_pass(self) -> bool:
+        """Return whether it may pass now; in real time, the world's clock simulates."""
+        world, own = self._world, scheduler()
+        if world.realtime or world.closed or (self._last and own.awaits_strike()):
+            return False
+        self._end = math.inf
+        if self._last and own.can_be_woken():
+            now = time.monotonic()
+            self._began = self._began or (now, world.sim_step)
+            self._end = self._began[1] + (now - self._began[0]) * records.STEPS_PER_SECOND
+        return world.sim_step + _SAMPLE_STEPS <= self._end
+
+    def let_pass(self) -> None:
+        """Simulate until a branch or another thread has something to do."""
+        _simulate_until_needed(self._world, current_scope(), self._is_over)
+
+    def _is_over(self) -> bool:
+        now = self._world.sim_step
+        return now >= self._end or any(due is None or due <= now for due in list(self._world.time_listeners.values()))
+
+
 @uninterruptible()
-def _simulate_until_needed(world: BulletWorld, scope: CancelScope | None) -> None:
+def _simulate_until_needed(world: BulletWorld, scope: CancelScope | None, is_over: Callable[[], bool]) -> None:
     command = records.Simulate(steps=_MAX_WAIT_STEPS)
     with world.transactions.begin(records.Mutation(simulate=command)) as transaction:
-        simulate(world, _MAX_WAIT_STEPS, transaction, partial(_is_needed, world, scope))
+        simulate(world, _MAX_WAIT_STEPS, transaction, lambda: is_over() or _is_needed(world, scope))
 
 
 def _is_needed(world: BulletWorld, scope: CancelScope | None) -> bool:
@@ -261,7 +302,6 @@ def _is_needed(world: BulletWorld, scope: CancelScope | None) -> bool:
         world.waits.held
         or scheduler().is_awaited()
         or (scope is not None and scope.is_cancelled)
-        or bool(world.time_listeners)
         or (observer is not None and observer.has_news())
         or world.lock.is_contended
     )

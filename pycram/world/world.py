@@ -180,7 +180,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self._clock: RealtimeClock | None = None
         self._closers: list[Callable[[], None]] = []
         # Called in this order, without a lock, when simulated time has passed; the order of a set would be random.
-        self.time_listeners: dict[Callable[[], None], None] = {}
+        #: Called after simulations, each with the step from which a wait that lets time pass calls it; None for always.
+        self.time_listeners: dict[Callable[[], None], int | None] = {}
         self._attachment = Event("attachment", self.name, self._envelope, ("carrier", "body"))
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
         self._manipulation = Event("manipulation", self.name, self._envelope, ("object",))

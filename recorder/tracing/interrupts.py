@@ -205,6 +205,13 @@ def interrupted_by() -> str:
     return signal.Signals(_terminated or _SIGINT).name
 
 
+def has_handlers() -> bool:
+    """Return whether the program itself handles a signal in Python."""
+    ours = (_on_sigint, _on_termination, _ignore, signal.default_int_handler)
+    handlers = [signal.getsignal(number) for number in signal.valid_signals()]
+    return any(callable(each) and each not in ours for each in (*handlers, _handler if _open else None))
+
+
 def is_uninterrupted() -> bool:
     """Return whether the main thread is in a section."""
     return bool(_open and _sections)

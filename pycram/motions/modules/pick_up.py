@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 _MAX_SEARCHED: Final = 3  # grasps without a path, after which the search ends
 _MOVING: Final = (0.3, 3.0)  # m/s and rad/s, speeds of a falling or rolling object; a rocking object is slower
 _STILL: Final = (0.005, math.radians(5))  # m and rad, maximum motion of the object while the hand approaches
+_FALL: Final = 0.05  # m; what has nothing below it within this distance hangs in the air
+_UPWARD: Final = 0.1  # minimum upward part of the direction from a support
+_TOUCHING: Final = 2e-3  # m, maximum distance to something that holds an object by friction
 _BEHIND: Final = (-1.0, 0.0, 0.0)  # direction from which the gripper approaches, in the tool frame
 
 
@@ -114,6 +117,9 @@ class PickUp(SimulatedModule):
         if speed > _MOVING[0] or turning > _MOVING[1]:
             moves = f"it moves at {speed:.2f} m/s and {turning:.1f} rad/s"
             raise GraspFailed(arm.name, body.name, f"{moves}; world.settle() waits until it is at rest")
+        if giver is None and any(robot.world.gravity) and not _is_held_up(body):
+            hangs = f"it hangs in the air, with nothing within {_FALL * 100:.0f} cm below it"
+            raise GraspFailed(arm.name, body.name, f"{hangs}; world.settle() lets it fall")
         for other in robot.world.objects:
             if other is not body and not other.fixed:  # hulls of furniture may hold what lies in it
                 deepest = robot.world.engine.deepest(body.handle, other.handle)
@@ -194,6 +200,23 @@ def _plan(
             choice.take(str(grasp), position=short(grasp.position), orientation=short(grasp.orientation))
             return reach, closing.positions
     raise failures[0]  # the failure of the best grasp
+
+
+def _is_held_up(body: Object) -> bool:
+    """Return whether an object is on, just above or in something, down to a fixed body or a robot."""
+    engine = body.world.engine
+    others = sorted(body.world.objects, key=lambda other: not other.fixed)
+    reached = [body]
+    for each in reached:  # the loop appends to it
+        for other in others:
+            if other in reached:
+                continue
+            points = engine.closest_points(each.handle, other.handle, _FALL)
+            if any(point.normal[2] > _UPWARD or point.distance <= _TOUCHING for point in points):
+                if other.fixed:
+                    return True
+                reached.append(other)
+    return False
 
 
 def _check_sides(robot: Object, arm: Arm, body: Object) -> None:
