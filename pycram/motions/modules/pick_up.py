@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _MAX_SEARCHED: Final = 3  # grasps without a path, after which the search ends
 _MOVING: Final = (0.3, 3.0)  # m/s and rad/s, speeds of a falling or rolling object; a rocking object is slower
 _STILL: Final = (0.005, math.radians(5))  # m and rad, maximum motion of the object while the hand approaches
-_FALL: Final = 0.05  # m; what has nothing below it within this distance hangs in the air
+_FALL: Final = 0.1  # m; what has nothing below it within this distance hangs in the air
 _UPWARD: Final = 0.1  # minimum upward part of the direction from a support
 _TOUCHING: Final = 2e-3  # m, maximum distance to something that holds an object by friction
 _BEHIND: Final = (-1.0, 0.0, 0.0)  # direction from which the gripper approaches, in the tool frame

@@ -66,6 +66,20 @@ def test_what_leans_is_taken_as_it_leans(table: BulletWorld, kind: str, degrees:
         body.remove()
 
 
+def test_what_hangs_in_the_air_is_not_taken_as_if_it_stood(table: BulletWorld) -> None:
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    above, near = (Object(f"cup_{z}", "cup", "cup.stl", [0.62, y, TOP + z]) for y, z in ((0.2, 0.4), (-0.2, 0.06)))
+    try:
+        with pytest.raises(GraspFailed, match="it hangs in the air, with nothing within 10 cm below it"):
+            perform(type="pick-up", object=above, arm="left")
+        near.set_position([0.62, 0.2, TOP + 0.4 - 0.12])  # just below it, and in the air as well
+        with pytest.raises(GraspFailed, match="it hangs in the air"):
+            perform(type="pick-up", object=above, arm="left")
+    finally:
+        above.remove()
+        near.remove()
+
+
 @pytest.mark.slow
 def test_what_moves_says_so_and_no_time_passes(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")

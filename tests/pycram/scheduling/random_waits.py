@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import _thread
 import os
 import random
 import signal
@@ -108,7 +107,7 @@ class Waits:
     def woken(self, asleep: threading.Event) -> None:
         """Wait for a fluent that something from outside of the branches sets; ``asleep`` is set when the thread sleeps."""
         answer = Fluent(name="answer")
-        wakers = (self.clock, self.limit, self.thread, self.raw_thread, self.pool, self.worker, self.alarm, self.event,
+        wakers = (self.clock, self.limit, self.thread, self.pool, self.worker, self.alarm, self.event,
                   self.process, self.real_time, self.simulated_limit, self.falling)  # fmt: skip
         waits = self.dice.choices([answer.wait_for, (answer == 1).wait_for], k=self.dice.randrange(1, 4))
         others = [self.work] * self.dice.randrange(3)
@@ -154,11 +153,6 @@ class Waits:
         thread = threading.Thread(target=lambda: (asleep.wait(), (act or partial(answer.set_value, 1))()))
         thread.start()
         self.ends.append(thread.join)
-
-    def raw_thread(self, answer: Fluent, asleep: threading.Event) -> None:
-        begun = threading.Event()  # Python knows it from then on
-        _thread.start_new_thread(lambda: (begun.set(), asleep.wait(), answer.set_value(1)), ())
-        begun.wait()
 
     def pool(self, answer: Fluent, asleep: threading.Event) -> None:
         pool = ThreadPoolExecutor(1)

@@ -129,6 +129,22 @@ def test_a_thing_in_the_air_that_nobody_simulates_is_a_deadlock(world: BulletWor
         contact(cup, floor).wait_for()
 
 
+RAW_THREAD = """
+import _thread, threading
+from pycram.fluent import Fluent
+from pycram.scheduling.schedule import Scheduler
+begun, asleep, answer, sleep = threading.Event(), threading.Event(), Fluent(name="answer"), Scheduler._sleep
+Scheduler._sleep = lambda self: (asleep.set(), sleep(self))
+_thread.start_new_thread(lambda: (begun.set(), asleep.wait(), answer.set_value(1)), ())
+begun.wait()
+answer.wait_for()
+"""
+
+
+def test_a_thread_that_the_threading_module_doesnt_know_may_wake_a_wait() -> None:
+    subprocess.run([sys.executable, "-c", RAW_THREAD], timeout=100, check=True)  # it leaves a dummy thread behind
+
+
 def test_a_run_that_is_deadlocked_ends_with_a_whole_recording(tmp_path: Path) -> None:
     plan, log = tmp_path / "plan.py", tmp_path / "plan.mcap"
     plan.write_text("from pycram.fluent import Fluent\nfrom pycram.language import par\n"

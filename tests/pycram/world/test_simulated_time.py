@@ -12,11 +12,12 @@ import pytest
 
 import recorder
 from pycram.bullet_world import BulletWorld, Object
-from pycram.failures import PlanFailure, WorldClosed
+from pycram.failures import DeadlockedBranches, PlanFailure, WorldClosed
 from pycram.fluent import Fluent, network, whenever
 from pycram.fluents import world as world_fluents
 from pycram.language import in_thread, par, pursue, timeout
 from pycram.language.timeouts import TimedOut
+from pycram.process_module import execution_environment
 from pycram.projection import project
 from pycram.scheduling.schedule import LockHeld, seed_order
 from pycram.world.simulation import wait
@@ -253,6 +254,32 @@ def test_threads_of_a_plan_move_at_the_same_time(tmp_path: Path) -> None:
         assert world.sim_step < 3 * 120  # they didn't wait for each other
     with Recording(tmp_path / "run.mcap") as log:
         assert verify(log).exact
+
+
+@pytest.mark.parametrize("environment", ["simulated", "continuous"])
+def test_a_limit_of_simulated_time_strikes_where_nothing_else_can_end_the_wait(
+    world: BulletWorld, sink: MemorySink, environment: str
+) -> None:
+    answer = Fluent(name="answer")
+    with execution_environment(environment):
+        with pytest.raises(TimedOut, match="within 20 s of simulated time"), timeout(20, simulated=True):
+            answer.wait_for()
+        assert world.sim_step == 20 * 240
+        assert len(simulations(sink)) == 2, "not one for each sample"
+        with pytest.raises(TimedOut), timeout(1, simulated=True):
+            par(answer.wait_for, lambda: Fluent().wait_for(timeout=0.01))  # the wall clock comes first
+        assert world.sim_step == 21 * 240
+
+
+def test_time_passes_for_a_fluent_that_follows_a_world_if_motions_take_time(world: BulletWorld) -> None:
+    world.set_gravity([0, 0, -9.81])
+    floor = Object("floor", "environment", "plane.urdf")
+    cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
+    with execution_environment("continuous"):
+        assert world_fluents.contact(cup, floor).wait_for()
+        assert 0.4 < world.sim_step / 240 < 0.6
+        with pytest.raises(DeadlockedBranches):
+            Fluent().wait_for()
 
 
 def test_a_predicate_is_called_once_each_thirtieth_of_a_second(world: BulletWorld) -> None:
