@@ -113,6 +113,11 @@ class Exploration:
     interrupted: bool = False  # whether Ctrl-C ended the exploration
 
     @property
+    def reference(self) -> Ending | None:
+        """The first successful ending, with which the other successful endings are compared; None if all failed."""
+        return next((each.ending for each in self.found if each.ending.kind == SUCCEEDED), None)
+
+    @property
     def alike(self) -> bool:
         """Whether all runs ended alike."""
         return len(self.found) < 2 and self.deterministic
@@ -135,7 +140,7 @@ def explore(
         seed: Seed of the random numbers, which are the same in all runs, and of the orders.
         depth: Maximum depth of the races to find: the number of precedences between two steps that cause the race.
         limit: Seconds of wall-clock time for each run.
-        folder: Folder for a recording of each ending, if there are several endings; None to keep no recordings.
+        folder: Folder for a recording of each ending; None to keep no recordings.
 
     Raises:
         NotExplorable: A world has a window or runs in real time, the plan has threads of its own, or the system can't
@@ -199,8 +204,8 @@ def explore_runs(
                     attempts[begun + index] = attempt
                     progress(len(attempts))
         _sort(attempts, result)
-        if len(result.found) > 1:
-            _decide(runner, result, attempts)
+        _decide(runner, result, attempts)
+        if len(result.found) > 1 or file is not None:
             _run_again(runner, result, file, overwrite=overwrite)
     except KeyboardInterrupt:
         _sort(attempts, result)
@@ -232,7 +237,9 @@ def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
 
 
 def _decide(runs: PlanRunner, result: Exploration, attempts: Mapping[int, OrderedRun]) -> None:
-    """Find the few precedences that decide each ending."""
+    """Find the few precedences that decide each ending, if there are several."""
+    if len(result.found) < 2:
+        return
     again = [each for each in result.found[:_EXPLAINED] if each.ending.kind in _WITH_ORDER] * 2
     for index, attempt in runs.all([each.order for each in again]):
         result.deterministic &= attempt.ending.is_like(again[index].ending)
@@ -393,7 +400,8 @@ class Ending:
 
     kind: str  # "succeeded", "failed", "deadlock", "time limit" or "died"
     failure: str = ""  # type and message of the plan's failure; in a deadlock, where branches wait; or the cause
-    line: str = ""  # the plan's line that raised the failure, FILE:LINE; "" if unknown
+    line: str = ""  # the innermost line of the plan that raised the failure, FILE:LINE; "" if unknown
+    plan_line: str = ""  # the innermost of these lines that isn't in a helper's file
     bodies: dict[str, _Body] = field(default_factory=dict)  # by "WORLD/BODY"
     held: list[str] = field(default_factory=list)  # attached bodies, "WORLD: CARRIER holds BODY"
     fluents: dict[str, str] = field(default_factory=dict)  # set by the plan, as JSON
@@ -462,7 +470,8 @@ class EndingSink:
     def __init__(self, file: McapSink | None = None) -> None:
         self._file: Sink = file or NullSink()
         self.attach, self.flush, self.close = self._file.attach, self._file.flush, self._file.close
-        self._lines: dict[str, str] = {}  # the plan's line of each failure
+        #: The lines of each failure in the tasks that it passed, as (FILE, FILE:LINE) from the outside in.
+        self._lines: dict[str, list[list[tuple[str, str]]]] = {}
         self.ending = Ending(DIED, "its process ended")  # until the record of its end
         if file is not None:
             self.path = file.path  # projections are recorded next to it
@@ -479,14 +488,17 @@ class EndingSink:
             if not record.source:
                 self.ending.fluents[record.name] = record.after_json
         elif (failure := getattr(record, "failure", None)) is not None and failure.type and failure.frames:
-            innermost = failure.frames[-1]
-            self._lines.setdefault(format_failure(failure), f"{innermost.file}:{innermost.line}")
+            lines = [(frame.file, f"{frame.file}:{frame.line}") for frame in failure.frames]
+            self._lines.setdefault(format_failure(failure), []).append(lines)
         if isinstance(record, Run) and record.phase == Run.FINISHED:
             ending = self.ending
             ending.kind, ending.failure = SUCCEEDED, ""
             if not record.succeeded:
                 ending.failure = format_failure(record.failure)
-                ending.line = self._lines.get(ending.failure, "")
+                if passed := self._lines.get(ending.failure):
+                    plan = passed[-1][0][0]  # its file
+                    ending.line = passed[0][-1][1]
+                    ending.plan_line = next(at for lines in passed for file, at in reversed(lines) if file == plan)
                 ending.kind = DEADLOCK if record.failure.type == "DeadlockedBranches" else FAILED
 
     def _change(self, world: str, command: str, effect: Effect) -> None:

@@ -86,7 +86,7 @@ def _data(result: Exploration, command: list[str], rest: list[str]) -> dict[str,
             {
                 "runs": found.count,
                 **asdict(found.ending),
-                "differences": list(found.ending.differences(result.found[0].ending)),
+                "differences": list(found.ending.differences(result.reference or result.found[0].ending)),
                 "order": found.order,
                 "decides": [{"branch": each.first._asdict(), "before": each.second._asdict()} for each in found.made],
                 "command": shlex.join([*command, "--order", found.order, *rest]),
@@ -109,11 +109,12 @@ def _lines(result: Exploration, command: list[str], rest: list[str], depth: int)
             " There is no other order: two branches were never ready at the same time." if result.orders == 1 else ""
         )
         yield f"all end alike: {_words(result.found[0].ending)}.{never}"
+        yield from _recording(result.found[0])
         return
     yield ""
     yield "  #  runs  ends"
     for number, found in enumerate(result.found, 1):
-        yield f"{number:3}  {found.count:4}  {_words(found.ending, result.found[0].ending)}"
+        yield f"{number:3}  {found.count:4}  {_words(found.ending, result.reference)}"
     if not result.deterministic:
         yield ""
         yield "The plan isn't deterministic: runs in the same order end differently. It may read the clock or network,"
@@ -126,20 +127,26 @@ def _lines(result: Exploration, command: list[str], rest: list[str], depth: int)
         else:
             yield f"{number}: {'in the order in which branches were added' if number == 1 else 'for example'}"
         yield "  " + shlex.join([*command, "--order", found.order, *rest])
-        if found.recording is not None:
-            name = shlex.quote(_shown(found.recording))
-            yield f"  pycram-replay {'info' if found.ending.kind == SUCCEEDED else 'why'} {name}"
+        yield from _recording(found)
+
+
+def _recording(found: EndingGroup) -> Iterator[str]:
+    if found.recording is not None:
+        name = shlex.quote(_shown(found.recording))
+        yield f"  pycram-replay {'info' if found.ending.kind == SUCCEEDED else 'why'} {name}"
 
 
 def _words(ending: Ending, first: Ending | None = None) -> str:
-    """Return an ending in words, with its differences from the first ending if both succeeded."""
+    """Return an ending in words, with its differences from the first successful ending if it succeeded."""
     words = ending.kind
     if ending.failure:
         failure = " ".join(ending.failure.split())
         words += f": {failure if len(failure) <= _WIDTH else failure[: _WIDTH - 3] + '...'}"
-    if ending.line:
-        words += f" at {_shown_line(ending.line)}"
-    if first is None or first is ending or ending.kind != SUCCEEDED or first.kind != SUCCEEDED:
+    if ending.plan_line:
+        words += f" at {_shown_line(ending.plan_line)}"
+    if ending.line != ending.plan_line:
+        words += f", in {_shown_line(ending.line)}"
+    if first is None or first is ending or ending.kind != SUCCEEDED:
         return words
     otherwise = list(ending.differences(first))
     more = [f"{len(otherwise) - _MAX_TOLD} more"] if len(otherwise) > _MAX_TOLD else []
@@ -154,7 +161,7 @@ def _decisive(found: EndingGroup) -> Iterator[str]:
 
 
 def _standing(branch: BranchLine) -> str:
-    return f"{branch.branch} at {_shown_line(f'{branch.file}:{branch.line}')}"
+    return f"{branch.label or branch.branch} at {_shown_line(f'{branch.file}:{branch.line}')}"
 
 
 def _shown_line(line: str) -> str:

@@ -431,14 +431,14 @@ class StateStream:
                 return
             wait_until(self._news, lambda: bool(self._states), limit, clock=clock, reason=self._reason)
 
-    def _reason(self) -> tuple[str, list[str]]:
+    def _reason(self) -> tuple[str, str, list[str]]:
         text = self._expression.text()
         text = text if len(text) <= _MAX_NAME else f"{text[: _MAX_NAME - 3]}..."
         variables = dict.fromkeys(self._expression.variables())
         if any(each.source for each in variables):
-            return f"{text}, while nobody simulates", []
+            return f"{text}, while nobody simulates", "", []
         set_by = [each.set_by for each in variables if each.set_by]
-        return f"{text}, {f'last set by {set_by[0]}' if set_by else 'which nobody has set'}", set_by
+        return text if set_by else f"{text}, which nobody has set", "last set by", set_by
 
 
 def first_value(expression: Expression, timeout: float | None = None) -> Value:

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias, cast, overload
 
 from pycram.foundation.errors import OnError, chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure
-from pycram.language.branch import Branch, Result, current_block, name_of, run
+from pycram.language.branch import Branch, Result, call_label, current_block, label_of, name_of, run
 from pycram.language.failures import BlockClosed, BranchesFailed, OutlivesTimeout, Retry, RunsEarly, leaves_uncleaned
 from pycram.language.nesting import Scope, in_block, leave_body
 from pycram.scheduling.cancellation import (
@@ -144,7 +144,7 @@ class Block:
             raise_if_cancelled()  # before it starts
             return run(action, *args, **kwargs)
 
-        return self.start(name_of(action), act)
+        return self.start(name_of(action), act, label=partial(label_of, action, args, kwargs))
 
     def start(
         self,
@@ -154,14 +154,19 @@ class Block:
         ordered: bool = False,
         dropped: Callable[[], None] = lambda: None,
         span: Span | None = None,
+        label: Callable[[], str] | None = None,
     ) -> Future:
-        """Add a branch, with the arguments of a :class:`Branch`; return a future of its result."""
+        """Add a branch, with the arguments of a :class:`Branch`; return a future of its result.
+
+        ``label`` returns its name for people; by default it has the parameters of the span.
+        """
         self._refuse_in_timeout(name)
         host = current_block()
         if host is not None and host is not self:
             host._refuse_early(f"add {name} to the {self.name} block around it", self)  # noqa: SLF001  same class
         branch = Branch(name, action, self._changed, ordered=ordered, dropped=dropped, span=span)
         branch.span.source = current_call_stack()
+        branch.label = label or partial(call_label, branch.name, tuple(branch.span.parameters.values()), {})
         self._add(branch)
         return Future(branch)
 
@@ -196,7 +201,9 @@ class Block:
                 name = f"{self.name}-{self._taken} {branch.name}"
                 site = branch.span.source.line if branch.span.source is not None else ("", 0)
                 branch.runs_in = name
-                self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon, site)
+                number = self._taken
+                label = lambda: f"{self.name}-{number} {branch.label()}"  # noqa: E731  short
+                self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon, site, label)
             else:
                 branch.runs_in = current_name()
                 branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
@@ -350,8 +357,8 @@ class Block:
                     self.state = State.CANCELLED  # closed; the final state is set next
                     return interrupt
 
-    def _reason(self) -> tuple[str, list[str]]:
-        return f"the end of {self.name}", [branch.runs_in for branch in self.branches if not branch.done]
+    def _reason(self) -> tuple[str, str, list[str]]:
+        return f"the end of {self.name}", "", [branch.runs_in for branch in self.branches if not branch.done]
 
     def _all_ended(self) -> bool:
         while self._joined < len(self.branches) and self.branches[self._joined].done:
@@ -458,8 +465,8 @@ class ReadBlock(Block):
         if raised is not None:
             raise_unchanged(raised)
 
-    def _reason_to_read(self) -> tuple[str, tuple[str, ...]]:
-        return f"the body of {self.name}", ()
+    def _reason_to_read(self) -> tuple[str, str, tuple[str, ...]]:
+        return f"the body of {self.name}", "", ()
 
     def _drop(self) -> None:
         """Cancel the branches that haven't started."""

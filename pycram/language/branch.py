@@ -7,6 +7,10 @@ function may return a generator: it has run.
 
 from __future__ import annotations
 
+import ast
+import linecache
+import reprlib
+from contextlib import suppress
 from contextvars import Context, copy_context
 from functools import partial
 from inspect import GEN_CREATED, getgeneratorstate
@@ -15,13 +19,13 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, cast
 
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.scheduling.cancellation import body, raise_if_cancelled, wait
-from pycram.scheduling.future import unwrap
+from pycram.scheduling.future import branch_of, unwrap
 from pycram.scheduling.schedule import scheduler
 from recorder.tasks import State
 from recorder.tracing.span import Cancelled, Span
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from pycram.language.block import Block
     from pycram.scheduling.schedule import Condition
@@ -33,6 +37,7 @@ Function = TypeVar("Function", bound="Callable[..., Result]")
 _LAZY: Final = "__pycram_lazy__"
 _NOT_BEGUN: Final = "a plain function; a generator does nothing until its values are taken: use `lambda: [*f()]`"
 _EMPTY_CONTEXT: Final = Context()
+_MAX_LABEL: Final = 60  # characters of a lambda's body
 
 
 class NoResult(UsageError):
@@ -79,6 +84,7 @@ class Branch:
         self.span = span if span is not None else Span("branch", name)
         self.state = State.CREATED
         self.error: BaseException | None = None  # the raised error; None also after success and cancellation
+        self.label: Callable[[], str] = partial(str, name)  # returns its name for people, with its arguments
         self.runs_in = ""  # name in records of the concurrent branch, or thread, that runs it; "" before it is known
         self._dropped = dropped
         self._begun = False
@@ -105,6 +111,7 @@ class Branch:
             self._dropped()
             self.span.finish(error or Cancelled())  # if its request is on record
         self.action, self.context, self._dropped = _nothing, _EMPTY_CONTEXT, _nothing
+        self.label = partial(str, self.name)
         self._result, self.error = result, error
         self.state = state  # last: other threads may read it
         self._changed.notify_all()
@@ -120,7 +127,7 @@ class Branch:
         Raises:
             Cancelled: The waiting branch is cancelled.
         """
-        return wait(self._changed, lambda: self.done, timeout, lambda: (f"the end of {self.name}", [self.runs_in]))
+        return wait(self._changed, lambda: self.done, timeout, lambda: (f"the end of {self.name}", "", [self.runs_in]))
 
     def result(self, timeout: float | None = None) -> Result:
         """Wait for its end, at most for a timeout in s; return its result, or raise its action's error.
@@ -147,6 +154,66 @@ def name_of(action: Callable[..., Result]) -> str:
     """Return a function's name, without its module and without the function that defines it."""
     name = getattr(action, "__qualname__", None) or type(action).__qualname__
     return str(name).rpartition("<locals>.")[2]
+
+
+def label_of(action: Callable[..., Result], args: tuple[object, ...], kwargs: Mapping[str, object]) -> str:
+    """Return a call of a function as text: "fetch(milk)"; waits for no future, and calls no code of the plan."""
+    if isinstance(action, partial):
+        return label_of(action.func, (*action.args, *args), {**action.keywords, **kwargs})
+    if isinstance(action, MethodType):
+        return call_label(f"{_value_label(action.__self__)}.{action.__name__}", args, kwargs)
+    if isinstance(action, FunctionType) and action.__name__ == "<lambda>":
+        return _lambda_label(action, args) or call_label("<lambda>", args, kwargs)
+    return call_label(name_of(action), args, kwargs)
+
+
+def call_label(name: str, args: tuple[object, ...], kwargs: Mapping[str, object]) -> str:
+    """Return a call as text; without arguments only the name."""
+    shown = [*map(_value_label, args), *[f"{key}={_value_label(value)}" for key, value in kwargs.items()]]
+    return f"{name}({', '.join(shown)})" if shown else name
+
+
+def _value_label(value: object) -> str:
+    kind = type(value)
+    if kind in (str, int, float, bool, type(None)):
+        return reprlib.repr(value)
+    if (branch := branch_of(value)) is not None:
+        return branch.name
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_value_label, value[:3]))}{', ...' if value[3:] else ''}]"
+    name = getattr(value, "name", None) if kind.__module__.startswith("pycram.") else getattr(value, "__name__", None)
+    return name if isinstance(name, str) else kind.__name__
+
+
+def _lambda_label(function: FunctionType, args: tuple[object, ...]) -> str:
+    """Return the body of a lambda on one line, with its variables' values in calls; "" if its source isn't known."""
+    code = function.__code__
+    places = [each for each in code.co_positions() if each[0] == each[1] and each[3]]
+    if len({each[0] for each in places}) != 1:
+        return ""
+    line = linecache.getline(code.co_filename, places[0][0] or 0).encode()
+    text = line[min(each[2] or 0 for each in places) : max(each[3] or 0 for each in places)].decode(errors="replace")
+    names = [*code.co_varnames[: code.co_argcount]]
+    defaults = function.__defaults__ or ()
+    values = dict(zip(names[len(names) - len(defaults) :], defaults, strict=True)) | dict(
+        zip(names, args, strict=False)
+    )
+    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
+        with suppress(ValueError):  # it isn't set yet
+            values[name] = cell.cell_contents
+    try:
+        body = ast.parse(text.strip(), mode="eval").body
+    except SyntaxError:
+        return ""
+    for call in ast.walk(body):
+        if isinstance(call, ast.Call):
+            call.args = [_with_value(each, values) for each in call.args]
+    text = ast.unparse(body)
+    return text if len(text) <= _MAX_LABEL else f"{text[: _MAX_LABEL - 3]}..."
+
+
+def _with_value(node: ast.expr, values: Mapping[str, object]) -> ast.expr:
+    return ast.Name(_value_label(values[node.id])) if isinstance(node, ast.Name) and node.id in values else node
 
 
 def current_block() -> Block | None:

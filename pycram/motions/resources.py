@@ -247,10 +247,11 @@ class Ticket:
             elif (earlier or known.granted) and known.resources.conflicts(self.resources):
                 yield known
 
-    def _reason(self) -> tuple[str, list[str]]:
+    def _reason(self) -> tuple[str, str, list[str]]:
         blockers = list(self._blockers())
         names = ", ".join(dict.fromkeys(blocker._motion for blocker in blockers))  # noqa: SLF001  same class
-        return f"the end of {names}, as {self._motion} {self.resources}", [each._branch for each in blockers]  # noqa: SLF001
+        what = f"the end of {names}, as {self._motion} {self.resources}"
+        return what, "in", [blocker._branch for blocker in blockers]  # noqa: SLF001  as above
 
     def _refuse_deadlock(self) -> None:
         reached = dict.fromkeys(self._blockers())

@@ -101,6 +101,7 @@ class BranchLine(NamedTuple):
     branch: str  # name of the branch, or of the thread for code outside of branches
     file: str  # "" if unknown
     line: int  # the line with which the branch continues, or that added it if it hasn't begun
+    label: str = ""  # the branch's name for people, with its arguments; "" for the name
 
 
 class AppliedPrecedence(NamedTuple):

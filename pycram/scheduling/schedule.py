@@ -43,7 +43,7 @@ from pycram.foundation.refusals import refused
 from pycram.scheduling.order import BlockedWait, BranchLine, DeadlockedBranches, order_of
 from recorder import notebook
 from recorder.tracing import context, forking, interrupts, journal
-from recorder.tracing.call_stack import plan_frame, recorded_file
+from recorder.tracing.call_stack import plan_frame, plan_frames, recorded_file
 from recorder.tracing.context import enter_branch, new_branch
 
 if TYPE_CHECKING:
@@ -62,13 +62,14 @@ MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
 
 
-#: Returns what a wait waits for, and the names of the branches that it depends on; called only in a deadlock.
-Reason: TypeAlias = "Callable[[], tuple[str, Collection[str]]]"
+#: Returns what a wait waits for, words before the names of the branches that it depends on ("" if it names them), and
+#: these names; called only in a deadlock.
+Reason: TypeAlias = "Callable[[], tuple[str, str, Collection[str]]]"
 
 
-def unknown_reason() -> tuple[str, Collection[str]]:
+def unknown_reason() -> tuple[str, str, Collection[str]]:
     """Return that it isn't known what a wait waits for."""
-    return "", ()
+    return "", "", ()
 
 
 class Waiter:
@@ -151,6 +152,7 @@ class _Branch:
     action: Callable[[], None]
     failed: Callable[[BaseException], None]
     site: CallSite
+    label: Callable[[], str]
     ranked: Ranked | None = None
     _greenlet: greenlet | None = None
     _started: bool = False
@@ -192,14 +194,16 @@ Ready: TypeAlias = "Waiter | _Branch"
 
 
 def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine:
-    site = branch.site if branch else ("", 0)
+    innermost = None
     if suspended is not None:
-        running = suspended is getcurrent()
-        plan, foreign = plan_frame(sys._getframe() if running else suspended.gr_frame)  # noqa: SLF001  as inspect has it
-        frame = plan or (foreign if branch is None else None)
-        if frame is not None:
-            site = (recorded_file(frame.f_code.co_filename), frame.f_lineno)
-    return BranchLine(threading.current_thread().name if branch is None else branch.name, *site)
+        innermost = sys._getframe() if suspended is getcurrent() else suspended.gr_frame  # noqa: SLF001  as inspect has it
+    lines = [(recorded_file(frame.f_code.co_filename), frame.f_lineno) for frame in plan_frames(innermost)]
+    if branch is not None:  # the line in the file that added it, which tells more than a helper's
+        site = next((line for line in lines if line[0] == branch.site[0]), branch.site)
+        return BranchLine(branch.name, *site, branch.label())
+    outermost = lines[-1][0] if lines else ""
+    site = next((line for line in lines if line[0] == outermost), None) or ("", 0)
+    return BranchLine(threading.current_thread().name, *site)
 
 
 def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None, order: Order | None = None) -> Ready:
@@ -309,6 +313,7 @@ class Scheduler:
         action: Callable[[], None],
         failed: Callable[[BaseException], None],
         site: CallSite = ("", 0),
+        label: Callable[[], str] = str,
     ) -> None:
         """Schedule a new branch; after an error it isn't scheduled. May be called from any thread.
 
@@ -318,8 +323,9 @@ class Scheduler:
             action: Runs the branch. It handles the branch's errors; an error that it raises ends the scheduler's loop.
             failed: Called first with an error that ``action`` raises.
             site: The plan's line that adds the branch.
+            label: Returns its name for people, with its arguments; "" for the name in records.
         """
-        branch = _Branch(self, name, context, action, failed, site)
+        branch = _Branch(self, name, context, action, failed, site, label)
         if self.order is not None:
             branch.ranked = self.order.begin(self._ranked(self.order))
         try:
@@ -518,15 +524,16 @@ class Scheduler:
     def _blocked(self) -> list[BlockedWait]:
         """Return the waits of all branches, and of the code outside unless it only waits for these branches."""
         waits = {each.branch: each for each in self._parked}
+        names = {each.name: each.label() or each.name for each in self.branches}
         blocked: list[BlockedWait] = []
         for branch in (*self.branches, None):
             if (waiter := waits.get(branch)) is not None:
-                reason, depends_on = waiter.reason()
-                name, file, line = waiter.plan_line()
-                joins = bool(depends_on) and {*depends_on} <= {each.branch for each in blocked}
-                if branch is not None or not joins:
-                    place = notebook.place(Path(file).name, line)
-                    blocked.append(BlockedWait(name, place, reason, tuple(depends_on)))
+                reason, before, depends_on = waiter.reason()
+                name, file, line, label = waiter.plan_line()
+                if branch is not None or not depends_on or not {*depends_on} <= names.keys():
+                    others = tuple(names.get(each, each) for each in depends_on)
+                    reason += f", {before} {', '.join(others)}" if before and others else ""
+                    blocked.append(BlockedWait(label or name, notebook.place(Path(file).name, line), reason, others))
         return blocked
 
     def poll(self, *, again: bool = False) -> None:

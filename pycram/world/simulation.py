@@ -248,8 +248,8 @@ def _pass_time(world: BulletWorld, waiting: Wait) -> None:
             world.waits.remove(waiting)
 
 
-def _awaited_time(world: BulletWorld) -> tuple[str, tuple[str, ...]]:
-    return f"simulated time of {world.name}", ()
+def _awaited_time(world: BulletWorld) -> tuple[str, str, tuple[str, ...]]:
+    return f"simulated time of {world.name}", "", ()
 
 
 class WorldClock:
