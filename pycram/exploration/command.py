@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pycram import running
-from pycram.exploration import DEPTH, LIMIT, SUCCEEDED, NotExplorable, explore_runs
+from pycram.exploration import DEADLOCK, DEPTH, LIMIT, SUCCEEDED, NotExplorable, explore_runs
 from recorder.errors import RecordingError
 from recorder.terminal import ProgressLines
 
@@ -139,6 +139,8 @@ def _recording(found: EndingGroup) -> Iterator[str]:
 def _words(ending: Ending, first: Ending | None = None) -> str:
     """Return an ending in words, with its differences from the first successful ending if it succeeded."""
     words = ending.kind
+    if ending.kind == DEADLOCK:
+        return f"{words}: {ending.failure.partition('wake them: ')[2]}"
     if ending.failure:
         failure = " ".join(ending.failure.split())
         words += f": {failure if len(failure) <= _WIDTH else failure[: _WIDTH - 3] + '...'}"
