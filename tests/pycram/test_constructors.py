@@ -130,6 +130,20 @@ perform(pick_up(object=milk, arm="left"))
 perform(transporting(object="milk", target=[-0.8, 1, 0.93]))
 BulletWorld.robot = milk
 BulletWorld.current_bullet_world.robot.description.arms
+
+from pycram.designator import MotionDesignator
+from pycram.process_module import ProcessModule, Resources, register
+
+
+class Waving(ProcessModule):
+    def _execute(self, designator: MotionDesignator) -> int:
+        return len(designator.reference())
+
+    def resources(self, designator: MotionDesignator) -> Resources:
+        return Resources(moves={"left-arm"})
+
+
+register("pr2", "simulated", {"waving": Waving()})
 """
 
 
