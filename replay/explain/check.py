@@ -136,11 +136,15 @@ def commands(checked: CheckedProperty) -> Iterator[str]:
     """Yield the commands that look closer at the first violation."""
     if not checked.verdict.violations:
         return
-    first, log = checked.verdict.violations[0], shlex.quote(checked.path)
-    moment = first.moment
-    step = f"{moment.seconds:.4f}s" if moment.sampled else str(moment.step)
+    log, step = shlex.quote(checked.path), step_of(checked)
     yield f"pycram-replay view {log} --at {step}"
     yield f"pycram-replay state {log} {step}"
+
+
+def step_of(checked: CheckedProperty) -> str:
+    """Return the step of the first violation, or its time within a simulation, as verbs take it."""
+    moment = checked.verdict.violations[0].moment
+    return f"{moment.seconds:.4f}s" if moment.sampled else str(moment.step)
 
 
 def _how_close(verdict: Verdict) -> str:
