@@ -85,7 +85,7 @@ def standing_places(
         avoid: xyz or xy in m of places that are left out, with their surroundings.
         grasp: the side from which objects are taken: "front", "top", "left" or "right"; any by default.
         seed: seed of the draws; the run's seed by default.
-        quickly: whether to end the search after 30 places in a row that are excluded, instead of 270.
+        quickly: whether to end the search after 30 excluded places in a row, instead of 270.
 
     Raises:
         BadArgument: A value is impossible.
