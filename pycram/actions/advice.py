@@ -29,6 +29,7 @@ from pycram.reasoning.grasping.choice import holding_grasps
 from pycram.reasoning.grasping.grasps import leaning
 from pycram.reasoning.grasping.placing import resting_position
 from pycram.reasoning.places import standing_places
+from pycram.reasoning.places.search import drives
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment
 from pycram.world.world import BulletWorld
@@ -69,14 +70,15 @@ def advice(failure: PlanFailure, action: ActionDesignator) -> str:
     arms = [arm for arm in robot.description.arms.values() if wanted in (None, arm.name) and arm.hand is not None]
     free = [arm for arm in arms if attachment.attached_to(robot, arm.tool_frame) is None]
     kind = TYPES.get(action.type)
-    drives = kind is not None and any(slot.name == "place" for slot in kind.slots) and slots.get("place") is None
+    chooses = kind is not None and any(slot.name == "place" for slot in kind.slots) and slots.get("place") is None
+    moves_base = chooses and drives(robot)
     too_far = all(isinstance(each, Unreachable) and not isinstance(each, Blocked) for each in failures)
     too_big = any(isinstance(each, DoesNotFit) for each in failures)
-    turns = [] if too_far or (too_big and grasp is None) else list(_turned(body, _FAR if drives else _TURNS))
-    slides = [] if too_big else list(_slid(body))[: _EDGES // 2 if drives else None]
+    turns = [] if too_far or (too_big and grasp is None) else list(_turned(body, _FAR if moves_base else _TURNS))
+    slides = [] if too_big else list(_slid(body))[: _EDGES // 2 if moves_base else None]
     found: list[str] = []
     for moves in (turns, slides) if free else ():
-        helps = first_true([partial(_helps, robot, body, pose, free, grasp, drives) for _, pose in moves])
+        helps = first_true([partial(_helps, robot, body, pose, free, grasp, moves_base) for _, pose in moves])
         found += [moves[helps][0].format("it" if found else body.name)] if helps is not None else []
     return f"{' or '.join(found)}, then it can be taken" if found else ""
 
@@ -127,11 +129,11 @@ def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
     for way, move, name in sorted(moves)[:_EDGES]:
         if way > 0.0:
             there = geometry.multiply((move, geometry.IDENTITY[1]), here)
-            x, y, _ = there[0]
+            x, y = (round(each, 2) + 0.0 for each in there[0][:2])  # no -0.00
             yield f"slide {{}} by {way * 100:.0f} cm to [{x:.2f}, {y:.2f}], at an edge of {name}", there
 
 
-def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: str | None, drives: bool) -> bool:
+def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: str | None, moves_base: bool) -> bool:
     """Move an object in a copy of the process, and return whether it comes to rest there and can be taken."""
     engine = body.world.engine  # no change of a world for the plan: none of its handlers is called
     with body.world.lock:
@@ -141,7 +143,7 @@ def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: 
         position, turn = body.get_position_and_orientation()
         if math.dist(position, there[0]) > _MOVED or geometry.angle(turn, there[1]) > _LEANT:
             return False
-    if drives:
+    if moves_base:
         names = [arm.name for arm in arms]
         return next(standing_places(robot, reach=[body], arms=names, grasp=grasp, quickly=True), None) is not None
     sides = None if grasp is None else (grasp,)

@@ -11,11 +11,11 @@ import pytest
 import recorder
 import replay
 from pycram import tasks
-from pycram.action_designators import picking_up
+from pycram.action_designators import fetching, picking_up
 from pycram.actions import ActionFailed, action, perform, projecting, replaced
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator, ObjectDesignator
-from pycram.failures import BadArgument, GraspFailed, MissingPart, PlanFailure, ReasoningError, UnknownName
+from pycram.failures import BadArgument, GraspFailed, MissingPart, NoPlace, PlanFailure, ReasoningError, UnknownName
 from pycram.knowledge import learn
 from pycram.language import par
 from pycram.motion_designators import move_arm_joints
@@ -451,3 +451,19 @@ def test_a_failure_that_no_move_mends_and_one_in_a_projection_carry_no_advice(co
     milk = Object("milk", "milk", "milk.stl", [1.62, 0.6, 0.95])
     outcome = project(perform, picking_up(object=milk, arm="left"))
     assert str(outcome.failure).endswith("m away")
+
+
+def test_a_robot_with_a_fixed_base_advises_to_slide_what_it_would_fetch(world: BulletWorld) -> None:
+    world.exit()
+    with BulletWorld() as room:
+        room.set_gravity([0, 0, -9.81])
+        Object("table", "environment", "table.urdf")
+        room.robot = Object("panda", "robot", "panda.urdf", [0, 1.2, 0.72])
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.82])
+        assert room.settle()
+        with pytest.raises(NoPlace) as raised:
+            perform(fetching(object="milk"))
+        advice = "slide milk by 88 cm to [0.00, 0.88], at an edge of table, then it can be taken"
+        assert str(raised.value).endswith(f"bring it at least 28 cm closer; {advice}")
+        moved_as_advised(raised.value, milk)
+        assert perform(fetching(object=milk)) is milk
