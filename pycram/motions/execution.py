@@ -127,8 +127,14 @@ class Execution(ABC):
         """
 
     @abstractmethod
-    def lift(self, robot: Object, arm: Arm) -> Step | None:
-        """Lift an object, just grasped, off its support; return None if it stays in place."""
+    def lift(self, robot: Object, arm: Arm, left: Sequence[Object] = ()) -> Step | None:
+        """Lift an object, just grasped, off its support; return None if it stays in place.
+
+        Args:
+            robot: The robot.
+            arm: The arm.
+            left: Objects that overlap or lean on it, and stay: it may touch them on its way, but not at the end.
+        """
 
     @abstractmethod
     def settle(self, world: BulletWorld) -> Collection[Object]:
@@ -217,7 +223,7 @@ class InstantExecution(Execution):
         """Leave the hand in place."""
         return None
 
-    def lift(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002
+    def lift(self, robot: Object, arm: Arm, left: Sequence[Object] = ()) -> Step | None:  # noqa: ARG002
         """Leave the object in place."""
         return None
 
@@ -336,9 +342,9 @@ class ContinuousExecution(Execution):
         ways = (geometry.rotate(_tool_pose(robot, arm, now)[1], _BACK), _UP)
         return _line(robot, arm, now, ways, (), ignored_links)
 
-    def lift(self, robot: Object, arm: Arm) -> Step | None:
+    def lift(self, robot: Object, arm: Arm, left: Sequence[Object] = ()) -> Step | None:
         """Lift the object straight, as far as the way is free; return None if there is no free way."""
-        line = _line(robot, arm, _now(robot, arm.joints), (_UP,))
+        line = _line(robot, arm, _now(robot, arm.joints), (_UP,), left)
         return None if line is None else partial(_along, (robot, line))
 
     def settle(self, world: BulletWorld) -> Collection[Object]:

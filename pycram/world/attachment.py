@@ -5,21 +5,25 @@ simulation; in simulation a fixed constraint keeps it there. :func:`attach` and 
 :func:`put_back`, :func:`renew` and :func:`end` are parts of other transactions.
 
 A body is supported by a link if it rests on it, hangs just above its floor after being put in, or rests on a supported
-body. Supported bodies move with drawers.
+body. Supported bodies move with drawers. What lies in or on a body that a hand takes is attached to it loosely, and
+released with it (:func:`taken_along`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import AttachmentError
+from pycram.world.overlaps import DEEP
 from recorder import geometry, records
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
+    from pycram.physics.body import ClosestPoint
     from pycram.world.object import Object
     from pycram.world.transaction import Transaction
     from recorder.geometry import Pose
@@ -27,6 +31,8 @@ if TYPE_CHECKING:
 
 _CONTACT_GAP: Final = 0.003  # m; a settled body stays about half a millimetre above its support
 _DROP_HEIGHT: Final = 0.03  # m; largest height of a body above the floor of the drawer into which it was put
+_SLIGHT: Final = 2e-3  # m; overlap of bodies that can be moved apart without pushing each other
+_BELOW: Final = -0.1  # vertical part of a unit normal, below which a body touches another one from above
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +45,8 @@ class BodyAttachment:
     body_link: str  # the link by which the body is held
     pose: Pose  # pose of the body's base link in the carrier's link: position in m, orientation xyzw
     constraint: int  # the engine's id of the constraint that holds the body in simulation
+    loose: bool = False  # whether the body merely lies in or on the carrier, and is released with it
+    left: Sequence[Object] = ()  # bodies through which the body passes in simulation while it is held
 
     def other(self, side: Object) -> Object:
         """Return the other one of the two objects."""
@@ -53,10 +61,21 @@ class BodyAttachment:
             body_link=self.body_link,
             position=self.pose[0],
             orientation=self.pose[1],
+            loose=self.loose,
         )
 
 
-def attach(carrier: Object, body: Object, link: str | None, body_link: str | None, pose: Pose | None = None) -> None:
+def attach(
+    carrier: Object,
+    body: Object,
+    link: str | None,
+    body_link: str | None,
+    pose: Pose | None = None,
+    *,
+    along: Sequence[Object] = (),
+    left: Sequence[Object] = (),
+    loose: bool = False,
+) -> None:
     """Make an object carry another; an existing attachment stays as it is.
 
     If only the body has a fixed base, as robots and furniture do, it carries the other object instead.
@@ -65,6 +84,9 @@ def attach(carrier: Object, body: Object, link: str | None, body_link: str | Non
         link: The carrier's link; None for its base link.
         body_link: The link by which the body is held; None for its base link.
         pose: Pose of the body's base link in the carrier's link; None for the present one.
+        along: Bodies that lie in or on the body and go along, until it is released; see :func:`taken_along`.
+        left: Bodies that overlap or lean on them, and stay; in simulation they pass through each other.
+        loose: Whether the body merely lies in or on the carrier, and is released with it.
 
     Raises:
         UnknownName: There is no such link.
@@ -76,15 +98,26 @@ def attach(carrier: Object, body: Object, link: str | None, body_link: str | Non
     if body.fixed and not carrier.fixed and pose is None:
         carrier, body, link, body_link = body, carrier, body_link, link
     world, carrier_link, held_link = carrier.world, carrier.check_link(link), body.check_link(body_link)
-    command = records.AttachBody(carrier=carrier.name, carrier_link=carrier_link, body=body.name, body_link=held_link)
+    command = records.AttachBody(
+        carrier=carrier.name,
+        carrier_link=carrier_link,
+        body=body.name,
+        body_link=held_link,
+        along=[load.name for load in along],
+        left=[other.name for other in left],
+    )
     with world.transactions.begin(records.Mutation(attach_body=command)) as transaction:
         _check(carrier, body)
-        _hold(carrier, carrier_link, body, held_link, transaction, pose)
+        _hold(carrier, carrier_link, body, held_link, transaction, pose, left=left, loose=loose)
         transaction.fire(world.get_attachment_event(), carrier, body)
+        for load in along:
+            _check(body, load)
+            _hold(body, held_link, load, load.base_link, transaction, left=left, loose=True)
+            transaction.fire(world.get_attachment_event(), body, load)
 
 
 def detach(side: Object, other: Object) -> None:
-    """End the attachment between two objects, from either side; both stay where they are.
+    """End the attachment between two objects, from either side; both stay where they are, with what lies in them.
 
     Raises:
         AttachmentError: The two aren't attached to each other.
@@ -105,7 +138,9 @@ def put_back(carrier: Object, body: Object, saved: records.Attachment, transacti
         carrier.world.engine.unfix(held.constraint)
     x, y, z = saved.position
     i, j, k, w = saved.orientation
-    _hold(carrier, saved.carrier_link, body, saved.body_link, transaction, ((x, y, z), (i, j, k, w)))
+    pose = ((x, y, z), (i, j, k, w))
+    left = held.left if held is not None else ()
+    _hold(carrier, saved.carrier_link, body, saved.body_link, transaction, pose, left=left, loose=saved.loose)
     if held is None:
         transaction.fire(carrier.world.get_attachment_event(), carrier, body)
 
@@ -116,13 +151,19 @@ def renew(body: Object, transaction: Transaction) -> None:
     if carrier is not None:
         old = carrier.attachments[body]
         carrier.world.engine.unfix(old.constraint)
-        _hold(carrier, old.carrier_link, body, old.body_link, transaction)
+        _hold(carrier, old.carrier_link, body, old.body_link, transaction, left=old.left, loose=old.loose)
 
 
 def end(attachment: BodyAttachment, transaction: Transaction) -> None:
-    """End an attachment as part of a transaction."""
+    """End an attachment as part of a transaction, and with it the loose attachments of what it carries."""
     carrier, body = attachment.carrier, attachment.body
+    if carrier.attachments.get(body) is not attachment:
+        return  # it ended with the carrier's own
     del carrier._attachments[body], body._attachments[carrier]  # noqa: SLF001  this module keeps both sides equal
+    for held in body.carried:
+        if held.loose:
+            end(held, transaction)
+    _pass_through(body, attachment.left, enable=False)
     world = carrier.world
     world.engine.unfix(attachment.constraint)
     world.engine.pass_through(
@@ -133,7 +174,15 @@ def end(attachment: BodyAttachment, transaction: Transaction) -> None:
 
 
 def _hold(
-    carrier: Object, link: str, body: Object, body_link: str, transaction: Transaction, pose: Pose | None = None
+    carrier: Object,
+    link: str,
+    body: Object,
+    body_link: str,
+    transaction: Transaction,
+    pose: Pose | None = None,
+    *,
+    left: Sequence[Object],
+    loose: bool,
 ) -> None:
     engine = carrier.world.engine
     base = engine.pose(body.handle)
@@ -143,9 +192,16 @@ def _hold(
     held_pose = geometry.multiply(pose, geometry.multiply(geometry.invert(base), held))
     constraint = engine.fix(carrier.handle, link, body.handle, body_link, held_pose)
     engine.pass_through(carrier.handle, link, body.handle, robot=carrier.is_robot, enable=True)
-    attachment = BodyAttachment(carrier, link, body, body_link, pose, constraint)
+    _pass_through(body, left, enable=True)
+    attachment = BodyAttachment(carrier, link, body, body_link, pose, constraint, loose, left)
     carrier._attachments[body] = body._attachments[carrier] = attachment  # noqa: SLF001  see end
     transaction.mark_attached(attachment)
+
+
+def _pass_through(body: Object, others: Iterable[Object], *, enable: bool) -> None:
+    for other in others:
+        for link in other.links if other.alive else ():
+            body.world.engine.pass_through(other.handle, link, body.handle, robot=False, enable=enable)
 
 
 def _check(carrier: Object, body: Object) -> None:
@@ -248,3 +304,41 @@ def move_supported(
         engine.set_pose(body.handle, geometry.multiply(moved, engine.pose(body.handle)))
         transaction.mark_modified(body)
         move_attached(body, transaction)
+
+
+def taken_along(body: Object) -> tuple[list[Object], list[Object]]:
+    """Return the free objects that go along when a hand lifts an object off its support, and those that it leaves.
+
+    What lies in or on the object goes along, unless it also rests on something that stays: then it leans on the object
+    and is left. What overlaps the object otherwise is left, too.
+    """
+    engine, objects = body.world.engine, body.world.objects
+    free = [other for other in objects if other is not body and not other.fixed and other.carrier is None]
+
+    @cache
+    def points(lower: Object, other: Object) -> list[ClosestPoint]:
+        return engine.closest_points(lower.handle, other.handle, _CONTACT_GAP)
+
+    along: list[Object] = []
+    for lower in (reached := [body]):
+        found = [each for each in free if each not in along and any(p.normal[2] < _BELOW for p in points(lower, each))]
+        along.extend(found)
+        reached.extend(found)
+
+    def rests_elsewhere(load: Object) -> bool:
+        others = [other for other in objects if other not in (body, load, *along)]
+        return any(  # furniture may be a hull around its contents
+            point.carries and not (other.fixed and point.distance < -DEEP)
+            for other in others
+            for point in points(other, load)
+        )
+
+    while leaning := [load for load in along if rests_elsewhere(load)]:
+        along = [load for load in along if load not in leaning]
+    left = [
+        other
+        for other in free
+        if other not in along
+        and any(p.carries or p.distance < -_SLIGHT for moved in (body, *along) for p in points(moved, other))
+    ]
+    return along, left

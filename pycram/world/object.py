@@ -452,8 +452,8 @@ class Object(ReadOnlyAttributes):
 
     def detach_all(self) -> None:
         """End all attachments of the object, as carrier or carried."""
-        for other in list(self._attachments):
-            self.detach(other)
+        while self._attachments:
+            self.detach(next(iter(self._attachments)))
 
     def set_color(self, color: Sequence[float]) -> None:
         """Set the colour of all links, RGBA 0..1."""

@@ -36,6 +36,7 @@ class Attachment:
     body_link: str  # the held link; "": its base
     position: Vector  # of the carried body's base in the carrier's link, m
     orientation: Quaternion  # of the same, xyzw
+    loose: bool = False  # whether the body merely lies in or on the carrier, and is released with it
 
 
 def apply(worlds: dict[str, FoldedWorld], record: records.Record) -> None:
@@ -178,7 +179,7 @@ class FoldedWorld:
     def _attach(self, attachments: Iterable[records.Attachment]) -> None:
         for held in attachments:
             pose = vector(held.position), quaternion(held.orientation)
-            attachment = Attachment(held.carrier, held.carrier_link, held.body, held.body_link, *pose)
+            attachment = Attachment(held.carrier, held.carrier_link, held.body, held.body_link, *pose, held.loose)
             self.attachments[held.carrier, held.body] = attachment
 
     def _set_states(self, states: Iterable[records.BodyState]) -> None:

@@ -126,20 +126,22 @@ class BodyState(_message.Message):
     def __init__(self, body: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., joints: _Optional[_Iterable[str]] = ..., joint_positions: _Optional[_Iterable[float]] = ..., joint_velocities: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Attachment(_message.Message):
-    __slots__ = ("carrier", "carrier_link", "body", "body_link", "position", "orientation")
+    __slots__ = ("carrier", "carrier_link", "body", "body_link", "position", "orientation", "loose")
     CARRIER_FIELD_NUMBER: _ClassVar[int]
     CARRIER_LINK_FIELD_NUMBER: _ClassVar[int]
     BODY_FIELD_NUMBER: _ClassVar[int]
     BODY_LINK_FIELD_NUMBER: _ClassVar[int]
     POSITION_FIELD_NUMBER: _ClassVar[int]
     ORIENTATION_FIELD_NUMBER: _ClassVar[int]
+    LOOSE_FIELD_NUMBER: _ClassVar[int]
     carrier: str
     carrier_link: str
     body: str
     body_link: str
     position: _containers.RepeatedScalarFieldContainer[float]
     orientation: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, carrier: _Optional[str] = ..., carrier_link: _Optional[str] = ..., body: _Optional[str] = ..., body_link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ...) -> None: ...
+    loose: bool
+    def __init__(self, carrier: _Optional[str] = ..., carrier_link: _Optional[str] = ..., body: _Optional[str] = ..., body_link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., loose: bool = ...) -> None: ...
 
 class Overlap(_message.Message):
     __slots__ = ("link", "body", "body_link", "depth")
@@ -238,16 +240,20 @@ class MoveJoints(_message.Message):
     def __init__(self, body: _Optional[str] = ..., joints: _Optional[_Iterable[str]] = ..., positions: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class AttachBody(_message.Message):
-    __slots__ = ("carrier", "carrier_link", "body", "body_link")
+    __slots__ = ("carrier", "carrier_link", "body", "body_link", "along", "left")
     CARRIER_FIELD_NUMBER: _ClassVar[int]
     CARRIER_LINK_FIELD_NUMBER: _ClassVar[int]
     BODY_FIELD_NUMBER: _ClassVar[int]
     BODY_LINK_FIELD_NUMBER: _ClassVar[int]
+    ALONG_FIELD_NUMBER: _ClassVar[int]
+    LEFT_FIELD_NUMBER: _ClassVar[int]
     carrier: str
     carrier_link: str
     body: str
     body_link: str
-    def __init__(self, carrier: _Optional[str] = ..., carrier_link: _Optional[str] = ..., body: _Optional[str] = ..., body_link: _Optional[str] = ...) -> None: ...
+    along: _containers.RepeatedScalarFieldContainer[str]
+    left: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, carrier: _Optional[str] = ..., carrier_link: _Optional[str] = ..., body: _Optional[str] = ..., body_link: _Optional[str] = ..., along: _Optional[_Iterable[str]] = ..., left: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class DetachBody(_message.Message):
     __slots__ = ("carrier", "body")

@@ -241,7 +241,11 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # details by command; o
             else f"{count} joints"
         )
     ),
-    "attach_body": lambda command: f"{command.body} to {command.carrier} {command.carrier_link}",
+    "attach_body": lambda command: (
+        f"{command.body} to {command.carrier} {command.carrier_link}"
+        + (f", with {', '.join(command.along)}" if command.along else "")
+        + (f", leaving {', '.join(command.left)}" if command.left else "")
+    ),
     "detach_body": lambda command: f"{command.body} from {command.carrier}",
     "set_gravity": lambda command: _numbers(command.gravity),
     "set_realtime": lambda command: "on" if command.enabled else "off",

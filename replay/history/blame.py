@@ -275,10 +275,9 @@ class _Search:
 
     def _carried(self, held: Attachment, step: int) -> Carried:
         for record in self._log.backwards(step, Mutation, naming=held.body):
-            if record.world == self._world and record.HasField("attach_body"):
-                command = record.attach_body
-                if (command.carrier, command.body) == (held.carrier, held.body):
-                    return Carried(held, record.seq, causing_tasks(self._log, record))
+            made = [(each.carrier, each.body) for each in record.effect.attached]
+            if record.world == self._world and record.HasField("attach_body") and (held.carrier, held.body) in made:
+                return Carried(held, record.seq, causing_tasks(self._log, record))
         return Carried(held, None, None)
 
 

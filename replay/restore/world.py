@@ -121,8 +121,9 @@ def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") 
             restore_snapshot(load_body(log, body.loaded, world, body.color), reading(body))
         for held in state.attachments.values():
             carrier, carried = world.get_object(held.carrier), world.get_object(held.body)
+            links = held.carrier_link or None, held.body_link or None
             pose = held.position, held.orientation
-            attachment.attach(carrier, carried, held.carrier_link or None, held.body_link or None, pose)
+            attachment.attach(carrier, carried, *links, pose, loose=held.loose)
         for following in state.following.values():
             driving.resume(world.get_object(following.begin.body), following)
         if state.robot:
@@ -327,8 +328,13 @@ _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
     "move_joints": lambda world, command: world.get_object(command.body).set_joint_positions(
         dict(zip(command.joints, command.positions, strict=True))
     ),
-    "attach_body": lambda world, command: world.get_object(command.carrier).attach(
-        world.get_object(command.body), command.carrier_link or None, command.body_link or None
+    "attach_body": lambda world, command: attachment.attach(
+        world.get_object(command.carrier),
+        world.get_object(command.body),
+        command.carrier_link or None,
+        command.body_link or None,
+        along=[world.get_object(name) for name in command.along],
+        left=[world.get_object(name) for name in command.left],
     ),
     "detach_body": lambda world, command: world.get_object(command.carrier).detach(world.get_object(command.body)),
     "set_gravity": lambda world, command: world.set_gravity(command.gravity),

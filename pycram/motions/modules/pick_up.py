@@ -23,6 +23,7 @@ from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import fingers
 from pycram.reasoning.grasping.choice import holding_grasps
 from pycram.reasoning.rejections import Touching, Unreached, short
+from pycram.world import attachment
 from pycram.world.overlaps import DEEP
 from pycram.world.world import BulletWorld
 from recorder import geometry
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 _MAX_SEARCHED: Final = 3  # grasps without a path, after which the search ends
 _MOVING: Final = (0.3, 3.0)  # m/s and rad/s, speeds of a falling or rolling object; a rocking object is slower
+_JAMMED: Final = 0.015  # m of overlap, above which free objects can't be at rest
 _STILL: Final = (0.005, math.radians(5))  # m and rad, maximum motion of the object while the hand approaches
 _FALL: Final = 0.1  # m; what has nothing below it within this distance hangs in the air
 _UPWARD: Final = 0.1  # minimum upward part of the direction from a support
@@ -70,6 +72,8 @@ class PickUp(SimulatedModule):
                 choosing("grasp", world, object=body, arm=arm.name, side=side, **{"from": given}) as choice,
             ):
                 self._check_free(robot, arm, body, giver)
+                along, left = attachment.taken_along(body)
+                along += [held.body for held in body.carried if held.loose]  # the other hand holds both
                 stood, opened = body.get_position_and_orientation(), arm.gripper.positions("open")
 
                 def approach(posture: Mapping[str, float]) -> Step:
@@ -87,8 +91,10 @@ class PickUp(SimulatedModule):
                 release = None if giver is None else _release(robot, giver, body)
                 if giver is not None:
                     robot.detach(body)
-                robot.attach(body, arm.tool_frame)
-                lift = self.execution.lift(robot, arm) if giver is None else None
+                along = [load for load in along if load.alive and load.carrier is None]  # others may have taken some
+                left = [other for other in left if other.alive and other.carrier is None]
+                attachment.attach(robot, body, arm.tool_frame, None, along=along, left=left)
+                lift = self.execution.lift(robot, arm, left) if giver is None else None
             if giver is not None and release is not None:
                 self.execution.grip(robot, release)()
                 with world.lock:
@@ -121,11 +127,13 @@ class PickUp(SimulatedModule):
             hangs = f"it hangs in the air, with nothing within {_FALL * 100:.0f} cm below it"
             raise GraspFailed(arm.name, body.name, f"{hangs}; world.settle() lets it fall")
         for other in robot.world.objects:
-            if other is not body and not other.fixed:  # hulls of furniture may hold what lies in it
-                deepest = robot.world.engine.deepest(body.handle, other.handle)
-                if deepest is not None and -deepest.distance > DEEP:
-                    inside = f"it is {-deepest.distance * 1e3:.0f} mm inside of {other.name}"
-                    raise GraspFailed(arm.name, body.name, inside)
+            if other is body or other.fixed or body in other.attachments:  # furniture may be a hull around its contents
+                continue
+            deepest = robot.world.engine.deepest(body.handle, other.handle)
+            if deepest is not None and -deepest.distance > (_JAMMED if other.carrier is None else DEEP):
+                inside = f"it is {-deepest.distance * 1e3:.0f} mm inside of {other.name}"
+                why = f"which {other.carrier.name} holds" if other.carrier else "world.settle() lifts them apart"
+                raise GraspFailed(arm.name, body.name, f"{inside}, {why}" if other.carrier else f"{inside}; {why}")
 
     def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike, giver: Arm | None) -> None:
         """Check that an object hasn't moved while the hand approached, and is free, or still in the other hand."""

@@ -82,7 +82,7 @@ def finger_motion(
         robot: its world is locked.
         goal: how far the gripper should be open: 0 is closed, 1 is open.
         posture: joint values of the arm by name; the present ones by default.
-        release: the object that is released; it doesn't stop the fingers.
+        release: the object that is released; it doesn't stop the fingers, unlike the objects that it carries.
         pose: pose of the released object; its present pose by default.
         base: assumed pose of the robot's base; its present pose by default.
     """
@@ -96,7 +96,9 @@ def finger_motion(
     else:
         frame = robot.urdf.forward_kinematics(there, gripper.palm)
         palm = geometry.multiply(base or robot.get_position_and_orientation(), frame)
-    others = _near(clone, robot, gripper, palm, there, [o for o in robot.world.objects if o not in (robot, release)])
+    loads = [] if release is None else release.carried
+    absent = robot, release, *(load.body for load in loads)
+    others = _near(clone, robot, gripper, palm, there, [o for o in robot.world.objects if o not in absent])
     if not others and release is None:  # in free air no copy of the hand is needed
         return FingerMotion(gripper.at(goal), goal)
     engine, hand = clone.engine, clone.body(robot.name)
@@ -109,6 +111,10 @@ def finger_motion(
         if base is not None:
             engine.set_pose(hand, base)
         engine.pose_joints(hand, there)
+        for load in loads:
+            others[load.body, ""] = clone.body(load.body.name)
+            if pose is not None:
+                engine.set_pose(others[load.body, ""], geometry.multiply(pose, load.pose))
         free, stops = _sweep(depths, _share_open(gripper, now), goal) if others else (goal, {})
         gap = 2 * CLEAR
         if release is not None:
@@ -119,7 +125,7 @@ def finger_motion(
             touches = [t for finger in gripper.fingers for t in engine.link_closest_points(hand, finger, copy, gap)]
             gap = min((touch.distance for touch in touches), default=gap)
     finally:
-        clone.invalidate(robot.name, *([release.name] if release is not None else []))
+        clone.invalidate(*(body.name for body in absent if body is not None))
     return FingerMotion(gripper.at(free), free, _pairs(robot, stops), gap)
 
 
@@ -257,7 +263,7 @@ def _near(
     palm: Pose,
     there: Mapping[str, float],
     bodies: Sequence[Object],
-) -> Mapping[Part, LoadedBody]:
+) -> dict[Part, LoadedBody]:
     """Return the copies of objects that fingers could touch between open and closed.
 
     Args:

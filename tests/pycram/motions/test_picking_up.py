@@ -8,9 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+import recorder
+import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import Blocked, DoesNotFit, GraspFailed, PlanFailure
+from pycram.process_module import execution_environment
 from recorder import geometry
+from recorder.records import Mutation
+from recorder.records.text import mutation_text
+from replay.restore.verify import verify
 from tests.measures import seeded
 from tests.pycram.motions.placing_scenes import TOP, at_table, perform
 
@@ -99,9 +105,41 @@ def test_what_is_inside_of_something_says_so(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
     x, y, z = milk.get_position()
     scene.get_object("bowl").set_position([x, y + 0.03, z - 0.05])
-    with pytest.raises(GraspFailed, match=r"it is \d+ mm inside of bowl"):
+    with pytest.raises(GraspFailed, match=r"it is \d+ mm inside of bowl; world\.settle\(\) lifts them apart"):
         perform(type="pick-up", object=milk, arm="left")
     assert milk.carrier is None
+
+
+@pytest.mark.parametrize("environment", ["simulated", pytest.param("continuous", marks=pytest.mark.slow)])
+def test_what_lies_on_a_plate_goes_along_until_the_plate_is_put_down(tmp_path: Path, environment: str) -> None:
+    """What leans on the plate stays; the recording tells which."""
+    with at_table(tmp_path) as world, recorder.record(tmp_path / "plate.mcap"), execution_environment(environment):
+        perform(type="move-arm-joints", left_arm="park", right_arm="park")
+        plate = Object("plate", "plate", "plate.stl", [0.62, 0.2, TOP + 0.01])
+        apple = Object("apple", "apple", "apple.stl", [0.64, 0.16, TOP + 0.06])
+        knife = Object("knife", "knife", "knife.stl", [0.8, 0.2, TOP + 0.04])
+        assert world.settle()
+        lay = knife.get_position_and_orientation()
+        at = geometry.multiply(
+            geometry.invert(plate.get_position_and_orientation()), apple.get_position_and_orientation()
+        )
+        perform(type="pick-up", object=plate, arm="left")
+        perform(type="move-arm-joints", left_arm="park", right_arm="park")
+        assert apple.carrier is plate
+        assert knife.carrier is None
+        assert math.dist(knife.get_position(), lay[0]) < 0.03
+        perform(type="place", object=plate, arm="left", target=[0.62, 0.5, TOP + 0.01])
+        perform(type="move-arm-joints", left_arm="park", right_arm="park")
+        assert apple.carrier is plate.carrier is None
+        now = geometry.multiply(
+            geometry.invert(plate.get_position_and_orientation()), apple.get_position_and_orientation()
+        )
+        assert math.dist(now[0], at[0]) < 0.01
+        assert math.dist(plate.get_position()[:2], (0.62, 0.5)) < 0.02
+    with replay.open(tmp_path / "plate.mcap") as log:
+        (taken,) = [record for record in log.records(Mutation) if record.HasField("attach_body")]
+        assert mutation_text(taken).endswith("with apple, leaving knife")
+        assert verify(log).problem is None
 
 
 def test_what_leans_and_fits_from_no_side_says_both(scene: BulletWorld) -> None:
