@@ -127,14 +127,8 @@ class Execution(ABC):
         """
 
     @abstractmethod
-    def lift(self, robot: Object, arm: Arm, left: Sequence[Object] = ()) -> Step | None:
-        """Lift an object, just grasped, off its support; return None if it stays in place.
-
-        Args:
-            robot: The robot.
-            arm: The arm.
-            left: Objects that overlap or lean on it, and stay: it may touch them on its way, but not at the end.
-        """
+    def lift(self, robot: Object, arm: Arm) -> Step | None:
+        """Lift an object, just grasped, off its support; return None if it stays in place."""
 
     @abstractmethod
     def settle(self, world: BulletWorld) -> Collection[Object]:
@@ -223,7 +217,7 @@ class InstantExecution(Execution):
         """Leave the hand in place."""
         return None
 
-    def lift(self, robot: Object, arm: Arm, left: Sequence[Object] = ()) -> Step | None:  # noqa: ARG002
+    def lift(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002
         """Leave the object in place."""
         return None
 
@@ -342,9 +336,9 @@ class ContinuousExecution(Execution):
         ways = (geometry.rotate(_tool_pose(robot, arm, now)[1], _BACK), _UP)
         return _line(robot, arm, now, ways, (), ignored_links)
 
-    def lift(self, robot: Object, arm: Arm, left: Sequence[Object] = ()) -> Step | None:
+    def lift(self, robot: Object, arm: Arm) -> Step | None:
         """Lift the object straight, as far as the way is free; return None if there is no free way."""
-        line = _line(robot, arm, _now(robot, arm.joints), (_UP,), left)
+        line = _line(robot, arm, _now(robot, arm.joints), (_UP,))
         return None if line is None else partial(_along, (robot, line))
 
     def settle(self, world: BulletWorld) -> Collection[Object]:

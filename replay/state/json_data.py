@@ -120,6 +120,7 @@ def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
                 "position": list(held.position),
                 "orientation": list(held.orientation),
             }
+            | ({"loose": True} if held.loose else {})
             for held in world.attachments.values()
             if only in (None, held.carrier, held.body)
         ],

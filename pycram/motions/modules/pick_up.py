@@ -94,7 +94,7 @@ class PickUp(SimulatedModule):
                 along = [load for load in along if load.alive and load.carrier is None]  # others may have taken some
                 left = [other for other in left if other.alive and other.carrier is None]
                 attachment.attach(robot, body, arm.tool_frame, None, along=along, left=left)
-                lift = self.execution.lift(robot, arm, left) if giver is None else None
+                lift = self.execution.lift(robot, arm) if giver is None else None
             if giver is not None and release is not None:
                 self.execution.grip(robot, release)()
                 with world.lock:

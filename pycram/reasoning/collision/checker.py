@@ -103,6 +103,10 @@ class CollisionChecker:
         )
         self.moving = links.moving  # links of the robot that are checked
         self._link_of = {body: link for body, link, _ in self._held}
+        # held objects, each with an object that it overlapped when it was taken, and passes through
+        self._passed = {
+            (body, left) for body in self._link_of for each in body.attachments.values() for left in each.left
+        }
         self._own = {body.name: body for body in (robot, *self._link_of)}
         self._owners = [(self._own[name], link) for name, link in links.owners]
         skipped = {robot, *(body for body in self._link_of if body.name in links.held), *ignored}
@@ -194,6 +198,8 @@ class CollisionChecker:
             fixed: dict[Object, bool] = {}
             for pair in pairs:
                 body = pair[2]
+                if (pair[0], body) in self._passed:
+                    continue
                 if body not in counts:
                     counts[body], fixed[body] = 0, body.fixed
                 counts[body] += 1
@@ -211,7 +217,7 @@ class CollisionChecker:
 
         Yields:
             Two links that touch, with their contact points. The wheels of a robot don't collide with its floor, and
-            held objects don't collide with the robot.
+            held objects don't collide with the robot, nor with what they overlapped when they were taken.
         """
         for pair in self.pairs(candidate):
             mover, link, body, _ = pair

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
@@ -39,6 +39,7 @@ _FREE: Final = (False, 0, 0, 0.0)  # cost of a posture that touches nothing
 _INFINITE: Final = (True, math.inf, math.inf, math.inf)  # higher than the cost of any posture
 _HAND: Final = -1  # stands for the hand alone, which is checked before the postures for a grasp
 _MAX_GRASPS: Final = 6  # grasps that are tried, one after the other
+_DEEPER: Final = (0.004, 0.008)  # m by which a grasp is moved towards the object
 _LEANING: Final = math.radians(5)  # rad, minimum lean of an object that a message mentions
 
 
@@ -74,6 +75,7 @@ def best_grasp(
     refused: Collection[Grasp] = (),
     choice: Choice = UNRECORDED,
     base: Pose | None = None,
+    adjusted: Collection[Grasp] = (),
 ) -> GraspPlan:
     """Return the grasp that touches least. A grasp off the center is chosen only if no other grasp is free.
 
@@ -83,13 +85,14 @@ def best_grasp(
         refused: grasps that are left out.
         choice: receives the reasons against the other grasps.
         base: assumed pose of the robot's base; its present pose by default.
+        adjusted: further grasps.
     """
     arm = robot.description.arm_of(link) if robot.description else None
     takes = arm if arm is not None and arm.hand is not None else None
     grasping = _Grasping(body, robot, Solver(robot, link), takes, choice, base)
     if takes is None:  # a link without a gripper reaches a place without grasping
         return grasping.best_of([Grasp("any", center(body), IDENTITY[1], 0.0)])
-    central = candidates(body, robot, takes, names, base=base, choice=choice)
+    central = [*candidates(body, robot, takes, names, base=base, choice=choice), *adjusted]
     plan = grasping.best_of([grasp for grasp in central if grasp not in refused])
     if plan.grasp is None or plan.obstacles:
         every = candidates(body, robot, takes, names, off_center=True, base=base, choice=choice)
@@ -281,8 +284,9 @@ def holding_grasps(
         base: assumed pose of the robot's base; its present pose by default.
     """
     refused: list[Grasp] = []
-    while len(failures) < _MAX_GRASPS:
-        plan = best_grasp(body, robot, arm.tool_frame, names, refused, choice, base)
+    adjusted: list[Grasp] = []
+    while len(failures) < _MAX_GRASPS + len(adjusted):
+        plan = best_grasp(body, robot, arm.tool_frame, names, refused, choice, base, adjusted)
         if plan.grasp is None or plan.posture is None:
             failures.append(_nothing(robot, arm, body, names, plan, base))
             return
@@ -295,6 +299,24 @@ def holding_grasps(
         elif closing is not None:
             yield plan.grasp, plan.posture, closing
         refused.append(plan.grasp)
+        if closing is not None and plan.grasp not in adjusted:
+            adjusted.extend(_adjusted(robot, plan.grasp, closing))
+
+
+def _adjusted(robot: Object, grasp: Grasp, closing: Closing) -> Iterator[Grasp]:
+    """Yield grasps of a thin object next to a grasp that doesn't hold it.
+
+    They are higher where the fingers would touch furniture, because part of the object may hang below its surface. They
+    are deeper where the fingers would not touch two sides, because the tips of wide open fingers may reach less far.
+    """
+    if closing.obstacles and all(robot.world.get_object(pair.body).fixed for pair in closing.obstacles):
+        x, y, z = grasp.position
+        rise = max(pair.depth for pair in closing.obstacles) + fingers.CLEAR
+        yield replace(grasp, position=(x, y, z + rise), label=f"{grasp}, higher")
+    elif not closing.obstacles and closing.sides < 2:
+        for deeper in _DEEPER:
+            position = geometry.transform((grasp.position, grasp.orientation), (deeper, 0.0, 0.0))
+            yield replace(grasp, position=position, label=f"{grasp}, {1e3 * deeper:.0f} mm deeper")
 
 
 def _nothing(
@@ -327,5 +349,6 @@ def _problem(arm: Arm, body: Object, plan: GraspPlan, closing: Closing | None) -
     if closing.obstacles:
         return Blocked(arm.name, center(body), closing.obstacles, "when the fingers close")
     if closing.sides < 2:
-        return GraspFailed(arm.name, body.name, "its fingers would touch it on one side only")
+        where = "on one side only" if closing.sides else "on none of its sides"
+        return GraspFailed(arm.name, body.name, f"its fingers would touch it {where}")
     return None
