@@ -119,8 +119,8 @@ def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
                 "body_link": held.body_link,
                 "position": list(held.position),
                 "orientation": list(held.orientation),
+                **({"loose": True} if held.loose else {}),
             }
-            | ({"loose": True} if held.loose else {})
             for held in world.attachments.values()
             if only in (None, held.carrier, held.body)
         ],
