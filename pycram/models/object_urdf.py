@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     import trimesh
 
-_MIN_CONVEXITY: Final = 0.9  # share of the hull's volume that a convex mesh fills
+_MIN_CONVEXITY: Final = 0.9  # share of the hull's volume that a convex mesh fills; of its area for an open mesh
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 
 
@@ -117,7 +117,11 @@ def _collision(file: Path, shape: trimesh.Trimesh) -> tuple[str, bytes]:
     if pieces.is_file():
         return convert(pieces)
     hull = shape.convex_hull
-    if not shape.is_watertight or shape.volume > _MIN_CONVEXITY * hull.volume:
+    if shape.is_watertight:
+        convex = shape.volume > _MIN_CONVEXITY * hull.volume
+    else:  # an open shell, such as a bowl without thickness, has no volume
+        convex = _MIN_CONVEXITY < shape.area / hull.area < 1 / _MIN_CONVEXITY
+    if convex:
         return f"{file.stem}.hull.obj", _obj(hull)
     return f"{file.stem}.collision.obj", _decompose(_obj(shape))
 

@@ -11,6 +11,7 @@ released with it (:func:`taken_along`).
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Final
@@ -31,8 +32,13 @@ if TYPE_CHECKING:
 
 _CONTACT_GAP: Final = 0.003  # m; a settled body stays about half a millimetre above its support
 _DROP_HEIGHT: Final = 0.03  # m; largest height of a body above the floor of the drawer into which it was put
+_GRIP_GAP: Final = 0.001  # m between a body and a finger that holds it
 _SLIGHT: Final = 2e-3  # m; overlap of bodies that can be moved apart without pushing each other
 _BELOW: Final = -0.1  # vertical part of a unit normal, below which a body touches another one from above
+
+
+class StillHeld(UserWarning):
+    """An object was detached between closed fingers, which hold it by friction in simulation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +235,20 @@ def move_attached(carrier: Object, transaction: Transaction) -> None:
         engine.set_pose(body.handle, pose)
         transaction.mark_modified(body)
         move_attached(body, transaction)
+
+
+def gripping(robot: Object, body: Object) -> str:
+    """Return the name of the arm that has an object between its fingers; "" if no arm has."""
+    engine = robot.world.engine
+    for arm in robot.description.arms.values() if robot.description else ():
+        normals = [
+            min(points, key=lambda point: point.distance).normal
+            for finger in (arm.gripper.fingers if arm.hand else ())
+            if (points := engine.link_closest_points(robot.handle, finger, body.handle, _GRIP_GAP))
+        ]
+        if any(sum(a * b for a, b in zip(*pair, strict=True)) < 0.0 for pair in itertools.combinations(normals, 2)):
+            return arm.name
+    return ""
 
 
 def attached_to(carrier: Object, link: str) -> Object | None:

@@ -445,10 +445,19 @@ class Object(ReadOnlyAttributes):
     def detach(self, other: Object) -> None:
         """End an attachment, from either side (thesis 4.3.2); both objects stay where they are.
 
+        Warns:
+            StillHeld: The closed fingers of a robot hold the object that it has carried.
+
         Raises:
             AttachmentError: The two aren't attached to each other.
         """
-        attachment.detach(self, _object("other", other))
+        released = _object("other", other)
+        attachment.detach(self, released)
+        for robot, body in ((self, released), (released, self)):
+            if robot.is_robot and (arm := attachment.gripping(robot, body)):
+                held = f"the fingers of the {arm} gripper still hold {body.name} by friction"
+                text = f"{held}; open the gripper (opening-gripper) to release it"
+                warnings.warn_explicit(text, attachment.StillHeld, *call_site())
 
     def detach_all(self) -> None:
         """End all attachments of the object, as carrier or carried."""

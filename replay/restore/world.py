@@ -336,7 +336,9 @@ _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
         along=[world.get_object(name) for name in command.along],
         left=[world.get_object(name) for name in command.left],
     ),
-    "detach_body": lambda world, command: world.get_object(command.carrier).detach(world.get_object(command.body)),
+    "detach_body": lambda world, command: attachment.detach(
+        world.get_object(command.carrier), world.get_object(command.body)
+    ),
     "set_gravity": lambda world, command: world.set_gravity(command.gravity),
     "set_color": lambda world, command: world.get_object(command.body).set_color(command.color),
     "set_robot": lambda world, command: world.set_robot(world.get_object(command.body) if command.body else None),

@@ -90,7 +90,7 @@ class PickUp(SimulatedModule):
                 _check_sides(robot, arm, body)
                 release = None if giver is None else _release(robot, giver, body)
                 if giver is not None:
-                    robot.detach(body)
+                    attachment.detach(robot, body)
                 along = [load for load in along if load.alive and load.carrier is None]  # others may have taken some
                 left = [other for other in left if other.alive and other.carrier is None]
                 attachment.attach(robot, body, arm.tool_frame, None, along=along, left=left)

@@ -23,6 +23,7 @@ from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing
 from pycram.reasoning.grasping.placing import Refusals, placements
 from pycram.reasoning.rejections import Unreached, short
+from pycram.world import attachment
 from pycram.world.world import BulletWorld
 from recorder import geometry
 
@@ -87,7 +88,7 @@ class Place(SimulatedModule):
                 release = self.execution.grip(robot, plan.opened)
             release()
             with robot.world.lock:
-                robot.detach(body)
+                attachment.detach(robot, body)
                 free = [other for other in robot.world.objects if not (other.fixed or other.is_robot)]
                 beside = [robot.world.get_object(pair.body) for pair in _touching(body, free)]
                 neighbours = {other: other.get_position_and_orientation() for other in beside}

@@ -27,7 +27,7 @@ from pycram.reasoning.grasping import fingers
 from pycram.reasoning.kinematics import inverse, pan_tilt
 from pycram.reasoning.places.search import check_drives, check_ground
 from pycram.reasoning.rejections import OutOfReach, Touching, Unfit, short
-from pycram.world import simulation
+from pycram.world import attachment, simulation
 from pycram.world.world import BulletWorld
 from recorder import geometry
 
@@ -268,7 +268,7 @@ class MoveGripper(SimulatedModule):
             settled = True
             if held is not None:
                 with robot.world.lock:
-                    robot.detach(held)
+                    attachment.detach(robot, held)
                     simulation.separate(robot.world)
                 settled = not self.execution.settle(robot.world)
         return GripperMoved(arm.name, motion.share, motion.stopped_by, held, settled)

@@ -81,3 +81,18 @@ def test_meshes_of_all_formats_collide(tmp_path: Path, world: BulletWorld, kind:
     world.simulate(1)
     assert body.get_position()[2] == pytest.approx(0.05, abs=3e-3)
     assert [entry.name for entry in tmp_path.iterdir()] == [file.name]
+
+
+@pytest.mark.costly
+def test_an_open_shell_is_hollow(tmp_path: Path, world: BulletWorld) -> None:
+    """As a bowl without thickness; its convex hull would be solid."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.08)
+    lower = np.flatnonzero(ball.triangles_center[:, 2] < 0)
+    ball.submesh([lower], append=True).export(tmp_path / "shell.stl")
+    ball.apply_scale(0.5)
+    ball.export(tmp_path / "ball.stl")
+    shell = Object("shell", "bowl", str(tmp_path / "shell.stl"))
+    inside = Object("ball", "ball", str(tmp_path / "ball.stl"), [0, 0, -0.03])
+    assert world.engine.deepest(shell.handle, inside.handle) is None
+    inside.set_position([0, 0, -0.06])
+    assert world.engine.deepest(shell.handle, inside.handle) is not None

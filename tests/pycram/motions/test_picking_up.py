@@ -18,7 +18,7 @@ from recorder.records import Mutation
 from recorder.records.text import mutation_text
 from replay.restore.verify import verify
 from tests.measures import seeded
-from tests.pycram.motions.placing_scenes import TOP, at_table, perform
+from tests.pycram.motions.placing_scenes import TOP, at_table, box, perform
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -140,6 +140,29 @@ def test_what_lies_on_a_plate_goes_along_until_the_plate_is_put_down(tmp_path: P
         (taken,) = [record for record in log.records(Mutation) if record.HasField("attach_body")]
         assert mutation_text(taken).endswith("with apple, leaving knife")
         assert verify(log).problem is None
+
+
+@pytest.mark.parametrize("arm", ["left", "right"])
+def test_a_spoon_over_the_edge_of_the_sink_is_taken(scene: BulletWorld, arm: str) -> None:
+    """Its end hangs below the counter, where finger tips have no room."""
+    for name in ("milk", "bowl"):
+        scene.get_object(name).remove()
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    spoon = Object("handle over the sink", "spoon", "spoon.stl", [1.3, 0.9, 0.88])
+    assert scene.settle()
+    assert spoon.get_AABB()[0][2] < 0.84
+    perform(type="pick-up", object=spoon, arm=arm)
+    assert spoon.carrier is scene.robot
+
+
+def test_a_tile_that_is_as_wide_as_fingers_reach_is_taken(table: BulletWorld, tmp_path: Path) -> None:
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    tile = Object("tile", "tile", box(tmp_path, "tile", (0.07, 0.07, 0.006)), [0.62, 0.2, TOP + 0.003])
+    try:
+        perform(type="pick-up", object=tile, arm="left")
+        assert gaps(table, tile) == {"l": pytest.approx(0, abs=5e-3), "r": pytest.approx(0, abs=5e-3)}
+    finally:
+        tile.remove()
 
 
 def test_what_leans_and_fits_from_no_side_says_both(scene: BulletWorld) -> None:
