@@ -61,7 +61,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap 12.5s pr2", "the robot's joints at 12.5 s"),
         ),
         "ask": (
-            ("run.mcap failure", "the query of that step again"),
+            ("run.mcap 156", "the query of that step again"),
             ("run.mcap 100 'stable(milk)'", "another query at step 100"),
         ),
         "render": (
@@ -119,8 +119,8 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap -o sound.mcap", "the same into sound.mcap"),
         ),
         "pack": (
-            ("runs/0001.mcap", "copy a sweep's recording with its models"),
-            ("runs/0001.mcap -o run.mcap", "the same into run.mcap"),
+            ("runs/00001.mcap", "copy a sweep's recording with its models"),
+            ("runs/00001.mcap -o run.mcap", "the same into run.mcap"),
         ),
     },
 }
