@@ -278,11 +278,12 @@ class SurfaceSearch(Search):
 
         So a cup's handle may stick out over the edge of a plate, but what would tip off its base may not.
         """
+        if not searched.on_object:
+            return corners
         lowest = corners[corners[:, 2] < corners[:, 2].min() + _BASE]
         middle = (corners[:, :2].min(axis=0) + corners[:, :2].max(axis=0)) / 2
         base = geometry.convex_hull(lowest[:, :2])
-        stands = searched.on_object and geometry.margin_in_polygon(base, middle.tolist()) > 0.0
-        return lowest if stands else corners
+        return lowest if geometry.margin_in_polygon(base, middle.tolist()) > 0.0 else corners
 
     @staticmethod
     def _within(centers: Array, outline: Polygon, inner: float, outer: float) -> Array:
@@ -403,9 +404,9 @@ class SurfaceSearch(Search):
         """Return why a surface has no room for the object's outline; None if it has."""
         (x, y, _), turn = spot.pose
         corners = self._turned_corners(turn)
-        own, inside = (
-            geometry.convex_hull(each[:, :2] + (x, y)) for each in (corners, self._inside(corners, searched))
-        )
+        own = inside = geometry.convex_hull(corners[:, :2] + (x, y))
+        if searched.on_object:
+            inside = geometry.convex_hull(self._inside(corners, searched)[:, :2] + (x, y))
         if any(geometry.margin_in_polygon(outline, corner) < EDGE for corner in inside):
             return "edge", NoRoom(f"it would stick out over the edge of {searched.surface.name}")
         wide = _widened(own, FINGERS)
