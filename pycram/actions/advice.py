@@ -20,7 +20,6 @@ from pycram.foundation.failures import (
     PlanFailure,
     ReasoningError,
     Unreachable,
-    UsageError,
 )
 from pycram.projection.child import first_true
 from pycram.reasoning.choosing import UNRECORDED
@@ -58,10 +57,7 @@ _SAME: Final = 1e-3  # m between an object and a target at it
 def advice(failure: PlanFailure, action: ActionDesignator) -> str:
     """Return the moves of an action's object after which the robot can take it, in words; "" if no tried move helps."""
     slots, failures = dict(action.description), list(_failures(failure))
-    try:
-        robot, given = BulletWorld.current_robot(), candidates_of(thing("object", unwrap(slots["object"])))
-    except UsageError:  # a world that has ended
-        return ""
+    robot, given = BulletWorld.current_robot(), candidates_of(thing("object", unwrap(slots["object"])))
     untaken = [body for body in given if failures and all(_untaken(each, body) for each in failures)]
     if robot.description is None or len(untaken) != 1 or untaken[0].fixed or untaken[0].attachments:
         return ""
@@ -79,7 +75,7 @@ def advice(failure: PlanFailure, action: ActionDesignator) -> str:
     found: list[str] = []
     for moves in (turns, slides) if free else ():
         helps = first_true([partial(_helps, robot, body, pose, free, grasp, moves_base) for _, pose in moves])
-        found += [moves[helps][0].format("it" if found else body.name)] if helps is not None else []
+        found += [moves[helps][0].replace("{}", "it" if found else body.name, 1)] if helps is not None else []
     return f"{' or '.join(found)}, then it can be taken" if found else ""
 
 

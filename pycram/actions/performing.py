@@ -6,6 +6,7 @@ In ``projecting()``, the best choices are tried in forks first, and the first su
 from __future__ import annotations
 
 import itertools
+from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +16,7 @@ from pycram.actions.action import ActionDesignator, ActionType, prepared, type_o
 from pycram.actions.advice import advice
 from pycram.foundation import checks
 from pycram.foundation.errors import export
-from pycram.foundation.failures import BadArgument, PlanFailure
+from pycram.foundation.failures import BadArgument, PlanFailure, PycramError
 from pycram.foundation.refusals import refusing
 from pycram.language.branch import current_block
 from pycram.language.retries import FailureHandling
@@ -262,8 +263,9 @@ class _Act:
             try:
                 return self._carried_out(slots)
             except PlanFailure as failure:
-                if outermost and (helps := advice(failure, self._designator)):
-                    failure.args = (f"{failure}; {helps}",)
+                with suppress(PycramError):  # the world may have ended
+                    if outermost and (helps := advice(failure, self._designator)):
+                        failure.args = (f"{failure}; {helps}",)
                 raise
 
     def _carried_out(self, slots: Mapping[str, Any]) -> Any:

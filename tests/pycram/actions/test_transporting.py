@@ -137,7 +137,7 @@ def test_what_is_told_wrong_moves_nothing(shared_scene: BulletWorld) -> None:
         transport("milk", LocationDesignator(side="left"))
     with pytest.raises(DesignatorError, match="one of front, back, left, right"):
         transport("milk", LocationDesignator(on="island", side="above"))
-    with pytest.raises(DesignatorError, match="a place where an object can be put"):
+    with pytest.raises(DesignatorError, match="a place for an object: a position"):
         transport("milk", LocationDesignator(near="cereal"))
     with pytest.raises(DesignatorError, match="an object that can be taken"):
         transport("environment", "island")
