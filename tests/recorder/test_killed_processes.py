@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import itertools
 import os
 import random
 import signal
@@ -20,7 +21,7 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.physics import engine
 from recorder.records import Run, Task
-from tests.measures import seeded
+from tests.measures import REPO, seeded
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,6 +62,26 @@ with recorder.record(sys.argv[1]) as recording:
 """
 
 
+# Runs a demo, and prints the same after each of its records.
+DEMO = f"""
+import contextlib, os, sys, time
+from pathlib import Path
+from pycram import cli
+from recorder.mcap_sink import McapSink
+from recorder.records import Task
+{inspect.getsource(waited)}
+write, tell = McapSink.write, os.dup(1)
+def told(self, topic, record, payload):
+    write(self, topic, record, payload)
+    failed = isinstance(record, Task) and record.status in (Task.FAILED, Task.CANCELLED)
+    os.write(tell, b"%s%d %d %d\\n" % (b"F" if failed else b"E", record.seq, time.time_ns(), waited(os.getpid())))
+McapSink.write = told
+os.dup2(2, 1)
+cli.main(["run", sys.argv[3], "--log", sys.argv[1], "--seed", "1"])
+"""
+RECORDS = {"fails_to_reach": 166, "set_the_table": 340}  # of the demos, about
+
+
 # Prints how often Python had something to tell of itself (imports, files) while the file was there, and empty.
 WATCHED = """
 import os, sys
@@ -89,11 +110,29 @@ def kill_at_random(file: Path, seed: int, rng: random.Random) -> tuple[list[tupl
     """Kills a process; returns its lines, when that was, and how long its threads had waited for a processor by then."""
     victim = subprocess.Popen([sys.executable, "-c", VICTIM, str(file), str(seed)], stdout=subprocess.PIPE)
     assert victim.stdout is not None
-    first = victim.stdout.readline()
+    lines = [victim.stdout.readline()]
     deadline = time.monotonic() + rng.uniform(0.0, 0.4)
-    lines = [first]
     while time.monotonic() < deadline:
         lines.append(victim.stdout.readline())
+    return stopped_and_killed(victim, lines)
+
+
+def kill_demo(file: Path, seed: int, rng: random.Random) -> tuple[list[tuple[str, int, int, int]], int, int]:
+    """Kill a demo at random, every second time while it is ending; return the same as :func:`kill_at_random`."""
+    demo = sorted(RECORDS)[seed % 4 // 2]
+    command = [sys.executable, "-c", DEMO, str(file), str(seed), str(REPO / "demos" / f"{demo}.py")]
+    victim = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
+    assert victim.stdout is not None
+    number = rng.randrange(RECORDS[demo] - 15 if seed % 2 else 1, RECORDS[demo])
+    lines = list(itertools.islice(victim.stdout, number))
+    time.sleep(rng.uniform(0, 0.08))  # the moment is random; the figures are of what the victim says
+    return stopped_and_killed(victim, lines)
+
+
+def stopped_and_killed(
+    victim: subprocess.Popen[bytes], lines: list[bytes]
+) -> tuple[list[tuple[str, int, int, int]], int, int]:
+    assert victim.stdout is not None
     victim.send_signal(signal.SIGSTOP)  # nothing of it runs any more, so that it can be looked at before it is killed
     killed = time.time_ns()
     os.waitpid(victim.pid, os.WUNTRACED)
@@ -110,18 +149,34 @@ def kill_at_random(file: Path, seed: int, rng: random.Random) -> tuple[list[tupl
 def test_a_killed_process_loses_at_most_50_records_and_no_failure(
     tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]
 ) -> None:
+    check_losses(kill_at_random, tmp_path, seeds, record_property)
+
+
+@seeded("killed demos", range(50), 4)
+def test_a_killed_demo_loses_at_most_50_records_and_no_failure(
+    tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]
+) -> None:
+    check_losses(kill_demo, tmp_path, seeds, record_property)
+
+
+def check_losses(
+    kill: Callable[..., tuple[list[tuple[str, int, int, int]], int, int]],
+    tmp_path: Path,
+    seeds: range,
+    record_property: Callable[[str, object], None],
+) -> None:
     rng = random.Random(seeds[0])
     most_records = 0
     ages: list[float] = []  # of the oldest record that is lost, in ms
     own_ages: list[float] = []  # without what the process waited for a processor
     for seed in seeds:
         file = tmp_path / f"{seed}.mcap"
-        written, killed, late = kill_at_random(file, seed, rng)
+        written, killed, late = kill(file, seed, rng)
         with replay.open(file) as log:
             kept = len(log)
             assert [record.seq for record in log] == list(range(kept))
-            assert not log.complete
-            assert "not closed" in log.problems
+            if not log.complete:  # else it was closed just before
+                assert "not closed" in log.problems
             lost = [(kind, when, waits) for kind, seq, when, waits in written if seq >= kept]
             assert not [kind for kind, _, _ in lost if kind == "F"], "a recorded failure is missing"
             failures = sum(1 for kind, seq, *_ in written if kind == "F" and seq < kept)
