@@ -278,8 +278,9 @@ def _value(
 
 def _bounds(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the first pixel along an axis whose center may be in each triangle, and the pixel after the last."""
-    low = np.ceil(np.clip(axis.min(axis=1), 0, limit)).astype(np.int64)
-    high = np.floor(np.clip(axis.max(axis=1), -1, limit - 1)).astype(np.int64) + 1
+    a, b, c = axis.T  # corner by corner: several times as fast as along each row of three
+    low = np.ceil(np.clip(np.minimum(np.minimum(a, b), c), 0, limit)).astype(np.int64)
+    high = np.floor(np.clip(np.maximum(np.maximum(a, b), c), -1, limit - 1)).astype(np.int64) + 1
     return low, high
 
 

@@ -199,6 +199,9 @@ class Engine:
 
     def pose(self, body: LoadedBody) -> Pose:
         """Return the pose of the base link in the world."""
+        known = self._known.get(body.id)
+        if known:
+            return known[0].pose
         pose = self.center_pose(body)
         if body.offset is None:
             return pose
@@ -318,6 +321,9 @@ class Engine:
 
     def link_frames(self, body: LoadedBody, links: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return frames of several links in the world: (n, 3) positions in m, (n, 4) orientations xyzw."""
+        if len(body.links) == 1:
+            at, turn = self.snapshot(body).pose
+            return np.array([at] * len(links)).reshape(-1, 3), np.array([turn] * len(links)).reshape(-1, 4)
         indices = [body.links[link] for link in links]
         distinct = sorted(set(indices))
         moving = [index for index in distinct if index >= 0]

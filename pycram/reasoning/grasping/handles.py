@@ -419,9 +419,9 @@ class _Search:
 
     def _change(self, before: Array, after: Array) -> Array:
         """Return the motion (n, m, joints) between postures (n, joints) and (m, joints), rad or m."""
-        change = after - before[:, None]
-        wrapped = (change + math.pi) % (2 * math.pi) - math.pi
-        return np.where(self._endless, wrapped, change)
+        change: Array = after - before[:, None]
+        change[..., self._endless] = (change[..., self._endless] + math.pi) % (2 * math.pi) - math.pi
+        return change
 
     def _touching(self, candidate: PostureCandidate, own_pairs: Sequence[Pair], value: float) -> list[CollisionPair]:
         """Return the links that would touch at a value of the joint, also of the door or drawer and its contents.

@@ -53,6 +53,7 @@ _MAX_COMPARED: Final = 60  # misses of the closed form that are compared
 _MAX_STARTS: Final = 6  # misses of the closed form from which a search starts
 _DIFFERENT: Final = 0.35  # rad or m of some joint between distinct postures
 _MAX_POSTURES: Final = 16  # postures that are returned
+_MAX_PAIRED: Final = 40  # postures of which all pairs are compared together
 _MAX_STRAIN: Final = 1.0  # rad of strain, above which no solution is nearby
 _MAX_SEARCHED: Final = 0.6  # rad of strain, above which no search has ever succeeded
 _HOPELESS: Final = 0.02  # m of a proven miss, above which a search is useless
@@ -379,12 +380,19 @@ def _distinct(found: Array, home: Array) -> Array:
 
 def _different(found: Array, most: int) -> Array:
     """Return the first of each group of similar postures (n, joints)."""
-    kept: list[Array] = []
-    left = found
-    while len(left) and len(kept) < most:
-        kept.append(left[0])
-        left = left[(np.abs(left - left[0]) > _DIFFERENT).any(axis=1)]
-    return np.array(kept).reshape(-1, found.shape[1])
+    if len(found) < 2:
+        return found
+    left = list(range(len(found)))
+    kept: list[int] = []
+    apart: list[list[bool]] = []
+    if len(found) <= _MAX_PAIRED:
+        apart = (np.abs(found[:, None] - found) > _DIFFERENT).any(axis=2).tolist()
+    while left and len(kept) < most:
+        first = left[0]
+        kept.append(first)
+        row = apart[first] if apart else (np.abs(found - found[first]) > _DIFFERENT).any(axis=1).tolist()
+        left = [number for number in left if row[number]]
+    return found[kept]
 
 
 def postures(
