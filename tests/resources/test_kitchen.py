@@ -148,13 +148,13 @@ def test_the_floor_is_at_zero_and_wide(resources: Path, bench: Bench) -> None:
     floor = bench.fixed(resources / "plane.urdf")
 
     assert list(bench.names(floor)[1]) == ["floor"]
-    for x, y in ((0.0, 0.0), (14.9, -14.9), (9_990.0, -9_990.0)):
+    for x, y in ((0.0, 0.0), (14.9, -14.9), (990.0, -990.0)):
         assert bench.touched_below(x, y, 1.0) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_things_lie_on_the_floor_ten_kilometres_away_as_in_the_middle(resources: Path, bench: Bench) -> None:
+def test_things_lie_on_the_floor_a_kilometre_away_as_in_the_middle(resources: Path, bench: Bench) -> None:
     bench.fixed(resources / "plane.urdf")
-    places = ((0, 0), (9_990, 1), (2_000, -9_990))
+    places = ((0, 0), (990, 1), (200, -990))
     things = [[bench.thing(name, [x + k, y, 0.1]) for x, y in places] for k, name in enumerate(THINGS)]
 
     bench.simulate(2.0)

@@ -386,7 +386,7 @@ def _different(found: Array, most: int) -> Array:
     kept: list[int] = []
     apart: list[list[bool]] = []
     if len(found) <= _MAX_PAIRED:
-        apart = (np.abs(found[:, None] - found) > _DIFFERENT).any(axis=2).tolist()
+        apart = np.logical_or.reduce(np.abs(found[:, None] - found) > _DIFFERENT, axis=2).tolist()
     while left and len(kept) < most:
         first = left[0]
         kept.append(first)
