@@ -1,8 +1,8 @@
 """The floor: a slab whose upper side is z = 0, with visible joints between tiles that don't collide.
 
-It carries things as far as 1 km from the origin. The wider a box, the less exact are PyBullet's contacts with it: on one
-of 5 km, some resting things tremble for longer; on one of 1,000 km, some lie 0.5 mm too high. Only the middle is drawn,
-and has a mass: viewers fit their view to what is drawn.
+It carries things as far as 1 km from the origin. The wider a box, the less exact are PyBullet's contacts with it: on
+one of 5 km, some resting things tremble for longer; on one of 1,000 km, some lie 0.5 mm too high. Only the middle is
+drawn, and has a mass: viewers fit their view to what is drawn.
 """
 
 from __future__ import annotations
