@@ -71,7 +71,8 @@ def _run_command(argv: Sequence[str] | None) -> int:
     if unknown:
         parser.error(f"unrecognized arguments: {' '.join(unknown)}; the plan's own arguments come after --")
     if options.command in ("describe", "sweep"):
-        return _other_command(options, arguments, again=argv is None)
+        checks = _checks(parser, options) if options.command == "sweep" else ()
+        return _other_command(options, arguments, checks, again=argv is None)
     plan = demos() / f"{options.name}.py" if options.command == "demo" else Path(options.plan)
     if not plan.is_file():
         parser.error(f"{plan}: no such plan{similar_files(plan)}")
@@ -112,7 +113,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
     )
 
 
-def _other_command(options: argparse.Namespace, arguments: Sequence[str], *, again: bool) -> int:
+def _other_command(options: argparse.Namespace, arguments: Sequence[str], checks: Sequence[str], *, again: bool) -> int:
     """Sweep or describe; with ``again``, a sweep first restarts this process."""
     if options.command == "sweep" and again:
         restart(options.seed)
@@ -123,7 +124,7 @@ def _other_command(options: argparse.Namespace, arguments: Sequence[str], *, aga
             return describing.run(options)
         with needed():
             from pycram.sweeping import command as sweeping  # noqa: PLC0415  needs the engine
-        return sweeping.run(options, arguments)
+        return sweeping.run(options, arguments, checks)
     except NotInstalled as error:
         tell(f"pycram: {error}")
         return WRONG_USAGE
@@ -364,6 +365,7 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
         "--memory", metavar="MB", type=_count, default=0, help="memory limit of each run (default: none)"
     )
     parser.add_argument("--motion", choices=("simulated", "continuous"), default="", help="as for run")
+    parser.add_argument("--check", metavar="FILE", action="append", default=[], help="as for run")
     parser.add_argument("--no-locals", action="store_true", help="as for run")
     parser.add_argument(
         "--ray",

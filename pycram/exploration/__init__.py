@@ -35,7 +35,7 @@ from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink, free_path
 from recorder.provenance import look_up_revisions, metadata
 from recorder.recording import record, redirected
-from recorder.records import Fluent, Keyframe, Mutation, Run, format_failure, without_addresses
+from recorder.records import Check, Fluent, Keyframe, Mutation, Run, format_failure, without_addresses
 from recorder.tracing.journal import NullSink
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ __all__ = [
     "FAILED",
     "SUCCEEDED",
     "TIME_LIMIT",
+    "VIOLATED",
     "EndingGroup",
     "Exploration",
     "NotExplorable",
@@ -64,7 +65,8 @@ _Body: TypeAlias = "dict[str, list[float]]"  # "position", "orientation" and joi
 
 #: Kinds of endings.
 SUCCEEDED, FAILED, DEADLOCK, TIME_LIMIT, DIED = "succeeded", "failed", "deadlock", "time limit", "died"
-_WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK)  # kinds of endings whose runs return their order
+VIOLATED = "succeeded but violated"  # a property, by a run that only records violations
+_WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK, VIOLATED)  # kinds of endings whose runs return their order
 DEPTH: Final = 3  # default depth of races: most known races are no deeper (Burckhardt et al.)
 LIMIT: Final = 60.0  # s, default time limit of a run
 _ROUND: Final = 16  # runs of a round: their orders are drawn over the same number of turns
@@ -398,8 +400,9 @@ def _run_in_order(run: Runner, order: str, file: Path | None) -> bytes:
 class Ending:
     """The ending of a run, with the final state of its worlds and fluents."""
 
-    kind: str  # "succeeded", "failed", "deadlock", "time limit" or "died"
-    failure: str = ""  # type and message of the plan's failure; in a deadlock, where branches wait; or the cause
+    kind: str  # "succeeded", "succeeded but violated", "failed", "deadlock", "time limit" or "died"
+    #: Type and message of the plan's failure; violated properties; in a deadlock, where branches wait; or the cause.
+    failure: str = ""
     line: str = ""  # the innermost line of the plan that raised the failure, FILE:LINE; "" if unknown
     plan_line: str = ""  # the innermost of these lines that isn't in a helper's file
     bodies: dict[str, _Body] = field(default_factory=dict)  # by "WORLD/BODY"
@@ -472,6 +475,7 @@ class EndingSink:
         self.attach, self.flush, self.close = self._file.attach, self._file.flush, self._file.close
         #: The lines of each failure in the tasks that it passed, as (FILE, FILE:LINE) from the outside in.
         self._lines: dict[str, list[list[tuple[str, str]]]] = {}
+        self._violated: dict[str, None] = {}  # properties
         self.ending = Ending(DIED, "its process ended")  # until the record of its end
         if file is not None:
             self.path = file.path  # projections are recorded next to it
@@ -484,6 +488,8 @@ class EndingSink:
         elif isinstance(record, Keyframe):
             self._take(record.world, record.bodies)
             self._attach(record.world, record.attachments)
+        elif isinstance(record, Check):
+            self._violated |= {record.property: None} if record.phase == Check.VIOLATED and record.only_record else {}
         elif isinstance(record, Fluent):
             if not record.source:
                 self.ending.fluents[record.name] = record.after_json
@@ -492,7 +498,7 @@ class EndingSink:
             self._lines.setdefault(format_failure(failure), []).append(lines)
         if isinstance(record, Run) and record.phase == Run.FINISHED:
             ending = self.ending
-            ending.kind, ending.failure = SUCCEEDED, ""
+            ending.kind, ending.failure = VIOLATED if self._violated else SUCCEEDED, "; ".join(self._violated)
             if not record.succeeded:
                 ending.failure = format_failure(record.failure)
                 if passed := self._lines.get(ending.failure):

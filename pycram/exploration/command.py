@@ -63,6 +63,8 @@ def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
         return running.WRONG_USAGE
     motion = ["--motion", spec.motion] if spec.motion else []
     given = [word for value in options.set for word in ("--set", value)]
+    given += [word for file in options.check for word in ("--check", file)]
+    given += ["--check-only-record"] * options.check_only_record
     command = ["pycram", "run", *motion, *given, "--seed", str(spec.seed)]
     rest = [str(spec.plan), *(["--", *spec.arguments] if spec.arguments else [])]
     if options.json:

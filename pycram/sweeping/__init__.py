@@ -119,6 +119,7 @@ def sweep(
     arguments: Sequence[str] = (),
     motion: str = "",
     locals: bool = True,  # noqa: A002  Python's names
+    check: Sequence[str] = (),
     ray: str | None = None,
     progress: Callable[[Sweep, RunOutcome | None], None] = lambda _, __: None,
 ) -> Sweep:
@@ -140,6 +141,7 @@ def sweep(
         arguments: Arguments of the plan.
         motion: The execution environment if the plan names none.
         locals: Whether failures hold the local variables of the plan's functions.
+        check: Properties that fail a run where they are violated (docs/properties.md).
         ray: The address of a Ray cluster, or "" for one on this machine; None to use none.
         progress: Called at the start and after each run.
 
@@ -160,7 +162,7 @@ def sweep(
     except SyntaxError as error:
         raise SweepRefused(f"{plan}: {error}") from error
     spec = SweepSpec(
-        RunSpec(file.absolute(), tuple(arguments), motion=motion, local_variables=locals),
+        RunSpec(file.absolute(), tuple(arguments), motion=motion, checks=tuple(check), local_variables=locals),
         str(Path(folder).absolute()),
         int(seed),
         {name: list(values) for name, values in listed.items()},
@@ -329,4 +331,5 @@ def facts_of(spec: SweepSpec, runs: int) -> dict[str, Any]:
         "set": spec.listed,
         "sample": spec.sampled,
         "motion": shared.motion,
+        **({"check": list(shared.checks)} if shared.checks else {}),
     }

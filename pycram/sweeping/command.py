@@ -28,7 +28,7 @@ _WIDTH: Final = 160  # maximum number of characters of a printed failure
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # failures that differ only in numbers have one cause
 
 
-def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
+def run(options: argparse.Namespace, arguments: Sequence[str], checks: Sequence[str] = ()) -> int:
     """Sweep as the options say, and return the exit code: 0 if all runs succeeded, 1 if some failed."""
     shown = _Shown(options.runs)
     try:
@@ -46,6 +46,7 @@ def run(options: argparse.Namespace, arguments: Sequence[str]) -> int:
                 arguments=arguments,
                 motion=options.motion,
                 locals=not options.no_locals,
+                check=checks,
                 ray=options.ray,
                 progress=shown.update,
             )

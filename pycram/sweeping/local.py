@@ -105,7 +105,8 @@ class SweepSpec:
     def of_json(cls, facts: Mapping[str, Any]) -> SweepSpec:
         """Return the sweep from JSON data."""
         given = facts["shared"]
-        shared = RunSpec(**{**given, "plan": Path(given["plan"]), "arguments": tuple(given["arguments"])})
+        texts = {name: tuple(given[name]) for name in ("arguments", "checks")}
+        shared = RunSpec(**{**given, **texts, "plan": Path(given["plan"])})
         return cls(**{**facts, "shared": shared})
 
 

@@ -90,7 +90,10 @@ class Separation:
 
 
 def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None = None) -> Separation:
-    """Return the facts that separate failed from successful runs; by default of all runs and all causes of failures."""
+    """Return the facts that separate failed from successful runs; by default of all runs and all causes of failures.
+
+    Runs that succeeded but violated a watched property are failures, too.
+    """
     cases = _cases(runs, names, cause)
     return _separation(cases, list(compared_of(sites(runs, cases), cases)))
 
@@ -98,7 +101,8 @@ def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None =
 def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[ComparedRun, ...]:
     wanted = None if names is None else set(names)
     rows = runs.sql(
-        "SELECT run, succeeded, cause, coalesce(q.step - 1, cause_step), records FROM runs r LEFT JOIN "
+        "SELECT run, succeeded AND violated = 0, cause, coalesce(q.step - 1, cause_step), records FROM runs r "
+        "LEFT JOIN "
         "(SELECT f.run, max(f.step) AS step FROM failures f JOIN failures t USING (run, task, type, message) "
         "WHERE f.of = 'query' AND t.root AND f.step <= t.step GROUP BY 1) q USING (run) "
         "WHERE succeeded IS NOT NULL ORDER BY run"  # a query that raised the failure isn't its cause

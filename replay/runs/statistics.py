@@ -118,7 +118,8 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
     """Return the statistics of a plan's runs, by default of the most frequent plan."""
     chosen, others = plan_of(runs, plan)
     rows = runs.sql(
-        "SELECT run, outcome, succeeded, parameters, cause, cause_step, message FROM runs WHERE plan = ? ORDER BY run",
+        "SELECT run, CASE WHEN succeeded AND violated > 0 THEN 'succeeded but violated' ELSE outcome END, succeeded, "
+        "parameters, cause, cause_step, message FROM runs WHERE plan = ? ORDER BY run",
         [chosen],
     ).rows()
     ended = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import subprocess
 import sys
@@ -245,3 +246,41 @@ def test_mistakes_in_a_file_are_wrong_usage(tmp_path: Path, capsys: pytest.Captu
     assert "some.properties:1: milk.z <" in capsys.readouterr().err
     assert run(tmp_path, "always mlk.z < 9\n") == 2
     assert "no object is called mlk; did you mean milk?" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_sweeps_and_statistics_know_violations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "plan.py").write_text(PLAN, encoding="utf-8")
+    (tmp_path / "some.properties").write_text("milk.z < 1.3\n", encoding="utf-8")
+    sweep = ["sweep", str(tmp_path / "plan.py"), "--runs", "4", "-o", str(tmp_path / "runs")]
+    assert main([*sweep, "--check", str(tmp_path / "some.properties")]) == 1
+    capsys.readouterr()
+    assert replay_main(["stats", str(tmp_path / "runs"), "--json"]) == 0
+    stats = json.loads(capsys.readouterr().out)
+    assert stats["outcomes"]["failed"] > 0
+    assert stats["causes"][0]["cause"].startswith("PropertyViolated at par/<lambda>: milk.z < #: violated")
+    for seed in "123":
+        assert run(tmp_path, "milk.z < 1.3\n", "--check-only-record", "--seed", seed, name=f"{seed}.mcap") == 0
+    capsys.readouterr()
+    assert replay_main(["stats", str(tmp_path), "--json"]) == 0
+    outcomes = json.loads(capsys.readouterr().out)["outcomes"]
+    assert outcomes["succeeded but violated"] > 0
+
+
+@pytest.mark.slow
+def test_an_order_that_only_violates_is_an_ending(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "plan.py").write_text(
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        "from pycram.language import par\n"
+        "with BulletWorld():\n"
+        "    milk = Object('milk', 'milk', 'milk.stl', [0, 0, 0.5])\n"
+        "    lift, move = (lambda: milk.set_position([0, 0, 2])), (lambda: milk.set_position([5, 0, 0.5]))\n"
+        "    par(lift, move)\n"
+        "    milk.set_position([0, 0, 0])\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "some.properties").write_text("eventually milk.z > 1 after milk.x > 1\n", encoding="utf-8")
+    explore = ["run", str(tmp_path / "plan.py"), "--explore", "8", "--json", "--log", str(tmp_path / "run.mcap")]
+    assert main([*explore, "--check", str(tmp_path / "some.properties"), "--check-only-record"]) == 1
+    endings = [each["kind"] for each in json.loads(capsys.readouterr().out)["endings"]]
+    assert sorted(endings) == ["succeeded", "succeeded but violated"]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from replay.cli.main import VERBS
 from tests.replay.documented import blocks, printed, without_numbers
 
 REPO = Path(__file__).parents[3]
@@ -40,3 +41,12 @@ def test_the_walk_through_a_failed_plan_is_real(failed_log: Path, tmp_path: Path
         output = {without_numbers(line) for line in printed(commands, tmp_path)}
         for line in lines:
             assert line == "..." or without_numbers(line) in output, (commands, line)
+
+
+def test_the_page_on_promises_says_of_each_verb_whether_it_runs_code() -> None:
+    text = (REPO / "docs" / "promises.md").read_text(encoding="utf-8")
+    rows = [
+        row.split("|")[1] for row in text.partition("## Which verbs run code")[2].splitlines() if row.startswith("| `")
+    ]
+    named = [verb for row in rows for verb in re.findall(r"`([a-z]+)`", row)]
+    assert sorted(named) == sorted(VERBS)
