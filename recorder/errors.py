@@ -1,6 +1,6 @@
 """The recorder's shared errors, hints for their messages ("did you mean ...?"), and closed pipes.
 
-Output that nobody reads any more, as after ``| head``, is no error: the rest of it is discarded.
+If the reader has closed the pipe of the output, as ``| head`` does, that is no error: further output is discarded.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _MAX_SUGGESTED: Final = 3
 _MAX_LISTED: Final = 30  # up to this number, a hint lists all known names, such as the joints of a kitchen
-_MAX_FILES: Final = 2000  # of a folder that are compared with a name
+_MAX_FILES: Final = 2000  # largest number of a folder's files that are compared with a name
 
 
 class PortableError(Exception):
@@ -53,7 +53,7 @@ class RecordingError(PortableError, OSError):
 
 
 def nearest(name: object, known: Iterable[str]) -> list[str]:
-    """Return up to 3 known names that are similar to a given name, best first; without any, names that contain it."""
+    """Return up to 3 known names that resemble a name, best first; if none resembles it, names that contain it."""
     import difflib  # noqa: PLC0415  most processes suggest nothing
 
     names, given = list(known), str(name)
@@ -62,13 +62,13 @@ def nearest(name: object, known: Iterable[str]) -> list[str]:
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the end of a message, "; did you mean ...?" with the nearest known names; "" without similar names."""
+    """Return "; did you mean ...?" with the nearest known names, to end a message; "" if no name is similar."""
     near = nearest(name, known)
     return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def similar_files(path: Path, others: Iterable[str] = ()) -> str:
-    """Return the end of a message about a missing file, "; did you mean ...?", with files of its folder and others."""
+    """Return "; did you mean ...?" for a missing file, with similar files of its folder and ``others``, or ""."""
     names = list(others)
     with suppress(OSError):
         near = (file for file in islice(path.parent.iterdir(), _MAX_FILES) if file.suffix == path.suffix)
@@ -90,7 +90,7 @@ def suggestion(name: object, known: Iterable[str]) -> str:
 
 @contextmanager
 def until_closed() -> Iterator[None]:
-    """Run a block that prints. If the reader of its output has gone, end the block at that point, without an error."""
+    """Run a block that prints. If the reader has closed the pipe of its output, end the block without an error."""
     try:
         yield
     except BrokenPipeError:
@@ -104,7 +104,7 @@ def until_closed() -> Iterator[None]:
 
 
 def discard(stream: TextIO) -> None:
-    """Discard what a stream still buffers and gets from now on; otherwise Python reports an error when it exits."""
+    """Discard the text that a stream buffers, now and later; otherwise Python reports an error when it exits."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     with suppress(AttributeError, io.UnsupportedOperation):  # a plan may have replaced the standard stream
         os.dup2(nowhere, stream.fileno())

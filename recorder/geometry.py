@@ -45,7 +45,7 @@ Polygon: TypeAlias = "Sequence[Point]"
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """The pose of a frame in itself."""
 
-_DECIMALS: Final = 6  # decimals to which two equal points of the plane agree
+_DECIMALS: Final = 6  # two points of the plane are equal if they agree to this number of decimals
 _TINY = 1e-12
 _VERTICAL = 1e-9  # if the horizontal part of a unit axis is smaller, roll and yaw turn about the same axis
 
@@ -67,7 +67,7 @@ _PRODUCTS = 2.0 * np.array(
 
 
 def product(a: Numbers, b: Numbers) -> Quaternion:
-    """Return the rotation by b, then by a; its matrix is the matrix of a times the matrix of b."""
+    """Return the rotation that turns by b, then by a. Its matrix is the matrix of a times the matrix of b."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -186,8 +186,8 @@ def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
 def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
     """Return a 3 x 3 rotation matrix as a unit quaternion xyzw with w >= 0."""
     (a, d, e), (f, b, g), (h, k, c) = matrix.tolist()
-    # Four times the outer product of the quaternion with itself. Each row is a multiple of the quaternion; normalizing
-    # the row with the largest diagonal element is stable for every rotation.
+    # ``outer`` is four times the outer product of the quaternion with itself. Each row is a multiple of the quaternion;
+    # normalizing the row with the largest diagonal element is stable for every rotation.
     outer = (
         (1.0 + a - b - c, d + f, e + h, k - g),
         (d + f, 1.0 - a + b - c, g + k, e - h),
@@ -263,7 +263,7 @@ def margin_in_polygon(polygon: Polygon, point: Sequence[float]) -> float:
 
 
 def narrowest_width(polygon: Polygon) -> tuple[float, float]:
-    """Return the least width of a convex polygon, m, and the direction of the side along it, rad."""
+    """Return the smallest width of a convex polygon in m, and the direction of that width's side in rad."""
     sides = itertools.pairwise([*polygon, polygon[0]])
     return min(
         (max(_side(a, b, corner) for corner in polygon) / math.dist(a, b), math.atan2(b[1] - a[1], b[0] - a[0]))

@@ -37,7 +37,7 @@ def page(title: str, *parts: str) -> str:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[object]], limit: int = MAX_ROWS) -> str:
-    """Return rows as a table; a long table is cut after its first rows."""
+    """Return rows as a table; of a long table, only the first rows are shown."""
     head = "".join(f"{_HEAD}{escape(column)}</th>" for column in columns)
     body = "".join(f"<tr>{''.join(f'{_CELL}{_cell(value)}</td>' for value in row)}</tr>" for row in rows[:limit])
     more = f"<div>... {len(rows) - limit} more rows</div>" if len(rows) > limit else ""
@@ -55,7 +55,7 @@ def vector(values: Iterable[float]) -> str:
 
 
 def text(lines: Iterable[str]) -> str:
-    """Return lines unchanged; a long text is cut after its first lines."""
+    """Return lines unchanged; of a long text, only the first lines are shown."""
     shown = list(lines)
     if len(shown) > _MAX_LINES:
         shown[_MAX_LINES:] = [f"... {len(shown) - _MAX_LINES} more lines"]

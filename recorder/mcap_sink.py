@@ -6,8 +6,8 @@ A killed process loses the records that aren't in a closed and flushed chunk. So
 - immediately after a failure, and after the start or end of the run;
 - before native code that blocks all threads (:meth:`McapSink.flush`).
 
-Chunks are handed to the operating system unbuffered. After that, only a failure of the computer can lose them; with
-``durable``, not even that.
+Chunks are handed to the operating system unbuffered. After that, only a failure of the computer can lose them. With
+``durable``, such a failure can't lose them either.
 """
 
 from __future__ import annotations
@@ -46,27 +46,27 @@ if TYPE_CHECKING:
     from recorder.records.values import AssetFile
 
 
-_MAX_RECORDS: Final = 50  # of a chunk
-_MAX_BYTES: Final = 1 << 20  # of a chunk
+_MAX_RECORDS: Final = 50  # largest number of records in a chunk
+_MAX_BYTES: Final = 1 << 20  # largest number of bytes in a chunk
 _FLUSH_PERIOD: Final = 0.05  # s
 _Key: TypeAlias = tuple[
     str, str, int
-]  # of a channel: topic, world and the world's lifetime; "" and 0 for a channel of all worlds
-#: A buffered message: its channel, the record's number and time, the bytes; and the record, if its log line is made
-#: when the chunk is closed.
+]  # key of a channel: topic, world and the world's lifetime; "" and 0 for a channel of all worlds
+#: A buffered message: key of its channel, number and time of its record, bytes. The record itself is the last item
+#: if its log line is made when the chunk is closed.
 _Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Record | None]"
 _LINES: Final = ("/log", "", 0)
 _TRANSFORMS: Final = ("/tf", "", 0)
 _FAILURES: Final = frozenset({Task.FAILED, Task.CANCELLED})
 _PER_WORLD: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
-_MAX_CHANNELS: Final = 1000  # then further worlds share channels; MCAP allows 65,535
+_MAX_CHANNELS: Final = 1000  # beyond this number, worlds share channels; MCAP allows 65,535
 
 
 class McapSink:
     """A sink that is one MCAP file.
 
     Args:
-        path: an existing MCAP file is replaced, any other file isn't.
+        path: the file to write; only an MCAP file may be replaced.
         metadata: the run's metadata.
         final_metadata: returns more metadata when the file ends.
         models: a file of shared models; its models aren't attached again.
@@ -104,7 +104,7 @@ class McapSink:
         self._frames = FrameTree()
         self._wake = threading.Event()
         self._ended = threading.Event()
-        # a daemon, so that a program can exit without closing its recording
+        # a daemon thread, so that a program can exit without closing its recording
         self._timer = own(threading.Thread(target=self._flush_periodically, name=f"flush {path.name}", daemon=True))
         start = io.BytesIO()  # prepared in memory: a process that is killed meanwhile leaves no empty file
         self._begin(start, metadata)
@@ -156,7 +156,7 @@ class McapSink:
                 self._add_foxglove(record)
                 at_once = False
             else:
-                # queries are on their world's channel: readers need the looks among them for beliefs
+                # queries are on their world's channel, because some are looks, from which readers fold beliefs
                 of_world = isinstance(record, Query) and record.world in self._lifetimes
                 key = (topic, record.world, self._lifetime(record)) if of_world else (topic, "", 0)
                 self._buffer.append((key, seq, now, payload, record))
@@ -171,7 +171,7 @@ class McapSink:
                 self._wake.set()
 
     def _lifetime(self, record: Record) -> int:
-        """Return the number of the record's world among worlds of its name, from 1; closed worlds free their names."""
+        """Return the lifetime of the record's world: 1 for the first world of its name, 2 for the next, ..."""
         lifetime = self._lifetimes.get(record.world, 0)
         if not lifetime or (isinstance(record, Mutation) and record.HasField("open_world")):
             lifetime = self._lifetimes[record.world] = lifetime + 1
@@ -187,7 +187,7 @@ class McapSink:
             self._buffer.append((_LINES, record.seq, self._now, line, None))
 
     def _flush(self) -> None:
-        """Write the buffer as one chunk, which is faster than record by record, and hand it to the operating system."""
+        """Write the buffer as one chunk and hand it to the operating system; single records would take longer."""
         self._watched.check(self._writer.size)
         buffered, self._buffer = self._buffer, []
         self._pending = self._size = 0
@@ -195,7 +195,7 @@ class McapSink:
         for key, seq, time_ns, payload, record in buffered:
             messages.append((self._channels.get(key) or self._channel(key), seq, time_ns, payload))
             if record is not None and (line := lines.of(record, time_ns)) is not None:
-                messages.append((log, seq, time_ns, line))  # after the record
+                messages.append((log, seq, time_ns, line))  # the line follows its record
         self._writer.add_messages(messages)
         self._lines = Lines()
         self._writer.flush()
@@ -248,7 +248,7 @@ class McapSink:
                 self._close_file()
 
     def _close_file(self) -> None:
-        """Close the file; after an error such as a full disk, buffered bytes are dropped and not written again."""
+        """Close the file; after an error such as a full disk, drop the buffered bytes instead of writing them again."""
         raw = self._file.raw
         with contextlib.suppress(OSError, ValueError):
             self._file.close()
@@ -256,7 +256,7 @@ class McapSink:
 
     @property
     def lock(self) -> threading.Lock:
-        """The lock that is held during every change; a fork takes it (:mod:`recorder.tracing.forking`)."""
+        """The lock that is held during every change; :mod:`recorder.tracing.forking` holds it during a fork."""
         return self._lock
 
     @property
@@ -287,7 +287,7 @@ class McapSink:
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Raise an error of the file as a RecordingError, now and at each later use."""
+        """Raise an error of the file as a RecordingError; raise it again at each later use."""
         self._check()
         try:
             yield
@@ -300,7 +300,7 @@ class McapSink:
 
 
 def _descriptors(message: type[Message]) -> bytes:
-    """Return a message's definition with the definitions that it uses, and no others; imported files come first."""
+    """Return a message's definition and the definitions that it uses, without others; imported files come first."""
     needed = [message.DESCRIPTOR]
     for descriptor in needed:  # the loop appends to it
         parts = (field.message_type for field in descriptor.fields)
@@ -330,9 +330,9 @@ _WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of
 
 
 def free_path(path: Path) -> Path:
-    """Return the path if there is no recording, else RUN.2.mcap or a later number, and print that on stderr.
+    """Return the path if it has no recording; else return RUN.2.mcap or a later number, and print that on stderr.
 
-    A path with any other file is returned, too: a device or an empty file can be written; opening refuses the rest.
+    A path with another file is returned unchanged. It may be a device or an empty file; opening rejects other files.
     """
     try:
         if not path.is_file():  # opening a pipe would block
@@ -350,7 +350,7 @@ def free_path(path: Path) -> Path:
 
 
 def open_output(path: Path) -> io.FileIO:
-    """Open and lock a file for writing: a new file, an older recording (it is emptied), or a pipe with a reader.
+    """Open and lock a file for writing: a new file, an older recording, which is emptied, or a pipe with a reader.
 
     Raises:
         RecordingError: the file can't be written, another recording is writing it, or it isn't a recording.

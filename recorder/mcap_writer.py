@@ -6,7 +6,7 @@ records makes two or three messages.
 
 Every message is in a chunk. Every chunk is compressed with Zstandard and has a CRC and message indexes. The summary
 indexes everything, and all bytes before it have a CRC, too. Readers reject files that inflate too much, as these could
-be decompression bombs. So some chunks of highly compressible records aren't compressed.
+be decompression bombs. So some chunks stay uncompressed if their records would compress too well.
 
 Several recordings can share the models of their robots and objects: :class:`SharedModels`.
 """
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-#: Largest ratio of the inflated chunks to the file, for writers and readers. Usually it is 3 to 13.
+#: Largest ratio of the inflated chunks to the file, for writers and readers. Usual ratios are 3 to 13.
 MAX_RATIO: Final = 32
 FREE: Final = 4 << 20  # number of inflated bytes that are allowed for any file
 #: The fields: opcode, length of the rest, channel, sequence, log time, publish time.
@@ -63,8 +63,8 @@ _FOOTER_START: Final = struct.Struct("<BQQQ")  # the first part of the footer, w
 #: Name of the metadata in which a recording has the ``file`` of its shared models and the ``sha256`` of its content.
 MODELS_METADATA: Final = "pycram.models"
 MODELS_NAME: Final = re.compile(r"models-[0-9a-f]{12}\.mcap")
-MODELS_LIBRARY: Final = "pycram models"  # has no release number, so that the same models make the same file
-_SOURCE: Final = ".py"  # suffix of the plan's source, which each recording keeps
+MODELS_LIBRARY: Final = "pycram models"  # without a release number, so that the same models make the same file
+_SOURCE: Final = ".py"  # suffix of the plan's source, which isn't shared: each recording contains its own
 
 
 class McapWriter:
@@ -92,14 +92,14 @@ class McapWriter:
         self._write(_packed(Header(profile="", library=library)))
 
     def move(self, file: BinaryIO, start: bytes) -> None:
-        """Continue in another file; ``start`` is the present content, which is copied there."""
+        """Continue in another file; ``start`` is the content so far, which is written there first."""
         file.write(start)
         file.flush()
         self._file = file
 
     @property
     def size(self) -> int:
-        """Number of bytes that were written, without the open chunk."""
+        """Number of written bytes; the open chunk doesn't count."""
         return self._at
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
@@ -274,10 +274,10 @@ def _packed(record: McapRecord) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class SharedModels:
-    """A file of models that several recordings share: it is in the folder of the recordings, and has only attachments.
+    """A file of models that several recordings share. It is in the folder of the recordings, and has only attachments.
 
-    Models that aren't in it are attached to the run's own recording. The same models make the same file. Its name has
-    the hash of its content, so it never changes, and a folder may have several.
+    Models that aren't in it are attached to the run's own recording. The name contains the hash of the content. So
+    equal models make the same file, a file never changes, and a folder may have several.
     """
 
     file: str

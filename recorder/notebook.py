@@ -39,14 +39,14 @@ def title() -> str:
 
 
 def cell_of(file: str) -> str:
-    """Return the cell, such as "In [3]", for a file name in compiled code; "" if the file isn't a cell."""
+    """Return the cell, such as "In [3]", for the file name that its compiled code has; "" if the file isn't a cell."""
     shell = _shell()
     number = getattr(getattr(shell, "compile", None), "_filename_map", {}).get(file)
     return f"In [{number}]" if number is not None else ""
 
 
 def source_of(file: str) -> bytes:
-    """Return the source of a cell, for its file name in compiled code."""
+    """Return the source of a cell, for the file name that its compiled code has."""
     import linecache  # noqa: PLC0415  slow to import; only notebooks need it
 
     return "".join(linecache.getlines(file)).encode("utf-8", "replace")

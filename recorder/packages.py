@@ -1,7 +1,7 @@
-"""Required packages: their versions, the extra of pyproject.toml that installs each, and how to install the extra.
+"""Required packages: their versions, their extras of pyproject.toml, and how to install an extra.
 
-Reading recordings needs the base dependencies only. The engine, the viewer and pictures are extras. Without a needed
-extra, commands print one line and exit. The line mentions a checkout, as the PyPI project of this name isn't ours.
+Reading recordings needs the base dependencies only. The engine, the viewer and pictures are extras. If a needed extra
+is missing, commands print one line and exit. It names a checkout, as the PyPI project of this name isn't ours.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-#: Extras by the modules that they install. trimesh is in two extras: rendering names its extra explicitly.
+#: The extra that installs each module. trimesh is in two extras: rendering names its extra explicitly.
 _EXTRAS: Final = {
     module: extra
     for extra, modules in {
@@ -38,7 +38,7 @@ _EXTRAS: Final = {
 _RECORDED: Final = (
     "pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "ompl", "toppra", "rerun-sdk",
 )  # fmt: skip
-#: Releases with the same effects, bit for bit: each release verified recordings of the others.
+#: Releases whose effects are equal bit for bit: each release verified recordings of the others.
 _SAME_ENGINE: Final = {"3.2.7", "3.2.7 (pybullet-arm64)", "3.2.8 (pybullet-arm64)"}
 
 
@@ -59,7 +59,7 @@ def hint(extra: str) -> str:
 
 @contextlib.contextmanager
 def needed(extra: str | None = None) -> Iterator[None]:
-    """Run a block that imports a module that may not be installed. By default, its first extra is named.
+    """Run a block that imports a module that may not be installed; the error names ``extra``, or its first extra.
 
     Raises:
         NotInstalled: an extra installs the missing module.
@@ -86,7 +86,7 @@ def require(*modules: str) -> None:
 
 
 class LazyModule:
-    """A module that is imported when an attribute is first read; some modules load longer than a plan runs.
+    """A module that is imported when an attribute is first read, because some modules load longer than a plan runs.
 
     Raises:
         ModuleNotFoundError: The module isn't installed, which is checked without importing it.
@@ -135,7 +135,7 @@ def versions() -> dict[str, str]:
 
 
 def other_versions(then: Mapping[str, str], *names: str) -> tuple[str, ...]:
-    """Return a phrase with both versions for each name whose version differs from a recording's metadata."""
+    """Return "NAME VERSION instead of RECORDED VERSION" for each name whose version differs from the metadata."""
     now = versions()
     return tuple(
         f"{name} {now[name]} instead of {then[name]}"

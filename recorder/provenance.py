@@ -37,7 +37,7 @@ def describe(
 ) -> None:
     """Complete the record of a run's start with its inputs: arguments, plan, seed, order and named parameters.
 
-    ``seed`` is None if it is unknown; ``order`` is "" if the order of branches is drawn from the seed.
+    ``seed`` is None if it is unknown. ``order`` is "" if the seed determines the order of branches.
     """
     run.arguments.extend(without_secrets([escaped(str(text)) for text in arguments]))
     for name, value in parameters.items():
@@ -63,7 +63,7 @@ def main_program() -> Path | None:
 
 
 def look_up_revisions(plan: Path | None = None) -> None:
-    """Look up the revisions before forks of this process record runs: git takes as long as a small plan.
+    """Look up the revisions before this process forks to record runs: git takes as long as a small plan.
 
     ``plan`` is the plan's file, by default the program's.
     """
@@ -74,12 +74,12 @@ def look_up_revisions(plan: Path | None = None) -> None:
 
 
 def metadata(run: Run) -> dict[str, str]:
-    """Return a file's metadata for a run that begins now, for programs that can't read our records."""
+    """Return a file's metadata for a run that begins now, as programs need it that can't read our records."""
     return {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}
 
 
 def hash_seed() -> str:
-    """Return the seed of Python's hashes of texts, which decides the order of sets: a number, or "random"."""
+    """Return the seed of Python's hashes of texts, a number or "random"; the hashes determine the order of sets."""
     seed = os.environ.get("PYTHONHASHSEED", "")
     if not sys.flags.hash_randomization:
         return "0"
@@ -114,11 +114,11 @@ def pycram_revision() -> Revision:
 
 
 def _revision(file: Path, digest: str) -> Revision:
-    """Return the commit of the file's repository, if git tracks the file, and the given hash."""
+    """Return the given hash, and the commit of the file's repository if git tracks the file."""
     status = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
     tracked = _git(file, "ls-files", "--error-unmatch", "--", file.name)
     states, names = (_answer(process) for process in (status, tracked))
-    if not names:  # git doesn't track the file; an installed package may be in a folder of an unrelated repository
+    if not names:  # git doesn't track the file; an installed package may be inside an unrelated repository
         return Revision(sha256=digest)
     head = [line.removeprefix("# branch.oid ") for line in states if line.startswith("# branch.oid ")]
     commit = head[0] if head and head[0] != "(initial)" else ""

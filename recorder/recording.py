@@ -1,4 +1,4 @@
-"""``record``: record everything that happens inside of a block, and close the file however the block ends."""
+"""``record``: record everything that happens in a block, and close the file however the block ends."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from recorder.tracing.journal import Sink
 
-#: Largest number of errors in the traceback of the error that ends a plan or thread; tasks record fewer causes.
+#: Largest number of errors in a traceback that ends a plan or thread; tasks record fewer causes.
 _MAX_ERRORS: Final = 1000
 
 
@@ -76,8 +76,8 @@ def record(
 ) -> Iterator[Recording]:
     """Record all worlds and plans of this process while the block runs.
 
-    The recording of an existing world begins with a keyframe. Running tasks, such as the motion in which the recording
-    begins, are its first records. Tasks that still run when the recording ends are its last ones.
+    The recording of an existing world begins with a keyframe. The first records are the tasks that already run, such as
+    the motion that starts the recording. The last records are the tasks that still run when the recording ends.
 
     Args:
         path: the MCAP file to write. An existing recording is kept: if RUN.mcap exists, RUN.2.mcap is written and
@@ -163,7 +163,7 @@ def start(path: str | Path, live: str | None = None, **options: Any) -> Recordin
 
 
 def stop() -> Recording | None:
-    """Stop and return the recording that :func:`start` has started; return None if there is no such recording.
+    """Stop and return the recording that :func:`start` has started; return None if there is none.
 
     Raises:
         RecordingError: as :func:`record`.
@@ -196,14 +196,14 @@ _redirect: Callable[[Run], Sink | None] | None = None
 
 @contextmanager
 def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
-    """Write recordings that begin inside the ``with`` block to other sinks instead of files and viewers.
+    """Write recordings that begin inside the ``with`` block to other sinks, instead of files and viewers.
 
     The block runs a program from its start, so its recordings are numbered from 1. Recordings of forked processes, such
     as projections, aren't redirected.
 
     Args:
-        sink_of: returns the sink for the record of a run's start, which it may complete; None for an ordinary
-            recording.
+        sink_of: receives the record of the run's start, which it may complete, and returns the sink; None for an
+            ordinary recording.
     """
     global _redirect  # noqa: PLW0603  recordings are the process's
     owner = process()
@@ -252,7 +252,7 @@ def _begin(
 
 @contextmanager
 def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
-    """Record the errors that end threads while the block runs; the previous hook is called too."""
+    """Record the errors that end threads while the block runs; the previous hook is still called."""
     before = threading.excepthook
     ended = False
 

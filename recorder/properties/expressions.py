@@ -2,11 +2,11 @@
 
 Python's parser reads them, but they are never executed: each node of the syntax tree that is allowed here becomes a
 function of a :class:`Scene`. Names are bodies (``robot`` is the plan's robot), worlds, and the robot's arms. If several
-worlds have a body, its name means the one in the last opened world; ``lab.milk.z`` means the body in the world ``lab``.
-A name that isn't an identifier is in quotes: ``'milk carton'.z``, ``lab['milk carton'].z``.
+worlds have a body of this name, the name means the body in the world that was opened last; ``lab.milk`` means the body
+in the world ``lab``. Write a name that isn't an identifier in quotes: ``'milk carton'.z``, ``lab['milk carton'].z``.
 
-A condition has a margin: how far its quantities are from values that would change the answer. It is positive, or 0, if
-the condition holds. Conditions about names have an infinite margin.
+A condition has a margin: the smallest distance of its quantities from values that would change the answer. The margin
+is positive, or 0, if the condition holds. Conditions about names have an infinite margin.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "ms": (0.001, "s"),
     "min": (60.0, "s"),
 }
-"""Units of numbers: their size in m, rad or s, and which of the three it is."""
+"""Units of numbers: their size in m, rad or s, and which of these three it is."""
 NUMBER: Final = r"(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
 RANGE: Final = 0.05
-"""m; contacts are measured up to this distance, so it is the largest margin of "no contact"."""
+"""m; contacts are measured up to this distance, which is thus the largest margin of "no contact"."""
 ROUNDING: Final = 1e-6
 """Numbers that differ by less are equal."""
 
@@ -63,7 +63,7 @@ _MAX_LENGTH: Final = 2000  # characters; Python's parser fails on deeper nesting
 
 
 class BadProperty(PortableError, ValueError):
-    """A property, or a part of it, that isn't in the language."""
+    """A text isn't a property, or a part of it isn't in the language."""
 
     def __init__(self, text: str, cause: str, source: str = "") -> None:
         super().__init__(f"{source}{': ' if source else ''}{text}: {cause}")
@@ -93,7 +93,7 @@ class Truth(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """Whether two bodies touch; margins are distances in m, at most RANGE if they don't."""
+    """Whether two bodies touch; if they don't, margins are distances in m, at most RANGE."""
 
     contact: Truth
     on: Truth  # whether the first lies on the second
@@ -103,10 +103,10 @@ class Geometry(Protocol):
     """Measures distances between bodies, which needs their shapes."""
 
     def touch(self, world: FoldedWorld, one: tuple[str, str], other: tuple[str, str]) -> Touch:
-        """Return the nearest points of two bodies in RANGE, each given by its name and a link, "" for all links."""
+        """Return the nearest points of two bodies in RANGE; each has a name and a link ("" for all links)."""
 
     def owner(self, world: FoldedWorld, link: str) -> str:
-        """Return the body with a link of this name; "" if there is none."""
+        """Return the body with a link of this name; "" if no body has it."""
 
 
 class Scene:
@@ -152,7 +152,7 @@ class Scene:
         return None
 
     def touches(self, one: str, other: str) -> Contacts:
-        """Return the nearest points of all pairs of bodies, given by names with ``*``, by BODY.LINK, or by a link."""
+        """Return the nearest points of all pairs of bodies. Bodies are named with ``*``, by BODY.LINK, or by a link."""
         if self.geometry is None:
             raise NoValue("contacts need the executor")
         for world in self.opened():
@@ -222,7 +222,7 @@ class Body:
 
     @property
     def tilt(self) -> float:
-        """The angle in rad between its own vertical axis and the world's."""
+        """The angle in rad between the body's vertical axis and the world's vertical axis."""
         x, y, _, _ = self._body.orientation
         return math.acos(min(1.0, max(-1.0, 1 - 2 * (x * x + y * y))))
 
@@ -264,7 +264,7 @@ def _arms(world: FoldedWorld) -> Mapping[str, frozenset[str]]:
 
 @cache
 def _described_arms(description: str) -> Mapping[str, frozenset[str]]:
-    """Return the links of the arms' hands, by the names of the arms in a robot's description."""
+    """Return the links of each arm's hand, by the names of the arms in a robot's description."""
     try:
         arms = tomllib.loads(description).get("arms", {})
         hands = {name: arm.get("gripper", {}) for name, arm in arms.items()}
@@ -291,7 +291,7 @@ def plain(value: object) -> Any:
 
 
 def truth(value: object) -> Truth:
-    """Return the truth of a value; of other values than conditions, as in Python, with an infinite margin."""
+    """Return the truth of a value. A value that isn't a condition is true as in Python, with an infinite margin."""
     if isinstance(value, Truth):
         return value
     if isinstance(value, Contacts):
@@ -309,9 +309,11 @@ class Expression:
     def __init__(self, text: str, source: str = "") -> None:
         self.text = " ".join(text.split())
         self.source = source
-        self.quantities: dict[str, Function] = {}  # by their texts: parts and calls that don't contain others
-        self.units: set[str] = set()  # of its comparisons
-        self.names: dict[str, None] = {}  # of objects, arms and worlds
+        self.quantities: dict[
+            str, Function
+        ] = {}  # functions by their texts; only parts and calls that contain no others
+        self.units: set[str] = set()  # units of its comparisons
+        self.names: dict[str, None] = {}  # names of objects, arms and worlds
         self.needs_geometry = False
         if len(text) > _MAX_LENGTH:
             self._refuse(f"it is longer than {_MAX_LENGTH} characters")
@@ -334,12 +336,12 @@ class Expression:
             raise NoValue(str(error)) from None
 
     def truth(self, scene: Scene) -> Truth:
-        """Return whether it holds in a scene; raise NoValue if it has no value."""
+        """Return whether the expression holds in a scene; raise NoValue if it has no value."""
         return truth(self.value(scene))
 
     @property
     def unit(self) -> str:
-        """The unit of its margin; "" if there are several."""
+        """The unit of the margin; "" if its comparisons have several units."""
         return next(iter(self.units)) if len(self.units) == 1 else ""
 
     def values(self, scene: Scene) -> dict[str, Any]:
@@ -488,7 +490,7 @@ class Expression:
 
         if name not in _OF_BODIES and name != "count":
             return call
-        self.quantities = before  # it is shown as a whole
+        self.quantities = before  # the call is shown as a whole
         if name != "upright":
             return self._quantity(node, call)
         self.units.add("rad")
@@ -506,7 +508,7 @@ class Expression:
         return self._quantity(node, lambda scene: scene.touches(*names))
 
     def _name(self, node: ast.expr) -> str:
-        """Return the name that an argument is."""
+        """Return an argument as a name."""
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             return node.value
         if isinstance(node, ast.Name):
@@ -542,7 +544,7 @@ def _named(scene: Scene, *, name: str) -> Any:
 
 
 def _kind(node: ast.expr) -> str:
-    """Return "m", "rad" or "s" for the unit of a quantity, "joint" for either of the first two, "" if unknown."""
+    """Return the unit of a quantity: "m", "rad" or "s"; "joint" for "m" or "rad" (unknown which); "" if unknown."""
     kind = ""
     match node:
         case ast.Attribute(attr=part):
@@ -587,7 +589,7 @@ def _described(value: object) -> str:
 
 
 def _compared(value: Any) -> Any:
-    """Return a value as ``is`` compares it: bodies by their names, conditions by whether they hold."""
+    """Return a value in the form that ``is`` compares: the name of a body, and whether a condition holds."""
     if isinstance(value, Truth | Contacts):
         return truth(value).holds
     return value.name if isinstance(value, Body) else value
@@ -703,5 +705,5 @@ _FUNCTIONS: Final = {
     "on": (2, 2),
 }
 _BY_NAME: Final = ("holding", "contact", "on")  # functions of names
-_ANGLES: Final = {"upright": 1, "angle": 0}  # functions of angles, from that argument on
-_OF_BODIES: Final = ("distance", "angle", "tilt", "upright")  # functions in which a text is the name of an object
+_ANGLES: Final = {"upright": 1, "angle": 0}  # functions of angles, and the index of their first angle
+_OF_BODIES: Final = ("distance", "angle", "tilt", "upright")  # functions that take a text as the name of an object

@@ -1,6 +1,6 @@
 """The words about time: ``never contact(pr2, kitchen) after task:place``, ``eventually on(milk, island) within 2 s``.
 
-A property is an expression, and words that say when it has to hold, in any order::
+A property is an expression, with words in any order that say when it has to hold::
 
     property := [always | never | eventually | at end] EXPRESSION [until EXPRESSION] [stays TIME] {when}
     when     := within TIME | during MOMENTS | after MOMENTS | before MOMENTS
@@ -39,8 +39,8 @@ class Property:
     kind: str  # "always", "never", "eventually" or "at end"
     body: Expression
     until: Expression | None = None  # the body must hold until this does
-    stays: float = 0.0  # s for which the body must hold without a break
-    within: float | None = None  # s of the episode that count; None for all
+    stays: float = 0.0  # s for which the body must hold without interruption
+    within: float | None = None  # s, length of the episode's part that counts; None for the whole episode
     during: Moments | None = None
     after: Moments | None = None
     before: Moments | None = None
@@ -51,7 +51,7 @@ class Property:
 
     @property
     def moments(self) -> tuple[Moments, ...]:
-        """What limits its episodes."""
+        """The tasks or conditions that limit its episodes."""
         return tuple(each for each in (self.during, self.after, self.before) if each is not None)
 
     @property
@@ -63,16 +63,18 @@ class Property:
 
     @property
     def needs_geometry(self) -> bool:
-        """Whether it is about contacts, which only the executor can measure."""
+        """Whether the property is about contacts, which only the executor can measure."""
         return any(each.needs_geometry for each in self.expressions)
 
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """The executions of tasks, or the times at which an expression holds."""
+    """The executions of a task, or the periods in which an expression holds."""
 
     text: str
-    task: tuple[str, ...] = ()  # names, outermost first, without case; outer names may be left out
+    task: tuple[
+        str, ...
+    ] = ()  # names of the task and the tasks around it, outermost first, in any case; outer names may be left out
     expression: Expression | None = None
 
 
@@ -80,7 +82,7 @@ def parse(text: str, source: str = "") -> Property:
     """Parse a property.
 
     Args:
-        source: its file and line, for messages.
+        source: the property's file and line, for messages.
 
     Raises:
         BadProperty: the text isn't in the language.
@@ -114,7 +116,7 @@ def _uncommented(line: str) -> str:
 
 
 def _hidden(text: str) -> str:
-    """Return the text with spaces in the place of everything in quotes or brackets."""
+    """Return the text with everything in quotes or brackets replaced by spaces."""
     shown, depth, end = [], 0, 0
     for match in _HIDDEN.finditer(text):
         between = text[end : match.start()]

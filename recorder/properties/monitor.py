@@ -1,11 +1,11 @@
 """Follows the records of a run, and reports where properties are violated.
 
-The values of a world are piecewise constant: they change with records, and with the samples inside a stretch of
-simulation, 30 a simulated second. Times are simulated seconds, of all worlds together.
+The values of a world change only at records, and at the samples of a simulation, of which there are 30 for each
+simulated second. Times are in simulated seconds, summed over all worlds.
 
 An episode is a part of the run in which a property has to hold: the whole run, or the parts that ``during``, ``after``
-and ``before`` select. In an episode, the margin of "always" is the smallest one of the moments, and that of
-"eventually" the largest. The margin of a property is the smallest one of its episodes.
+and ``before`` select. In an episode, the margin of "always" is the smallest margin of all moments, and that of
+"eventually" is the largest. The margin of a property is the smallest margin of its episodes.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class Moment(NamedTuple):
     """A moment of a run."""
 
     step: int
-    sim_step: int  # simulated steps of the record's world, for a sample in a record those until the sample
-    time: float  # s that all worlds together were simulated
+    sim_step: int  # simulated steps of the record's world, up to this moment
+    time: float  # simulated time in s, summed over all worlds
     world: str = ""  # the world of the record
     task: int = 0  # the record's task
-    sampled: bool = False  # whether it is within the record
+    sampled: bool = False  # whether the moment is a sample within the record
 
     @property
     def seconds(self) -> float:
@@ -56,9 +56,9 @@ class Violation:
 
     statement: Property
     moment: Moment
-    margin: float  # negative; 0 if a limit is met that must not be
+    margin: float  # negative, or 0 if a value equals a limit that it must not reach
     values: dict[str, Any]  # values of the property's quantities, by their texts
-    cause: str = ""  # why the moment is a violation, if not because of the values
+    cause: str = ""  # why the moment is a violation, if the values aren't the reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,16 +66,16 @@ class Verdict:
     """The result of a property for a whole run."""
 
     statement: Property
-    margin: float  # how far it was from the other answer, in its unit; infinite if only names matter
-    closest: Moment | None  # where that was; None without an episode
-    values: dict[str, Any]  # values there
+    margin: float  # distance of the run from the other answer, in the property's unit; infinite if only names matter
+    closest: Moment | None  # moment of this margin; None without an episode
+    values: dict[str, Any]  # values of the quantities at this moment
     violations: list[Violation]
-    episodes: int  # number of parts of the run for which it said something
-    note: str = ""  # why it said nothing
+    episodes: int  # number of parts of the run in which the property had to hold
+    note: str = ""  # why there was no such part
 
     @property
     def holds(self) -> bool:
-        """Whether it is never violated."""
+        """Whether the property is never violated."""
         return not self.violations
 
 
@@ -116,7 +116,7 @@ class Monitor:
         return found + self._look(record, record.sim_step)
 
     def finish(self) -> list[Violation]:
-        """End the run, and return the violations that its end shows."""
+        """End the run, and return the violations that only the end shows."""
         return [violation for watch in self._watches for violation in watch.finish(self._last)]
 
     def verdicts(self) -> list[Verdict]:
@@ -165,14 +165,16 @@ class _Episode:
     """A part of a run in which a property has to hold."""
 
     start: float  # s
-    key: object = None  # the task; None for others
+    key: object = None  # number of the task that began the episode; None for other episodes
     margin: Truth = _BEST
     closest: Moment | None = None
     values: dict[str, Any] = field(default_factory=dict)
-    bad: bool = False  # whether it is violated now
+    bad: bool = False  # whether the property is violated now
     held: Truth = _BEST  # for "until": the smallest margin of the body so far
-    done: bool = False  # for "until" and "eventually": whether it was fulfilled
-    past: deque[tuple[float, Truth]] = field(default_factory=deque)  # for "stays": values, and until when they held
+    done: bool = False  # for "until" and "eventually": whether the condition was fulfilled
+    past: deque[tuple[float, Truth]] = field(
+        default_factory=deque
+    )  # for "stays": the ends of periods, and the values in them
     latest: Truth | None = None
 
 
@@ -186,7 +188,7 @@ class _Watch:
         self._episodes: list[_Episode] = []
         self._ended: list[_Episode] = []
         self._were: dict[str, bool] = {}  # whether the expressions of scopes held
-        self._over = False  # whether ``before`` has come, without ``after``
+        self._over = False  # whether the moment of ``before`` has passed, if there is no ``after``
         self._violations: list[Violation] = []
         self._missing: NoValue | None = None
         self._known: dict[str, None] = {}
@@ -314,7 +316,7 @@ class _Watch:
                 yield self._violated(moment, value)
 
     def _stayed(self, episode: _Episode, now: float, value: Truth | None) -> Truth | None:
-        """Return the smallest margin of the last ``stays`` seconds before now; None in the first of an episode."""
+        """Return the smallest margin of the last ``stays`` seconds before now; None before an episode is that long."""
         length, past = self._property.stays, episode.past
         if episode.latest is not None:
             while past and past[-1][1] >= episode.latest:
