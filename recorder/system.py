@@ -13,7 +13,7 @@ except ImportError:  # Windows
 
 HAS_LOCKS: Final = fcntl is not None
 HAS_OWNERS: Final = hasattr(os, "getuid")
-#: Flags of opened files: they aren't inherited, and their bytes aren't converted; 0 where a flag isn't needed.
+#: Flags of opened files: they aren't inherited, and their bytes aren't converted. A flag that a system lacks is 0.
 OPENED: Final = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)  # links aren't followed
 
@@ -23,7 +23,7 @@ def lock(descriptor: int, *, shared: bool = False, wait: bool = False, by_proces
 
     Args:
         descriptor: the file's descriptor.
-        shared: whether others may hold shared locks at the same time.
+        shared: whether other processes may hold shared locks at the same time.
         wait: whether to wait for the other holders.
         by_process: whether the lock belongs to the process instead of the open file, which forks share.
 
@@ -41,7 +41,7 @@ def lock(descriptor: int, *, shared: bool = False, wait: bool = False, by_proces
 
 
 def unlock(descriptor: int) -> None:
-    """Release a lock of :func:`lock`."""
+    """Release a lock that :func:`lock` has acquired."""
     if fcntl is not None:
         fcntl.flock(descriptor, fcntl.LOCK_UN)
 

@@ -30,18 +30,18 @@ _HELP: Final = re.compile(
 _WRONG_CHOICE: Final = re.compile(r"invalid choice: '(?P<given>.*?)' \(choose from (?P<known>.*)\)")
 _PAGER: Final = "less -RFX"
 _COMPLETING: Final = "_ARGCOMPLETE"  # set by a shell that asks for completions
-PERIOD: Final = 10.0  # s between lines of progress
+PERIOD: Final = 10.0  # seconds between lines of progress
 
 
 def has_colours(stream: IO[str]) -> bool:
-    """Return whether a stream gets colours: terminals do without ``NO_COLOR``; with ``FORCE_COLOR`` all streams do."""
+    """Return whether a stream gets colours: terminals do without ``NO_COLOR``; all streams do with ``FORCE_COLOR``."""
     if os.environ.get("NO_COLOR"):
         return False
     return bool(os.environ.get("FORCE_COLOR")) or (stream.isatty() and os.environ.get("TERM") != "dumb")
 
 
 def painted(text: str, pattern: re.Pattern[str], stream: IO[str]) -> str:
-    """Return a text whose matches are coloured as their named groups say, if a stream gets colours."""
+    """Return a text with coloured matches if the stream gets colours; the names of the pattern's groups are colours."""
     if not has_colours(stream):
         return text
     return pattern.sub(lambda match: coloured(match[0], match.lastgroup or "bold"), text)
@@ -56,12 +56,12 @@ def coloured(text: str, colour: str) -> str:
 
 
 class _Pager(io.TextIOBase):
-    """Output for a terminal: longer than the screen, it is shown in a pager; shorter output is printed at the end."""
+    """Output for a terminal. A pager shows output longer than the screen; shorter output is printed at the end."""
 
     def __init__(self, terminal: IO[str], command: str) -> None:
         self._target: IO[str] = terminal
         self._command = command
-        self._held: list[str] | None = []  # None: passed on
+        self._held: list[str] | None = []  # the held text; None after text is passed on to the pager or terminal
         self._columns = self._lines = 0
         self._process: subprocess.Popen[str] | None = None
         with contextlib.suppress(OSError):  # ask the terminal itself: COLUMNS and LINES may belong to another terminal
@@ -126,7 +126,7 @@ def paged() -> Iterator[None]:
         yield
         return
     pager = _Pager(terminal, command)
-    sys.stdout = cast("TextIO", pager)  # it writes text, which is all that printing needs
+    sys.stdout = cast("TextIO", pager)  # printing only needs its method for writing text
     try:
         yield
     finally:
@@ -135,7 +135,7 @@ def paged() -> Iterator[None]:
 
 
 def messages() -> IO[str]:
-    """Return the stream for messages: stderr, or an open pager on the same terminal, whose page they would cover."""
+    """Return the stream for messages: stderr, or an open pager on the same terminal, which stderr would overwrite."""
     return sys.stdout if isinstance(cast("object", sys.stdout), _Pager) and sys.stderr.isatty() else sys.stderr
 
 
@@ -184,7 +184,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class ProgressLines:
-    """Tells when the next line of progress is due where no bar can be shown: every 10 s."""
+    """Says when the next line of progress is due, every 10 s. It is for streams that can't show a progress bar."""
 
     def __init__(self) -> None:
         self._next = time.monotonic() + PERIOD

@@ -1,7 +1,7 @@
 """The records: their Python names, their topics, and which definitions (``log.proto``) this release knows.
 
-A record is one step. Definitions are added and never removed, so their number tells which of two releases knows more.
-Recordings have the number in their metadata, and the definitions themselves in their schemas.
+A record is one step. Definitions are added and never removed, so the release with the larger number of definitions
+knows more. Recordings have this number in their metadata, and the definitions themselves in their schemas.
 """
 
 from __future__ import annotations
@@ -111,13 +111,13 @@ TOPICS: Mapping[type[Record], str] = {
 """The MCAP topic of each record type."""
 
 UNKNOWN: Final = "/unknown"
-"""Stands for the topic of records of a kind that a newer release has added."""
+"""Replaces the topic of records whose type only a newer release knows."""
 
 STEPS_PER_SECOND: Final = 240
-"""Steps of simulated time, counted by a record's ``sim_step``; the same in every world."""
+"""Simulation steps in a second of simulated time, in every world; a record's ``sim_step`` counts them."""
 
 PACKAGE: Final = log_pb2.DESCRIPTOR.package
-"""Name of the protobuf package of the definitions, in the schemas of recordings."""
+"""Name of the protobuf package that contains the definitions in the schemas of recordings."""
 
 
 @cache

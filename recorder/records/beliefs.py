@@ -1,9 +1,9 @@
 """The beliefs of robots about objects: a fold of the records of their world.
 
-A robot believes that an object is where its latest look showed it. After it takes an object, it believes that the
-object is in its hand; after it puts the object down, where it let go. It doesn't notice other movements until it looks
-again. It has no beliefs about objects that it has neither seen nor held. A reset clears its beliefs; restoring a saved
-state restores the beliefs of that time.
+A robot believes that an object is where the robot's latest look showed it. After the robot takes an object, it believes
+that the object is in its hand. After it puts the object down, it believes that the object is where it was released. It
+doesn't notice other movements until it looks again. It has no beliefs about objects that it has neither seen nor held.
+A reset clears its beliefs; restoring a saved state restores the beliefs of that time.
 
 The running plan and readers of recordings fold with the same functions.
 """
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 #: A robot and an object, by their names.
 Key: TypeAlias = tuple[str, str]
-#: Beliefs, the latest last.
+#: Beliefs in the order in which they were learned.
 Beliefs: TypeAlias = dict[Key, Belief]
 
 ROBOT: Final = "robot"
@@ -37,17 +37,17 @@ _MIN_SQUARE, _MAX_SQUARE = 0.99, 1.01  # range of the squared length of a unit q
 
 
 def is_look(query: Query) -> bool:
-    """Return whether a query is a look, in which a robot learned where objects are."""
+    """Return whether a query is a look. In a look, a robot learns where objects are."""
     return any(fact.name in SOURCES for fact in query.evidence)
 
 
 def may_be_look(payload: bytes) -> bool:
-    """Return whether a serialized query may be a look: most queries needn't be parsed to rule that out."""
+    """Return whether a serialized query may be a look; most queries are ruled out without parsing."""
     return any(name in payload for name in _NAMES)
 
 
 def word(source: int) -> str:
-    """Return a belief's source as a word: "seen", "told", "held" or "placed"; a newer release's source as a number."""
+    """Return a belief's source as "seen", "told", "held" or "placed"; as a number if only a newer release knows it."""
     return _WORDS.get(source, str(source))
 
 
@@ -109,8 +109,8 @@ def follow(
         sim_step: steps of simulated time of the world after the change.
         step: number of the record.
         removed: names of removed bodies.
-        carriers: the carrier of each body that a robot carries after the change, also indirectly, by names; it may have
-            further bodies. None if no attachment changes.
+        carriers: names of carriers by the names of the bodies that a robot carries after the change, directly or not.
+            It may have further bodies. None if no attachment changes.
         robots: names of the robots after the change.
         pose_of: returns the pose of a body after the change, by name.
     """

@@ -1,4 +1,4 @@
-"""Folds records into worlds: the last keyframe of each world, then the effects that follow it. No physics runs.
+"""Folds records into worlds: each world is its last keyframe, changed by the effects that follow. No physics runs.
 
 Effects hold the values that were read back from the engine, with all bits, so a folded world is exact.
 """
@@ -34,9 +34,9 @@ class Attachment:
     carrier_link: str  # "": its base
     body: str
     body_link: str  # the held link; "": its base
-    position: Vector  # of the carried body's base in the carrier's link, m
-    orientation: Quaternion  # of the same, xyzw
-    loose: bool = False  # whether the body merely lies in or on the carrier, and is released with it
+    position: Vector  # position of the carried body's base in the carrier's link, m
+    orientation: Quaternion  # orientation of the carried body's base in the carrier's link, xyzw
+    loose: bool = False  # whether the body only lies in or on the carrier, and is released together with it
 
 
 def apply(worlds: dict[str, FoldedWorld], record: records.Record) -> None:
@@ -98,7 +98,7 @@ class FoldedWorld:
         beliefs.look(self.beliefs, argument_values(record.evidence), record.sim_step, record.seq)
 
     def apply(self, record: Mutation) -> None:
-        """Apply a mutation: its command, as far as the effect lacks the change, then its effect."""
+        """Apply a mutation: first its command, for changes that the effect doesn't contain, then its effect."""
         self.sim_step = record.sim_step
         command = record.WhichOneof("command")
         if command == "load_body":
@@ -202,7 +202,7 @@ class FoldedBody:
         self.joints = dict.fromkeys(loaded.joints, 0.0)
         self.joint_velocities = dict.fromkeys(loaded.joints, 0.0)
         self.color = tuple(loaded.color)
-        self.version = 0  # changes with its state
+        self.version = 0  # changes whenever the body's state changes
 
     def set_state(self, state: records.BodyState) -> None:
         """Set the fields that a record contains."""
@@ -223,7 +223,7 @@ class FoldedBody:
 
 
 def vector(values: Sequence[float]) -> Vector:
-    """Return three numbers within ``FAR``; raise ValueError for others."""
+    """Return three numbers within ``FAR``; raise ValueError for other values."""
     x, y, z = numbers = values[:]
     if not (-FAR <= x <= FAR and -FAR <= y <= FAR and -FAR <= z <= FAR):
         raise _beyond(numbers)
@@ -239,7 +239,7 @@ def quaternion(values: Sequence[float]) -> Quaternion:
 
 
 def _checked_numbers(values: Sequence[float]) -> Sequence[float]:
-    """Return finite numbers within ``FAR``; with other numbers the engine would loop."""
+    """Return finite numbers within ``FAR``; other numbers would make the engine loop."""
     numbers = values[:]
     if numbers and not (min(numbers) >= -FAR and max(numbers) <= FAR and math.isfinite(sum(numbers))):
         raise _beyond(numbers)

@@ -42,7 +42,7 @@ class Frame(NamedTuple):
 
 
 def frame_name(world: str, body: str, link: str = "") -> str:
-    """Return the name of a link's frame; without a link, of the base's frame."""
+    """Return the name of a link's frame; without a link, the name of the base's frame."""
     name = _escaped(body) if world == _FIRST_WORLD else f"{_escaped(world)}//{_escaped(body)}"
     name = f"{name}/{_escaped(link)}" if link else name
     reserved = name == ROOT or name.startswith(_RERUN_PREFIX)
@@ -73,7 +73,7 @@ class _Body:
         self._links: dict[str, tuple[UrdfJoint, Frame]] = {}
 
     def links(self, model: Urdf, joints: Iterable[str]) -> Iterator[tuple[UrdfJoint, Frame]]:
-        """Yield the joints of these names, with the frames of their child links."""
+        """Yield the joints with these names, and the frames of their child links."""
         for name in joints:
             link = self._links.get(name)
             if link is None:
@@ -129,7 +129,7 @@ class FrameTree:
             yield message
 
     def _states(self, record: Record) -> list[tuple[int, Sequence[BodyState], bool]]:
-        """Return each simulated step of a record: number, states of bodies, and whether these are complete."""
+        """Return each simulated step of a record: its number, the states of bodies, and whether these are complete."""
         if isinstance(record, Mutation):
             loading = record.HasField("load_body")
             if loading:
@@ -169,7 +169,7 @@ class FrameTree:
 
 
 BASE_COORDINATES: Final = ("x", "y", "yaw")
-"""The coordinates of a base's trajectory: m, m and rad in the world frame."""
+"""The coordinates of a base's trajectory: x and y in m, and the heading in rad, in the world frame."""
 
 STOPPING_STEPS: Final = 36
 """Simulated steps, 0.15 s, in which a stopped trajectory slows down. Never changes: recordings are executed again."""

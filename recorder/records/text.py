@@ -1,7 +1,7 @@
 """Records in words: one line for each record, also for other tools (``foxglove.Log`` on /log).
 
 In this order: lines of records, changes of mutations, decisions of motions, rejected candidates of queries, the results
-of considered places, outcomes of projections, values.
+of considered places, outcomes of projections, and values.
 
 Lists of records are copied (``[:]``) for iteration: protobuf's own iterators take three times as long.
 """
@@ -81,7 +81,7 @@ class Lines:
 
 
 def has_line(record: Record) -> bool:
-    """Return whether a record has a line: keyframes and requests for tasks have none."""
+    """Return whether a record has a line. Keyframes and requests for tasks have no line."""
     if type(record) is Task:  # isinstance takes five times as long for other types
         return record.phase != _ASKED
     return type(record) is not Keyframe
@@ -292,18 +292,18 @@ def is_choice(query: Query) -> bool:
 
 
 def chosen_name(query: Query) -> str:
-    """Return the name of the chosen candidate of a query; empty without one."""
+    """Return the name of the chosen candidate of a query; empty without a chosen candidate."""
     known = query.HasField("chosen") and 0 <= query.chosen < len(query.candidates)
     return ", ".join(query.candidates[query.chosen].names) if known else ""
 
 
 def rejections(query: Query) -> str:
-    """Return the reasons for a query's rejected candidates in a line; empty without any. Places are only counted."""
+    """Return why a query rejected candidates, in a line; empty if it rejected none. Places are only counted."""
     return fates_text(query) if query.grid.spots else "; ".join(rejection_lines(query))
 
 
 def rejection_lines(query: Query) -> Iterator[str]:
-    """Yield a line for each reason, with the candidates of a query that were rejected for this reason."""
+    """Yield a line for each reason, with the candidates that a query rejected for this reason."""
     if query.grid.spots:
         yield fates_text(query)
     chosen = query.chosen if query.HasField("chosen") else -1
@@ -329,7 +329,7 @@ def reason_text(candidate: Candidate) -> str:
 
 
 def rejection_text(reason: str, data: Mapping[str, Any]) -> str:
-    """Return a reason for a rejection in words, from its type and data; "" for a user's own type, or for other data."""
+    """Return a reason for a rejection in words, from its type and data; "" for a user's own type or unexpected data."""
     phrase = _REASONS.get(reason)
     try:
         return phrase(data) if phrase is not None else ""
@@ -340,9 +340,8 @@ def rejection_text(reason: str, data: Mapping[str, Any]) -> str:
 def pair_text(pair: Mapping[str, object]) -> str:
     """Return a collision pair as text, such as "milk in the left gripper would touch sink_area_surface of kitchen".
 
-    Args:
-        pair: ``mover`` and its ``link``, the touched ``body`` and its ``body_link``, and the ``gripper`` that holds
-            the mover. A body's only link and a missing gripper are "".
+    pair: ``mover`` is the moving body, ``link`` its link, and ``gripper`` the gripper that holds it. ``body`` is the
+        touched body, and ``body_link`` its link. "" means the only link of a body, or no gripper.
     """
     mover, link, body, body_link = (str(pair.get(key) or "") for key in ("mover", "link", "body", "body_link"))
     moved = f"{mover} in the {pair['gripper']} gripper" if pair.get("gripper") else link or mover
@@ -399,7 +398,7 @@ TAKEN: Final = "taken"
 NOT_TRIED: Final = "not tried"
 _OUT_OF_REACH: Final = "is out of reach|are out of reach"
 _NO_GRASP: Final = "offers no grasp|offer no grasp"
-#: The result of a place by the type of its rejection: words for one place, and for several.
+#: Results of places by the type of the rejection: words for one place, then for several places.
 _FATES: Final = {
     "": NOT_TRIED,
     "Untried": NOT_TRIED,
@@ -417,7 +416,7 @@ _MAX_FATES: Final = 4  # largest number of different results in a line
 
 
 def fates(query: Query) -> Iterator[str]:
-    """Yield the result of each place that a query considered, in order: "taken", or the reason for its rejection.
+    """Yield the result of each place that a query considered, in order: "taken", or why the place was rejected.
 
     If the words for one place and for several places differ, the text contains both, separated by "|".
     """
@@ -429,7 +428,7 @@ def fates(query: Query) -> Iterator[str]:
 
 
 def fates_text(query: Query) -> str:
-    """Return the numbers of a query's places by result; empty if it considered no places.
+    """Return how many of a query's places had each result; empty if it considered no places.
 
     For example "of 60 places 41 collide with the kitchen, 17 are out of reach, 1 was taken".
     """
@@ -469,7 +468,7 @@ def _fate(candidate: Candidate) -> str:
 
 
 def foreseen(record: Task) -> str:
-    """Return the outcome of a projection, and its recording; empty for other tasks and without an outcome."""
+    """Return the outcome of a projection and the name of its recording; empty for a task that has no outcome."""
     outcome = _outcome(record)
     if "succeeded" not in outcome:
         return ""
@@ -480,7 +479,7 @@ def foreseen(record: Task) -> str:
 
 
 def recording_name(record: Task) -> str:
-    """Return the file name of a projection's recording, which is in the folder of the run's recording; "" without one.
+    """Return the file name of a projection's recording, in the folder of the run's recording; "" if there is none.
 
     Folders are ignored: users move recordings together, and an untrusted recording must not name another folder.
     """
@@ -499,7 +498,7 @@ def _outcome(record: Task) -> dict[str, Any]:
 
 
 def timeout_text(name: str, clock: object) -> str:
-    """Return a timeout in words; ``name`` is the limit, as in the name of the task."""
+    """Return a timeout in words; ``name`` is the limit as the task's name contains it."""
     return f"timeout of {name}{' of simulated time' if clock == 'simulated' else ''}"
 
 

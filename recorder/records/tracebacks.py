@@ -1,7 +1,7 @@
 """Tracebacks as text, exactly as Python prints them; the middle of a long traceback is replaced by a count.
 
-Each task that an error ends records the error with its causes. So each line of code is formatted once, and the texts
-of all errors and records are composed of these cached parts.
+Each task that an error ends records the error with its causes. So each line of code is formatted only once, and the
+texts of all errors and records are composed of these cached parts.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 Other = TypeVar("Other")
 
 MAX_FRAMES: Final = 32
-"""Largest number of frames of an error in a text, the innermost ones; an error that passes many blocks has more."""
+"""Largest number of frames of an error in a text; only the innermost frames are kept. Many nested blocks exceed it."""
 MAX_ERRORS: Final = 16
-"""Largest number of errors in a text, from both ends of the chain of causes; nested tasks record the others."""
+"""Largest number of errors in a text. They are from both ends of the chain of causes; nested tasks record the rest."""
 
 _FIRST: Final = 4  # number of errors from the beginning of a long chain, which has the root causes
 _MAX_EXPLORED: Final = 64  # largest number of related errors that Python may visit to print an error
-_REPEATED: Final = 3  # number of times that Python prints a repeated line; it only counts further repetitions
+_REPEATED: Final = 3  # number of times that Python prints a repeated line, before it only counts repetitions
 _MAX_CACHED: Final = 4096  # number of cached texts of frames
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
 _CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
@@ -42,7 +42,7 @@ _texts: Final[
 
 
 def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: int = MAX_ERRORS) -> str:
-    """Return an error and its causes as text: innermost frames of each error, both ends of the chain."""
+    """Return an error and its causes as text: the innermost frames of each error, and both ends of the chain."""
     chain = _chain(error)
     left_out = len(chain) - errors
     parts = [f"{link}{_part(each, frames)}" for link, each in chain[:_FIRST]]

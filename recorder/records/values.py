@@ -1,7 +1,7 @@
 """Values of users (slots, answers, results) as one line of JSON, and errors as ``Failure``, for records.
 
-A method ``__record__`` of an object decides how the object is recorded. It returns None, a bool, number, string, list
-or dict. Values with secret names, such as ``password``, are left out of recordings.
+A method ``__record__`` of an object decides how the object is recorded. The method returns None, a bool, number,
+string, list or dict. Values with secret names, such as ``password``, are left out of recordings.
 
 :class:`AssetFile` is a file that makes a recording self-contained: a model, a mesh, the plan's source.
 """
@@ -31,7 +31,7 @@ MAX_CHARACTERS: Final = 8 << 20
 """Largest length of a value as JSON. A longer value isn't recorded: readers reject a record of many MiB as damaged."""
 MAX_DIGITS: Final = 300
 """Largest number of digits of an integer that still fits a float; readers return values with longer ones as text."""
-#: An unterminated string extends to the end of the text.
+#: Matches strings and brackets; a string without an end extends to the end of the text.
 _BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
@@ -148,7 +148,7 @@ def _refuse(text: str) -> float:
 
 
 _DECODER: Final = json.JSONDecoder(parse_constant=_refuse)
-#: Slow, because it calls Python code for each number.
+#: A decoder that checks numbers; it is slow, because it calls Python code for each number.
 _WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)
 _LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
 
@@ -218,7 +218,7 @@ def is_secret(name: str) -> bool:
 
 
 def without_secrets(arguments: Sequence[str]) -> list[str]:
-    """Return a command line without the values of options with secret names: ``--token X``, ``--token=X``."""
+    """Return a command line without the values of options with secret names, such as ``--token X`` or ``--token=X``."""
     kept: list[str] = []
     secret = False
     for text in arguments:
@@ -235,7 +235,7 @@ def without_secrets(arguments: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class AssetFile:
-    """A file, identified by its content; its name doesn't contain folders."""
+    """A file, identified by its content; the name doesn't contain folders."""
 
     name: str
     content: bytes

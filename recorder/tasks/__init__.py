@@ -1,4 +1,4 @@
-"""The task tree: the fold of task records, as objects, text, JSON and pictures."""
+"""The task tree: tasks folded from their records, as objects, text, JSON and pictures."""
 
 from recorder.tasks.tree import Moment, Node, State, Tree, decisive
 

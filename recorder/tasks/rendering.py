@@ -33,11 +33,11 @@ _MARKS: Final[Mapping[int, str]] = {
     Task.RUNNING: "?",
     Task.CREATED: ".",
 }
-_MAX_ALIKE: Final = 6  # longer runs of similar siblings are folded
+_MAX_ALIKE: Final = 6  # largest number of similar siblings that aren't folded
 _MAX_WIDTH: Final = 100  # largest number of characters of parameters in a line
 #: Kinds of tasks that are shown with their parameters.
 _WITH_PARAMETERS: Final = frozenset({"action", "projection", "motion", "attempt", "failure-handling", "handler"})
-#: Kinds that the names of these tasks imply.
+#: Kinds that aren't shown, because the names of the tasks imply them.
 _WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")
 
 
@@ -54,7 +54,7 @@ class TreeRow:
 def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: bool = True) -> Iterator[TreeRow]:
     """Yield all tasks down to a depth, each before its children; similar siblings are folded, unless ``whole`` is set.
 
-    With ``output``, lines that the plan printed or logged are among the children.
+    With ``output``, lines that the plan printed or logged appear among the children.
     """
     failing = {node.id for node in tree.failure_path()}
     said = tree.output if output else {}
@@ -79,7 +79,7 @@ def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: b
 
 
 def depth_of(tree: Tree, limit: int) -> int | None:
-    """Return the largest depth at which a tree has at most some rows, at least 1; None for all depths."""
+    """Return the largest depth at which the tree has at most ``limit`` rows, but at least 1; None if all depths fit."""
     deepest = max((depth for depth, _ in tree.walk()), default=0) + 1
     for depth in range(1, deepest + 1):
         if len(list(islice(rows(tree, depth, output=False), limit + 1))) > limit:
@@ -173,7 +173,7 @@ def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> l
 
 
 def _lifted(nodes: Sequence[Node]) -> list[Node]:
-    """Return siblings. Attempts replace an action's failure handling; the parts of a single attempt replace it."""
+    """Return siblings; attempts replace an action's successful failure handling, and parts replace a single attempt."""
     shown: list[Node] = []
     for node in nodes:
         tries = node.children if node.kind == "failure-handling" and "action" in node.parameters else []
@@ -207,7 +207,7 @@ def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
 
 
 COLORS: Final[Mapping[int, str]] = defaultdict(
-    lambda: "#707070",  # colour of statuses that only a newer release knows
+    lambda: "#707070",  # colour of a status that only a newer release knows
     {
         Task.SUCCEEDED: "#2e9e5b",
         Task.FAILED: "#d0342c",
@@ -253,7 +253,7 @@ def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
     begin, end = (min(times), max(times)) if times else (0, 1)
     height = _TOP + _ROW * len(shown) + 12
     width = _NAMES + _BARS + 30
-    size = f'width="{width}" height="{height}" viewBox="0 0 {width} {height}"'  # JupyterLab narrows it: scaled, not cut
+    size = f'width="{width}" height="{height}" viewBox="0 0 {width} {height}"'  # so JupyterLab scales it
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="DejaVu Sans, sans-serif" font-size="11">',
         '<rect width="100%" height="100%" fill="white"/>',
@@ -265,7 +265,7 @@ def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
 
 
 def _axis(seconds: float, height: int) -> Iterator[str]:
-    # candidates for the scale in s; times are nanoseconds in 64 bits, so at most 9e9 s
+    # candidates for the unit of the scale in s; times are at most 9e9 s (nanoseconds in 64 bits)
     units = (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)
     steps = (size * unit for unit in units for size in (1, 2, 5, 10, 20, 50, 100, 200, 500))
     step = next(length for length in steps if seconds / length <= 6)

@@ -42,7 +42,7 @@ class State(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> State | None:
-        """Return a status, with its number as its name, that only a newer release knows."""
+        """Return a status that only a newer release knows; its name is its number."""
         if not isinstance(value, int):
             return None
         unknown = int.__new__(cls, value)
@@ -51,7 +51,7 @@ class State(IntEnum):
 
     @property
     def word(self) -> str:
-        """The status as a word: "created", "running", "succeeded", "failed" or "cancelled"; if unknown, a number."""
+        """The status as a word: "created", "running", "succeeded", "failed" or "cancelled"; a number if unknown."""
         return self.name.lower()
 
     def __str__(self) -> str:
@@ -86,7 +86,7 @@ def _moment(record: Task) -> Moment:
 class Node:
     """A task."""
 
-    #: The record of its start; without a start, the record of its request; if both are lost, the record of its end.
+    #: The record of its start. If that is missing, the record of its request; if both are lost, the record of its end.
     started: Task
     parent: Node | None = None  # the task around it; None for an outermost task
     asked: Task | None = None  # the record of its request; None if it started immediately
@@ -162,7 +162,7 @@ class Node:
 
     @property
     def origin(self) -> Node:
-        """The task in which its failure began. It is the last failed descendant, if possible with the same error."""
+        """The task in which its failure began. It is the last failed descendant, preferably one with the same error."""
         node = self
         while failed := [child for child in node.children if child.failed]:
             node = next((child for child in reversed(failed) if child.error == node.error), failed[-1])
@@ -170,7 +170,7 @@ class Node:
 
     @property
     def outermost_failed(self) -> Node:
-        """The outermost of the failed tasks directly around it."""
+        """The outermost task of the unbroken series of failed tasks around it."""
         node = self
         while node.parent is not None and node.parent.failed:
             node = node.parent
@@ -252,9 +252,9 @@ class Node:
 
 
 def decisive(origins: Sequence[Node]) -> Node | None:
-    """Return the task whose failure decides a plan; in each of ``origins`` (in order of their ends) a failure began.
+    """Return the task whose failure decides a plan; ``origins`` are tasks in which failures began, in order of ends.
 
-    This is the last origin that no task around it dealt with; if all were dealt with, the last origin.
+    This is the last origin whose failure no task around it dealt with; if all were dealt with, the last origin.
     """
     return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
 
@@ -271,7 +271,7 @@ _parsed = lru_cache(64)(Task.FromString)  # callers read several fields of a tas
 class PackedTask:
     """A serialized task record, with the attributes of :class:`Task`; it takes a fifth of the memory.
 
-    Each access parses it. It has a copy of the record, so later changes of the record have no effect.
+    Each access parses it. It contains a copy, so later changes of the record have no effect.
     """
 
     __slots__ = ("_payload",)
@@ -288,19 +288,20 @@ class PackedTask:
 
 
 class Tree:
-    """All tasks of a plan or recording; trees of the same records are equal. All methods are thread-safe.
+    """All tasks of a plan or recording; two trees of the same records are equal. All methods are thread-safe.
 
     Args:
-        limit: largest number of tasks; tasks that ended first are dropped, children before parents. None: keep all.
-        size: largest number of bytes of records; tasks are dropped in the same way.
+        limit: largest number of tasks; tasks that ended first are dropped, children before parents. If None, all are
+        kept.
+        size: largest number of bytes of records; above it, tasks are dropped in the same way.
         unpacked: number of tasks whose records stay parsed; further records are packed (:class:`PackedTask`).
     """
 
     __hash__ = None  # type: ignore[assignment]  # mutable
 
     def __init__(self, limit: int | None = None, size: int | None = None, unpacked: float = math.inf) -> None:
-        #: Id of the task in which the plan's failure began, if the caller knows the id; 0 if it began outside of tasks;
-        #: None to find it from the tasks.
+        #: Id of the task in which the plan's failure began, if the caller knows it. 0: it began outside of tasks; None:
+        #: find it from the tasks.
         self.began: int | None = None
         #: Lines that the plan printed or logged, by the id of the task; empty for a running plan.
         self.output: dict[int, list[Output]] = {}

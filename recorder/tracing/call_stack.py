@@ -4,8 +4,8 @@ A call stack contains the plan's lines that called one another, outermost first.
 the call stack continues the call stack of the code that requested the task. So every call stack begins where the plan
 begins.
 
-Local variables are described without calling users' code: values of Python's own types are written out, objects of a
-world are named, and for other values the type is named.
+Local variables are described without calling users' code. Values of Python's own types are written out, objects of a
+world are named, and other values are described by their type.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ CallSite: TypeAlias = "tuple[str, int]"  # a file and the number of a line, from
 MAX_LINES: Final = 32
 #: Packages whose frames are left out of call stacks: the plan's lines are outside of these packages.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "contextlib", "threading", "concurrent", "contextvars"})
-#: Modules that run a plan as a program; callers of these modules are left out, too.
+#: Modules that run a plan as a program; the frames that call these modules are left out, too.
 _RUNNERS: Final = frozenset({"pycram.cli", "pycram.running", "replay.cli.restore", "replay.retrace.guided_run"})
 #: Folders of Python's own files, installed packages and commands; files in these folders aren't part of a plan.
 _FOREIGN: Final = re.compile(
@@ -54,7 +54,8 @@ _RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 class CallStack(NamedTuple):
     """The plan's lines that led to a task. Every task has one, so it is a named tuple, which is cheap."""
 
-    #: Lines, outermost first; a recursive line is listed once. Without a recording, there is only the innermost line.
+    #: Lines, outermost first; a recursive line is listed once. Without a recording, the stack has only the innermost
+    #: line.
     lines: tuple[CallSite, ...]
     #: The lines of another thread's call stack, which this call stack continues.
     inherited: tuple[CallSite, ...]
@@ -68,7 +69,7 @@ class CallStack(NamedTuple):
         return self.lines[-1] if self.lines else ("", 0)
 
     def at_line(self, number: int) -> CallStack | None:
-        """Return the call stack for another line of its innermost function; None if :func:`walk` must be called."""
+        """Return the call stack for another line of the innermost function; None if only :func:`walk` can find it."""
         lines, inherited, thread, callers, recording = self
         file, latest = lines[-1]
         if recording != journal.recording_number() or lines[-2:-1] == (
@@ -119,7 +120,7 @@ def call_site() -> CallSite:
 
 
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
-    """Return the plan's innermost frame and its line; without a plan, None and the innermost foreign line."""
+    """Return the plan's innermost frame and its line; without a plan, None and the innermost line of other code."""
     frame, foreign = plan_frame(frame)
     innermost = frame or foreign
     return frame, _site(innermost)[1] if innermost is not None else None
@@ -168,7 +169,7 @@ def recorded_file(file: str) -> str:
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
-    """Search a frame and its callers: return the innermost frame of the plan, and the last foreign frame below it."""
+    """Search a frame and its callers: return the plan's innermost frame, and the innermost foreign frame below it."""
     foreign = None
     # local variables are faster
     known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER
@@ -259,7 +260,7 @@ class _Callers:
 _callers: Final = _Callers()
 
 
-MAX_FRAMES: Final = 16  # largest number of frames of an error, the innermost ones
+MAX_FRAMES: Final = 16  # largest number of frames of an error; only the innermost are recorded
 MAX_VARIABLES: Final = 20  # largest number of variables of a frame
 MAX_CHARACTERS: Final = 80  # largest number of characters of a value
 
@@ -291,7 +292,7 @@ def failure_with_frames(error: BaseException, *, errors: int = MAX_ERRORS) -> Fa
 
 
 def _new_frames(error: BaseException) -> list[StackFrame]:
-    """Return the plan's frames that led to an error, outermost first, without frames that are already recorded."""
+    """Return the plan's frames that led to an error, outermost first; frames that are already recorded are left out."""
     recording, known = vars(error).get(_MARK, (0, frozenset()))
     if recording != journal.recording_number():
         known = frozenset()

@@ -3,11 +3,11 @@
 A branch of a plan shares its thread with other branches. It has its own call stack, context and name; records have this
 name instead of the thread's name.
 
-The current world is the one that was opened or made current last; when it closes, the previous world becomes current
+The current world is the world that was opened or made current last. When it closes, the previous world becomes current
 again. If a thread chooses the current world, the choice applies to the thread, its branches, and all threads without a
 choice of their own. A branch's choice applies only to the branch and its own branches.
 
-Before a record is made, the stack is checked, so that no RecursionError interrupts the record.
+Before a record is made, the free room on the stack is checked, so that no RecursionError interrupts the record.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def current_branch() -> BranchIdentity | None:
 
 
 def enter_branch(branch: BranchIdentity | None) -> None:
-    """Mark the current context as a branch's; None marks it as outside of branches."""
+    """Mark the current context as part of a branch; None marks it as outside of branches."""
     _branch.set(branch)
 
 
@@ -106,7 +106,7 @@ def open_worlds() -> tuple[KnownWorld, ...]:
 
 
 def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | None:
-    """Return this branch's or thread's current world, among all or some open worlds; None if there is no such world."""
+    """Return the current world of this branch or thread, among all open worlds or ``among``; None if there is none."""
     known = _open
     for chosen in reversed(_chosen.get()):
         if (world := chosen()) in known and (among is None or world in among):
@@ -121,14 +121,14 @@ FOR_RECORD: Final = 40
 #: Largest number of stack frames that a task needs for its records, its block and its end.
 FOR_TASK: Final = 120
 
-_COUNTED: Final = 4  # with the C functions that called it, a frame counts up to 4 times for Python's limit
+_COUNTED: Final = 4  # a frame and the C functions that called it count up to this number of times for Python's limit
 _outside = 0  # largest number of frames below a greenlet so far; Python counts these frames for the greenlet, too
 
 
 def require_stack_room(frames: int) -> None:
     """Raise RecursionError unless the stack has room for the given number of frames.
 
-    On a shallow stack, which is usual, the check takes as long as 6 calls; otherwise, as long as the nested calls.
+    On a shallow stack, as usual, the check takes as long as 6 calls. On a deep stack, it makes nested calls.
     """
     shallow = (sys.getrecursionlimit() - frames) // _COUNTED - _outside
     if shallow > 0:
@@ -143,7 +143,7 @@ def require_stack_room(frames: int) -> None:
 
 
 def greenlets_begin() -> None:
-    """Note the depth at which greenlets begin: Python counts the frames below for them, but doesn't show them."""
+    """Note the depth at which greenlets begin: Python counts the frames below for a greenlet, but doesn't show them."""
     global _outside  # noqa: PLW0603  a large number only makes other threads check nested calls
     below, frame = 0, sys._getframe()  # noqa: SLF001  as above
     while frame.f_back is not None:

@@ -1,10 +1,10 @@
-"""Forks of a process that records: the only place where it forks.
+"""Forks of a process that records: only this module forks.
 
 Only the forking thread exists in the child. Our other threads, which flush a file or feed a viewer, belong to the
 parent's recordings. The child doesn't touch these recordings, but no such thread may hold a lock during the fork.
 
-A forked child is a new process, unless it continues its parent, which then only waits. So a recording belongs to its
-process and to a child that continues it, but not to other children.
+A forked child is a new process, unless it continues its parent, which only waits from then on. So a recording belongs
+to its process and to a child that continues this process, but not to other children.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def fork() -> int:
 def fork_continuation() -> int:
     """Fork a child that continues this process with its open journals while this process waits; return 0 in the child.
 
-    The sinks of these journals must not have threads, or files that both processes would write.
+    The sinks of these journals must have no threads, and no files that both processes would write.
     """
     state = random.getstate()  # Python seeds the random numbers of a child again
     child = _fork(_fork_continuing)
@@ -70,7 +70,7 @@ def fork_continuation() -> int:
 def _fork(fork: Callable[[], int]) -> int:
     with journal.still(), catch_warnings() if _WARNS else nullcontext():
         if _WARNS:
-            simplefilter("ignore", DeprecationWarning)  # a warning about other threads: our threads are paused
+            simplefilter("ignore", DeprecationWarning)  # Python warns about other threads, but ours are paused
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
         try:
             child = fork()
@@ -91,7 +91,7 @@ def process() -> int:
 
 
 def _fork_continuing() -> int:
-    """Fork a child that continues this process, which may only wait from now on; return 0 in the child."""
+    """Fork a child that continues this process, after which this process may only wait; return 0 in the child."""
     global _identity, _continuing  # noqa: PLW0603  a process has one identity
     before, _identity, _continuing = _identity, process(), True
     child = -1
@@ -115,7 +115,7 @@ if hasattr(os, "register_at_fork"):
 
 
 _OPEN: Final = "/proc/self/fd"  # folder of open files, which only Linux has
-_OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # flag of links that must not be followed; 0 on systems without it
+_OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # flag that forbids to follow links; 0 on systems that lack it
 
 
 def _separate_file_positions() -> None:

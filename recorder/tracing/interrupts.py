@@ -1,12 +1,12 @@
 """Ctrl-C: raised immediately in the plan's own Python, and deferred where an interrupt would leave a broken state.
 
-Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change, the world would differ
-from its log; within a record, a number would have no record; within a block, a branch would run on alone. So Ctrl-C is
-deferred
+Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change, this would make the
+world differ from its log. Within a record, a number would have no record. Within a block, a branch would continue
+alone. So Ctrl-C is deferred
 
 - in a section (:class:`Uninterrupted`), which is a change or a record, until the section ends;
-- in branches and in the code of the :class:`Host`, which is the plan language, until it calls :func:`raise_pending`, at
-  every checkpoint (:mod:`pycram.scheduling`).
+- in branches and in the code of the :class:`Host`, which is the plan language, until the host calls
+  :func:`raise_pending`, at every checkpoint (:mod:`pycram.scheduling`).
 
 Our handler of SIGINT is installed only while a section or a scope of the plan language is open in the main thread. It
 calls the previously installed handler, so a program's own handler is deferred in the same way.
@@ -42,7 +42,7 @@ class Terminated(SystemExit):
 
 
 class Host(Protocol):
-    """Runs code that can be interrupted only at certain points; called in the main thread only."""
+    """Runs code that can be interrupted only at certain points; its methods are called in the main thread only."""
 
     @property
     def checkpoints(self) -> int:
@@ -63,7 +63,7 @@ _open = 0  # number of open sections and scopes in the main thread; our handler 
 _sections = 0  # number of sections among the open sections and scopes
 _pending = False
 _terminated = 0  # the signal of the last interrupt; 0 for Ctrl-C
-_owner = 0  # the process that called :func:`terminable`; its forked children have no recording
+_owner = 0  # the process that called :func:`terminable`; forked children differ from it, and have no recording
 _checkpoint = 0  # number of the host's checkpoint at which the last interrupt was raised
 
 
@@ -98,9 +98,9 @@ def _defers(frame: FrameType) -> bool:
 
 
 def enter(host: Host | None = None) -> bool:
-    """Install our handler until :func:`leave`; return whether it is installed: only the main thread can do so.
+    """Install our handler until :func:`leave`; return whether it was installed. Only the main thread can install it.
 
-    While it is installed, the host decides whether Ctrl-C is deferred.
+    While the handler is installed, the host decides whether Ctrl-C is deferred.
     """
     global _handler, _holder, _host, _open, _sections, _pending  # noqa: PLW0603  as above
     thread = threading.get_ident()
@@ -137,7 +137,7 @@ def leave() -> None:
 def terminable() -> Iterator[None]:
     """Treat SIGTERM and SIGHUP as Ctrl-C while the block runs, unless the program handles them itself.
 
-    So a plan that a supervisor stops, or whose terminal is closed, leaves a complete recording. The process ends after
+    So a plan leaves a complete recording if a supervisor stops it or its terminal is closed. The process ends after
     the block, even if the plan has caught the interrupt. Only the main thread can do this.
 
     Raises:
@@ -167,7 +167,7 @@ def _take() -> list[tuple[int, signal.Handlers]]:
     taken = [(number, signal.SIG_DFL) for number in _TERMINATING if signal.getsignal(number) is signal.SIG_DFL]
     if taken:
         _terminated, _owner = 0, os.getpid()
-        if signal.getsignal(_SIGINT) is signal.SIG_IGN:  # background jobs ignore SIGINT; but sections need a handler
+        if signal.getsignal(_SIGINT) is signal.SIG_IGN:  # background jobs ignore SIGINT, but sections need a handler
             signal.signal(_SIGINT, _ignore)
             taken.append((_SIGINT, signal.SIG_IGN))
     for number, before in taken:
@@ -184,7 +184,7 @@ def _on_termination(number: int, frame: FrameType | None) -> None:
 
 
 def _in_child() -> None:
-    """Let these signals kill a forked process, even while it waits in native code, as in a process pool."""
+    """Let these signals kill a forked process, such as a worker of a pool, even while it waits in native code."""
     for number in _TERMINATING:
         if signal.getsignal(number) is _on_termination:
             signal.signal(number, signal.SIG_DFL)
@@ -223,7 +223,7 @@ def is_pending() -> bool:
 
 
 def raise_pending() -> None:
-    """Raise a deferred Ctrl-C, unless a section is open; for interruptible code in the main thread."""
+    """Raise a deferred Ctrl-C, unless a section is open; only interruptible code in the main thread calls this."""
     if _pending and not _sections and threading.get_ident() == _holder:
         drop_pending()
         _note_checkpoint()
@@ -240,7 +240,7 @@ _soon: Callable[[], bool] | None = None
 
 
 def call_soon(function: Callable[[], bool]) -> None:
-    """Call a function after each outermost section of the main thread, until it returns True.
+    """Call a function after each outermost section of the main thread, until the function returns True.
 
     Use it for work that must follow a record and can't be done within it, such as a change after a certain step.
     """
@@ -249,7 +249,7 @@ def call_soon(function: Callable[[], bool]) -> None:
 
 
 def _call() -> None:
-    """Call the function of :func:`call_soon`; sections that it opens itself don't call it again."""
+    """Call the function of :func:`call_soon`; sections that the function opens don't call it again."""
     global _soon  # noqa: PLW0603  as above
     if threading.get_ident() != threading.main_thread().ident:
         return

@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 class Sink(Protocol):
     """The destination of records. The journal calls it in order, under its lock; the sink must not call the journal.
 
-    It must not keep references to mutations and keyframes. It may keep other records; if another journal records them,
-    only their number and time change.
+    It must not keep references to mutations and keyframes. It may keep other records; later, only the number and time
+    of a kept record may change, when another journal records it.
     """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Take a record and its serialized form; raise RecordingError if it can't be kept."""
+        """Take a record and its serialized form; raise RecordingError if the record can't be kept."""
 
     def attach(self, asset: AssetFile) -> None:
-        """Take a file, once per content."""
+        """Take a file; files with the same content are passed only once."""
 
     def flush(self) -> None:
         """Write all buffered records; raise RecordingError if that fails."""
@@ -72,8 +72,8 @@ class RecordedWorld(KnownWorld, Protocol):
 class Journal:
     """Numbers records for several sinks.
 
-    ``clock_ns`` returns ns since the Unix epoch, ``monotonic_ns`` the ns of a steady clock. With ``local_variables``,
-    recorded failures may contain the plan's local variables.
+    ``clock_ns`` returns ns since the Unix epoch; ``monotonic_ns`` returns ns of a steady clock. With
+    ``local_variables``, recorded failures may contain the plan's local variables.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class Journal:
         return [self._lock, *filter(None, (getattr(sink, "lock", None) for sink in self._sinks))]
 
     def close(self) -> None:
-        """Close every sink; an error is raised after all are closed."""
+        """Close every sink; an error is raised after all sinks are closed."""
         with Uninterrupted(), self._lock, ExitStack() as closing:
             for sink in reversed(self._sinks):
                 closing.callback(sink.close)
@@ -206,7 +206,7 @@ class RunningTask(Protocol):
         """Its number, from 1."""
 
     def announce(self) -> None:
-        """Record the request of the task, unless its request or its start is on record."""
+        """Record the request of the task, unless its request or its start is recorded."""
 
 
 #: The running task of this context, or None; set by :mod:`recorder.tracing.span`.
@@ -220,9 +220,9 @@ def task_id() -> int:
 
 
 def announced_task_id() -> int:
-    """Return the id of the task that runs in this context, 0 for none; its beginning is on record.
+    """Return the id of the task that runs in this context, 0 without a task; its beginning is recorded first.
 
-    The body of a block is read before the block's branch starts, and may already change a world.
+    A block's body runs before the block's branch starts, and may already change a world.
     """
     task = current_task.get()
     if task is None:
@@ -256,9 +256,9 @@ def is_unrecorded() -> bool:
 
 @contextmanager
 def unrecorded(*journals: Journal) -> Iterator[None]:
-    """Isolate the block from the plan's recordings; only these journals record it.
+    """Isolate the block from the plan's recordings; only ``journals`` record it.
 
-    Worlds that are opened in the block are unknown outside until they are announced.
+    Outside of the block, the worlds that it opens are unknown until they are announced.
     """
     token = _isolated.set(journals)
     try:
@@ -273,7 +273,7 @@ _cause: ContextVar[Mapping[Journal, int]] = ContextVar("pycram_cause", default=M
 
 @contextmanager
 def caused_by(event: Mapping[Journal, int]) -> Iterator[None]:
-    """Record the block's records as caused by an event, which is given as :func:`emit` returned it."""
+    """Mark the block's records as caused by an event, which is given by its step in each journal."""
     token = _cause.set(event)
     try:
         yield
@@ -289,7 +289,7 @@ def emit(
     task: int | None = None,
     number: Callable[[Journal], None] | None = None,
 ) -> Mapping[Journal, int]:
-    """Complete a record's envelope and append it to every open journal; return its step in each.
+    """Complete a record's envelope and append it to every open journal; return its step in each journal.
 
     Args:
         record: the record without its envelope.
@@ -334,15 +334,15 @@ def keeps_local_variables() -> bool:
     return bool(journals) and all(journal.local_variables for journal in journals)
 
 
-#: Returns how often this thread has polled for strikes; set by the scheduler; 0 without a scheduler.
+#: Returns how often this thread has polled for strikes. The scheduler sets this function; without it, the count is 0.
 looks: Callable[[], int] = int
 
 
 def strike(look: int, which: Iterable[int]) -> None:
-    """Keep a strike in every open journal: a decision of the clock or of worker threads that the main thread noticed.
+    """Keep a strike in every open journal. A strike is a decision of the clock or of worker threads that a poll found.
 
     Args:
-        look: number of the poll that found it.
+        look: number of the poll that found the decision.
         which: indices of the polled items, from 0.
     """
     for journal in _open:
@@ -363,7 +363,7 @@ def flush() -> None:
 
 
 def register(source: RecordedWorld) -> None:
-    """Make a world known to journals until it is unregistered; does nothing in an isolated context."""
+    """Make a world known to journals until it is unregistered; do nothing in an isolated context."""
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
         with _registry:
@@ -371,7 +371,7 @@ def register(source: RecordedWorld) -> None:
 
 
 def announce(source: RecordedWorld) -> None:
-    """Make a world known that was opened unrecorded: open journals record its state now, others when they open."""
+    """Make known a world that was opened unrecorded; open journals record its state now, others when they open."""
     register(source)
     for journal in listening():
         source.record_keyframe(journal)
@@ -400,7 +400,7 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
 
     Args:
         journal: the journal; after an error, no further records are appended to it.
-        running: returns the records of the running tasks, which come first; until then, no task can end.
+        running: returns the records of the running tasks, which come first; no task can end until they are appended.
 
     Raises:
         RecursionError: the stack has no room for the keyframes.
@@ -433,7 +433,7 @@ def close_journal(journal: Journal) -> None:
 def still() -> Iterator[None]:
     """Hold the locks of all open journals while the block runs, for a fork (:mod:`recorder.tracing.forking`).
 
-    It writes little memory: a written page is no longer shared with a waiting copy.
+    It writes little memory: a written page is no longer shared with a waiting copy of the process.
     """
     held: list[threading.RLock] = []
     try:
@@ -455,7 +455,7 @@ def paths() -> list[Path]:
 
 
 def forget_all() -> None:
-    """End recording to all journals without touching their sinks; in a forked child, the parent owns them."""
+    """End recording to all journals without touching their sinks, which a forked child's parent owns."""
     global _open  # noqa: PLW0603  see open_journal
     _open = ()
 

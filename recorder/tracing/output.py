@@ -1,4 +1,4 @@
-"""Printed and logged lines of a plan as records: a record for each line, with the plan's line that printed its start.
+"""Printed and logged lines of a plan as records: each has a printed line, and the plan's line that began to print it.
 
 Python's streams are replaced by streams that pass all text on immediately. Output of native code isn't recorded. A line
 that is printed in parts is assembled for each thread and branch. If a progress bar overwrites a line, its last form is
@@ -78,7 +78,7 @@ def _logged(log: Journal) -> Iterator[None]:
         yield
     finally:
         ended = True
-        if logging.Logger.callHandlers is call_handlers:  # otherwise a later replacement calls it
+        if logging.Logger.callHandlers is call_handlers:  # otherwise a later replacement still calls this function
             logging.Logger.callHandlers = before  # type: ignore[method-assign]
 
 
@@ -105,8 +105,8 @@ class _Origin(NamedTuple):
 class RecordedStream:
     """A text stream that passes all text on to another stream, and records the lines.
 
-    All other attributes are the other stream's. If the reader has gone, as after ``| head``, the plan continues, and
-    its lines are only recorded.
+    All other attributes are those of the other stream. If the reader of a pipe has gone, as after ``| head``, the plan
+    continues, and its lines are only recorded.
     """
 
     def __init__(self, stream: TextIO, name: str, log: Journal) -> None:
@@ -178,7 +178,7 @@ class RecordedStream:
 
 
 def _visible(text: str) -> str:
-    """Return the text that a terminal shows of a line with carriage returns; the line may continue."""
+    """Return the text that a terminal shows for a line with carriage returns; the line may be incomplete."""
     if "\r" not in text:
         return text
     last = next((part for part in reversed(text.split("\r")) if part), "")

@@ -1,11 +1,11 @@
 """The running task: a span for each node of the task tree.
 
 A span is opened around each designator execution, process module, language block, branch and attempt. The context has
-the current span, so that records within it know their task. A plain thread starts with an empty context, so threads of
-a task must be run with ``contextvars.copy_context().run``.
+the current span, so that records within it know their task. A plain thread starts with an empty context, so the threads
+of a task must be run with ``contextvars.copy_context().run``.
 
-Every span makes its records, also without a recording: the tree of the running plan (:func:`tree`) is folded from them.
-Without a recording, they have no results and no tracebacks.
+Every span makes its records even without a recording, because the tree of the running plan (:func:`tree`) is folded
+from them. Without a recording, the records have no results and no tracebacks.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ if TYPE_CHECKING:
     #: Records that contain the plan's line.
     Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent
 
-#: Limits of the tree, which keeps the latest tasks of a plan that may run for days: number of tasks, bytes of records.
+#: Limits of the tree in tasks and in bytes of records. A plan may run for days, so the tree keeps only the latest
+#: tasks.
 MAX_TASKS: Final = 20_000
 MAX_BYTES: Final = 100_000_000
-_MAX_CACHED: Final = 4096  # largest number of cached call stacks, in the form of record fields
+_MAX_CACHED: Final = 4096  # largest number of call stacks whose record fields are cached
 
 _STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # looked up once, as a message type finds them slowly
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
@@ -49,19 +50,19 @@ _ids = itertools.count(1)
 _tree: Final = Tree(MAX_TASKS, MAX_BYTES)
 _tree_of = 0  # number of the recording that contains the tree's tasks; 0 before the first recording
 _running: Final[dict[int, Task]] = {}  # the first records of running tasks, by id, if recordings may contain them
-_emitting: Final = threading.RLock()  # held while a task's record is kept and these two variables change
+_emitting: Final = threading.RLock()  # held while a task's record is kept, and while these two variables change
 _current: Final = cast("ContextVar[Span | None]", journal.current_task)
 
 
 class Cancelled(BaseException):
-    """The task was cancelled, because the outcome of the block around it is decided.
+    """The task was cancelled, because the outcome of the block around it was decided.
 
     It isn't an Exception, so that a plan's ``except Exception`` doesn't catch it.
     """
 
 
 def tree() -> Tree:
-    """Return the tree of the latest 20,000 tasks since the latest recording began, or without one, of all tasks.
+    """Return the tree of the latest 20,000 tasks since the latest recording began; without one, since the start.
 
     The tree grows while the process runs.
     """
@@ -70,14 +71,14 @@ def tree() -> Tree:
 
 @dataclass(slots=True)
 class Span:
-    """A task while it runs; as a context manager, the task is the block."""
+    """A running task. As a context manager, the span is a task that consists of the block."""
 
     kind: str  # motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
     name: str  # the task's name, for people
     parent: int = field(default_factory=journal.task_id)  # id of the task around it, 0 for none
     parameters: Mapping[str, object] = field(default_factory=dict)
     attempt: int = 0  # number of the attempt, from 1; 0 if it isn't an attempt
-    source: CallStack | None = None  # call stack of the requesting code; None: the call stack of the start
+    source: CallStack | None = None  # call stack of the requesting code; None: the call stack at the start is used
     id: int = field(default_factory=_ids.__next__)  # unique in this process, from 1
     solution: Mapping[str, object] = field(default_factory=dict)  # the resolved solution; set while the task runs
     result: object = None  # the result; set while the task runs
@@ -97,7 +98,7 @@ class Span:
         self._emit_begin(Task.ASKED, Task.CREATED)
 
     def announce(self) -> None:
-        """Record the request of the task, unless its request or its start is on record."""
+        """Record the request of the task, unless its request or its start is recorded."""
         if not self._begun and not journal.is_unrecorded():
             self.ask()
 
@@ -149,7 +150,7 @@ class Span:
             _current.reset(token)
 
     def __enter__(self) -> Self:
-        """Start, as the current task of this context."""
+        """Start the task, and make it the current task of this context."""
         if self.source is None:
             outer = _current.get()
             frame = sys._getframe(1)  # noqa: SLF001  see current_call_stack()
