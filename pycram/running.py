@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, Final
 import recorder
 from recorder.errors import RecordingError, until_closed
 from recorder.packages import NotInstalled, needed
-from recorder.properties import BadProperty, parse
 from recorder.tracing.interrupts import Terminated
 
 if TYPE_CHECKING:
@@ -83,6 +82,7 @@ def run(
             from pycram.motions.process_module import set_default  # noqa: PLC0415  --version and --help need no executor
             from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  as above
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
+            from recorder.properties import parse  # noqa: PLC0415  as above
         seed_order(spec.seed, spec.order)
         set_default(spec.motion)
         recorded = recorder.record(
@@ -137,6 +137,7 @@ def run(
 
 def _report(error: BaseException) -> int:
     from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
+    from recorder.properties import BadProperty  # noqa: PLC0415  heavy: completion and --help don't need it
     from recorder.records import format_error  # noqa: PLC0415  heavy
     from recorder.records.tracebacks import format_traceback  # noqa: PLC0415  heavy
 

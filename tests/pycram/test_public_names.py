@@ -39,6 +39,15 @@ print(pycram.language.par.__class__.__name__, pycram.bullet_world.BulletWorld.__
     assert ended.stdout == "set()\nKind BulletWorld\n"
 
 
+def test_help_and_completion_of_commands_load_no_heavy_package() -> None:
+    """A shell waits for each completion: protobuf alone takes as long as all else."""
+    program = (
+        "import sys, pycram.cli, replay.cli.main; print({'numpy', 'google.protobuf', 'mcap'} & sys.modules.keys())"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], cwd=REPO, capture_output=True, text=True, check=True)
+    assert ended.stdout == "set()\n"
+
+
 def order_of_branches() -> list[int]:
     turns: list[int] = []
 
