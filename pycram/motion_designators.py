@@ -172,6 +172,7 @@ def move_tcp(
     target: Sequence[float] | LocationDesignator,
     orientation: Sequence[float] | None = None,
     arm: str | None = None,
+    level: bool | None = None,
 ) -> MotionDesignator:
     """Moves the tool frame of an arm to a position, and to an orientation if one is given.
 
@@ -179,8 +180,9 @@ def move_tcp(
         target: [x, y, z] in m, world frame.
         orientation: A quaternion [x, y, z, w], world frame; by default any.
         arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
+        level: Whether what the hand holds stays level, within 15 degrees; by default false.
     """
-    return MotionDesignator(filled("move-tcp", target=target, orientation=orientation, arm=arm))
+    return MotionDesignator(filled("move-tcp", target=target, orientation=orientation, arm=arm, level=level))
 
 
 def move_arm_joints(

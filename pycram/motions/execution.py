@@ -16,7 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from pycram import planning
-from pycram.foundation.failures import Displaced, NoPath, PlanFailure, WorldClosed
+from pycram.foundation.failures import Blocked, Displaced, NoPath, PlanFailure, WorldClosed
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.grasping import fingers
 from pycram.world import driving, simulation
@@ -44,6 +44,7 @@ TIMEOUT: Final = 5
 _STRAIGHT: Final = (0.1, 0.06, 0.03)  # m, lengths of straight lines to try
 _BACK: Final = (-1.0, 0.0, 0.0)  # direction in the tool's frame
 _UP: Final = (0.0, 0.0, 1.0)  # direction in the world
+_DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)))  # m up and back, of a level way
 _SAMPLES: Final = 15  # samples per second at which two moving parts of a robot are checked for contact
 _SAME: Final = 1e-4  # rad or m between equal positions of a joint
 
@@ -68,6 +69,10 @@ class Execution(ABC):
     @abstractmethod
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
         """Move joints to positions in rad or m by name, around obstacles."""
+
+    @abstractmethod
+    def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:
+        """Move an arm to the tool's pose in a posture on straight lines, on which the tool turns about the vertical."""
 
     @abstractmethod
     def approach(
@@ -158,6 +163,10 @@ class InstantExecution(Execution):
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
         """Put the joints to their positions."""
         return partial(robot.set_joint_positions, positions)
+
+    def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:  # noqa: ARG002
+        """Put the joints to their positions."""
+        return partial(robot.set_joint_positions, posture)
 
     def approach(
         self,
@@ -267,6 +276,28 @@ class ContinuousExecution(Execution):
             following = _following(robot, partial(plan, start=start))
             return _all((*(partial(_along, (robot, line)) for line in back), following))
 
+    def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:
+        """Move the tool straight to its pose, or over points above and behind its start and its goal."""
+        start = _now(robot, arm.joints)
+        here, goal = (_tool_pose(robot, arm, positions) for positions in (start, posture))
+        x, y, _ = robot.get_position()
+        failures: list[PlanFailure] = []
+        for rise, back in _DETOURS:
+            corners = []
+            for (u, v, w), turn in (here, goal):
+                away = math.hypot(u - x, v - y)
+                corners.append(((u + back * (x - u) / away, v + back * (y - v) / away, w + rise), turn))
+            way = [start]
+            try:
+                for corner in (*corners, goal) if rise or back else (goal,):
+                    way += planning.line(robot, arm, way[-1], corner)[1:]
+                _check_new(robot, arm, way, goal)
+            except PlanFailure as failure:
+                failures.append(failure)
+            else:
+                return partial(_along, (robot, way))
+        raise failures[0]
+
     def approach(
         self,
         robot: Object,
@@ -349,6 +380,17 @@ class ContinuousExecution(Execution):
         if world.exiting:
             raise WorldClosed(world.name, "continue its simulation")
         return detector.restless
+
+
+def _check_new(robot: Object, arm: Arm, way: Sequence[Mapping[str, float]], goal: Pose) -> None:
+    """Raise Blocked if the arm would touch something on its way that it doesn't touch at the start."""
+    with CollisionChecker(robot, way[0]) as checker:
+        first, *others = checker.predict(way)
+        known = checker.touched(first)
+        for candidate in others:
+            new = [each["pair"] for body, each in checker.touched(candidate).items() if body not in known]
+            if new := new + checker.self_collisions(candidate):
+                raise Blocked(arm.name, goal[0], new, "on the level way")
 
 
 def _led(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:

@@ -168,6 +168,12 @@ TYPES: Final = {
                 Slot("target", slots.POSITION, required=True),
                 Slot("orientation", slots.ORIENTATION, otherwise="any"),
                 _ARM,
+                Slot(
+                    "level",
+                    slots.SWITCH,
+                    text="Whether what the hand holds stays level, within 15 degrees",
+                    otherwise="False",
+                ),
             ),
             cmd="move-tcp",
             resources=_arm_resources,

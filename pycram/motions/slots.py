@@ -338,6 +338,7 @@ DISTANCE: Final = ValueKind(
     lambda name, value: checks.in_range(name, value, 0.0),
     "float",
 )
+SWITCH: Final = ValueKind("True or False", checks.switch, "bool")
 POSTURE: Final = ValueKind(
     'A named posture such as "park", or a list of joint values in rad', _posture, "str | Sequence[float]"
 )

@@ -16,6 +16,7 @@ from pycram.foundation.failures import (
     MissingPart,
     NoPath,
     NotDrivable,
+    PlanFailure,
     PostureInCollision,
     Unreachable,
 )
@@ -32,11 +33,12 @@ from pycram.world.world import BulletWorld
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pycram.foundation.failures import CollisionPair
     from pycram.models.robots.description import Arm, CameraDescription
     from pycram.motions.designator import Designator
+    from pycram.motions.execution import Step
     from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
     from recorder.geometry import Vector
@@ -72,6 +74,8 @@ class Navigation(SimulatedModule):
 
 _ACCURACY: Final = math.radians(0.5)
 _PAN_AND_TILT: Final = 2  # joints that can point the camera anywhere
+_LEVEL: Final = math.radians(15)  # rad by which the tool may lean more than at the start of a level motion
+_TURNS: Final = (0, 30, -30, 60, -60, 90, -90, 135, -135, 180)  # degrees about the vertical that are tried
 
 
 class MoveHead(SimulatedModule):
@@ -176,7 +180,10 @@ def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, flo
 
 
 class MoveTCP(SimulatedModule):
-    """Moves the tool frame of an arm to a position, and to an orientation if one is given."""
+    """Moves the tool frame of an arm to a position, and to an orientation if one is given.
+
+    If it has to stay level, the tool leans by at most 15 degrees more than now, also on its way.
+    """
 
     failures = (Unreachable, Blocked)
     failures_in_time = (NoPath, PostureInCollision, *FOLLOWING)
@@ -192,8 +199,57 @@ class MoveTCP(SimulatedModule):
                 robot.world.lock,
                 choosing("posture", robot.world, arm=arm.name, target=target, orientation=turn) as choice,
             ):
-                move = self.execution.move(robot, _posture(robot, arm, target, turn, choice))
+                if solution.get("level"):
+                    move = self._level(robot, arm, target, turn, choice)
+                else:
+                    move = self.execution.move(robot, _posture(robot, arm, target, turn, choice))
             move()
+
+    def _level(
+        self, robot: Object, arm: Arm, target: Sequence[float], orientation: Sequence[float] | None, choice: Choice
+    ) -> Step:
+        """Return the step to the first posture that is reached on a level way.
+
+        Raises:
+            Unreachable: No such posture reaches the target, or no way to one is level.
+        """
+        failures: list[PlanFailure] = []
+        for posture in _level_postures(robot, arm, target, orientation, choice, failures):
+            try:
+                return self.execution.move_level(robot, arm, posture)
+            except PlanFailure as failure:
+                failures.append(failure)
+        raise failures[0]
+
+
+def _level_postures(
+    robot: Object,
+    arm: Arm,
+    target: Sequence[float],
+    orientation: Sequence[float] | None,
+    choice: Choice,
+    failures: list[PlanFailure],
+) -> Iterator[Mapping[str, float]]:
+    """Yield joint values that bring the tool to a target as level as now, turned as little as possible.
+
+    Raises:
+        Unreachable: The tool would lean in the orientation.
+    """
+    now = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))[1]
+    turns = [geometry.product(geometry.from_rpy(0.0, 0.0, math.radians(degrees)), now) for degrees in _TURNS]
+    if orientation is not None:
+        x, y, z, w = orientation
+        turns = [(x, y, z, w)]
+        change = geometry.product(turns[0], geometry.conjugate(now))  # in the world
+        lean = geometry.lean(change, geometry.IDENTITY[1])
+        if lean > _LEVEL:
+            more = f"there the tool would lean by {math.degrees(lean):.0f} degrees more than now"
+            raise Unreachable(arm.name, target, None, f"{more}; level motions allow {math.degrees(_LEVEL):.0f}")
+    for turn in turns:
+        try:
+            yield _posture(robot, arm, target, turn, choice)
+        except Unreachable as failure:
+            failures.append(failure)
 
 
 def _posture(

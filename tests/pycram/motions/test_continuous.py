@@ -433,3 +433,31 @@ def test_a_run_with_motion_is_recorded_and_retraced_as_such(tmp_path: Path) -> N
     assert run("replay", "retrace", str(log)).startswith("identical")
     assert run("pycram", "run", str(plan), "--log", str(log), "--overwrite").split() == ["False"]
     assert "\nmotion " not in run("replay", "info", str(log))
+
+
+def test_a_bottle_stays_upright_on_a_level_way(world: BulletWorld, sink: MemorySink) -> None:
+    """The nearest posture that reaches the place tips it; an orientation in which it would lean is refused."""
+    Object("floor", "environment", "plane.urdf")
+    Object("kitchen", "environment", "kitchen.urdf")
+    world.robot = Object("pr2", "robot", "pr2.urdf", [0.65, 0.7, 0])
+    with execution_environment("simulated"):
+        perform(type="move-arm-joints", left_arm="park", right_arm="park")
+        bottle = Object("bottle", "bottle", "bottle.stl", [1.36, 0.9, 0.99])
+        assert world.settle()
+        perform(type="pick-up", object=bottle, arm="left")
+    taken = world.save()
+    leans = []
+    for level in (True, False):
+        world.restore(taken)
+        sink.records.clear()
+        perform(type="move-tcp", arm="left", target=[1.36, 0.5, 1.0], level=level)
+        assert math.dist(tool(world.robot, "left")[0], [1.36, 0.5, 1.0]) < 0.01
+        samples = [sample for record in sink.of(Mutation) for sample in record.effect.samples]
+        turns = [body.orientation for sample in samples for body in sample.bodies if body.body == "bottle"]
+        leans.append(max(geometry.lean(turn, geometry.IDENTITY[1]) for turn in turns if turn))
+    assert leans[0] < math.radians(2)
+    assert leans[1] > math.radians(15)
+    across = geometry.product(geometry.from_rpy(math.radians(40), 0, 0), tool(world.robot, "left")[1])
+    world.restore(taken)
+    with pytest.raises(Unreachable, match=r"would lean by \d+ degrees more than now; level motions allow 15"):
+        perform(type="move-tcp", arm="left", target=[1.36, 0.5, 1.0], orientation=across, level=True)
