@@ -18,7 +18,6 @@ import re
 import tomllib
 import xml.etree.ElementTree as ET
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -133,6 +132,8 @@ def find(path: str | Path) -> Path:
 @cache
 @notable
 def _installed(name: str) -> Path:
+    from importlib import metadata  # noqa: PLC0415  slow to import
+
     try:
         files = metadata.files(_DISTRIBUTION) or []
     except metadata.PackageNotFoundError as error:
