@@ -8,7 +8,7 @@ BIN := .venv/bin
 # Tests start many processes. Where bytecode isn't kept, as containers often have it, each of them compiles all of it anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo extension test test-fast test-long test-lowest test-reading test-lerobot lint size systems pictures bench resources proto reference system-packages clean
+.PHONY: demo extension test test-fast test-long test-lowest test-reading test-lerobot lint size systems pictures bench faults resources proto reference system-packages clean
 
 demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap, the next time set_the_table.2.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
@@ -54,6 +54,9 @@ systems: .venv/ready-dev  ## writes the table of systems in docs/installing.md, 
 
 bench: .venv/ready-dev  ## measures, and prints the tables
 	$(BIN)/pytest tests/benchmarks -s
+
+faults: .venv/ready-dev  ## scores explanations on runs with known faults, in .measures/faults; continues where it was stopped
+	$(BIN)/python -m tests.faults.benchmark .measures/faults
 
 resources: .venv/ready-dev  ## makes kitchen, floor and objects anew
 	$(BIN)/python resources/make_resources.py

@@ -43,7 +43,7 @@ def carry(kind, world):
     perform(pick_up(object=found, arm=arm))
     drive([-0.3, 1, 0], [0, 0, 1, 0])
     perform(place(object=found, target=target, arm=arm))
-    off = max(abs(a - b) for a, b in zip(found.get_position(), target))
+    off = max(abs(a - b) for a, b in zip(found.get_position(), target, strict=True))
     if off > 0.05:
         raise RuntimeError(f"{kind} isn't where it belongs")
 

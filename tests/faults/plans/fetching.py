@@ -3,9 +3,9 @@
 """A TIAGo Pro looks for the cereal, fetches it, and delivers it to the island."""
 
 from pycram import perform
-from pycram.action_designators import delivering, fetching, perceiving
+from pycram.action_designators import delivering, fetching
 from pycram.bullet_world import BulletWorld, Object
-from pycram.designator import LocationDesignator, ObjectDesignator
+from pycram.designator import LocationDesignator
 
 world = BulletWorld()
 world.set_gravity([0, 0, -9.8])

@@ -29,6 +29,7 @@ def work():
     perform(move_arm_joints(arms={"left": "park", "right": "park"}))
     perform(pick_up(object=cup, arm="left"))
     stage.set_value("lifted")
+    perform(move_arm_joints(arms={"left": "park", "right": "park"}))
     perform(moving(target=[-0.3, 1, 0], orientation=[0, 0, 1, 0]))
     perform(place(object=cup, target=[-0.8, 1, 0.91], arm="left"))
     stage.set_value("done")

@@ -38,7 +38,7 @@ with par as branches:
     branches(leave)
 
 spots = [[-0.8, 0.85, 0.91], [-0.8, 1.15, 0.9]]
-for thing, arm, spot in zip((cup, bowl), ("left", "right"), spots):
+for thing, arm, spot in zip((cup, bowl), ("left", "right"), spots, strict=True):
     perform(place(object=thing, target=spot, arm=arm))
     perform(move_arm_joints(arms={arm: "park"}))
 world.exit()

@@ -4,7 +4,7 @@
 """A helper waits until the robot has taken the bottle, then shuts the fridge; the robot carries the bottle away."""
 
 from pycram import perform
-from pycram.action_designators import closing, fetching, opening, parking_arms, placing
+from pycram.action_designators import closing, delivering, fetching, opening, parking_arms
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import LocationDesignator
 from pycram.event import Event
@@ -44,5 +44,5 @@ with par as branches:
 
 if log != ["shut"]:
     raise RuntimeError(f"the fridge was shut {len(log)} times")
-perform(placing(object=bottle, target=LocationDesignator(on="island")))
+perform(delivering(object=bottle, target=LocationDesignator(on="island")))
 world.exit()
