@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from typing import TYPE_CHECKING
 
 import pytest
@@ -59,6 +60,20 @@ def test_what_rolls_on_is_not_at_rest(world: BulletWorld, sink: MemorySink) -> N
     assert simulated[0].simulate.HasField("settled")
     assert not simulated[0].simulate.settled
     assert not simulated[1].simulate.HasField("settled")
+
+
+def test_many_things_come_to_rest_although_one_or_another_trembles_at_any_moment(world: BulletWorld) -> None:
+    Object("floor", "environment", "plane.urdf")
+    drawn = random.Random(1)
+    for number in range(60):
+        kind = ("plate", "pot")[number % 2]
+        position = [number % 8 * 0.3 - 3, number // 8 * 0.3 - 3, 0.1 + drawn.random() * 0.01]
+        Object(f"{kind} {number}", kind, f"{kind}.stl", position, [0, 0, drawn.uniform(-1, 1), 1])
+    assert world.settle(1.0)
+    before = [body.get_position() for body in world.objects]
+    world.simulate(1.0)
+    after = [body.get_position() for body in world.objects]
+    assert max(map(math.dist, before, after)) < 1e-3
 
 
 def test_what_begins_to_tip_is_not_at_rest(world: BulletWorld) -> None:
