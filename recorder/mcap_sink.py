@@ -6,6 +6,9 @@ A killed process loses the records that aren't in a closed and flushed chunk. So
 - immediately after a failure, and after the start or end of the run;
 - before native code that blocks all threads (:meth:`McapSink.flush`).
 
+A thread keeps the 50 ms, so they don't count while the process gets no processor, or while native code of the plan
+holds the interpreter lock. The other rules hold always.
+
 Chunks are handed to the operating system unbuffered. After that, only a failure of the computer can lose them. With
 ``durable``, such a failure can't lose them either.
 """
