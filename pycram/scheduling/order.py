@@ -39,12 +39,12 @@ class BlockedWait:
     """A wait that nothing can end."""
 
     branch: str  # name of the branch, or of the thread for code outside of branches
-    line: str  # FILE:LINE of the plan's line that waits
+    line: str  # FILE:LINE of the plan's line that waits; "" if unknown
     reason: str  # what it waits for; "" if unknown
     depends_on: tuple[str, ...]  # names of the branches that could end it, or that last set what it waits for
 
     def __str__(self) -> str:
-        return f"{self.branch} at {self.line}{self.reason and f' waits for {self.reason}'}"
+        return f"{self.branch}{self.line and f' at {self.line}'}{self.reason and f' waits for {self.reason}'}"
 
 
 class DeadlockedBranches(UsageError):

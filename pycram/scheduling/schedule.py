@@ -533,7 +533,8 @@ class Scheduler:
                 if branch is not None or not depends_on or not {*depends_on} <= names.keys():
                     others = tuple(names.get(each, each) for each in depends_on)
                     reason += f", {before} {', '.join(others)}" if before and others else ""
-                    blocked.append(BlockedWait(label or name, notebook.place(Path(file).name, line), reason, others))
+                    place = notebook.place(Path(file).name, line) if file else ""
+                    blocked.append(BlockedWait(label or name, place, reason, others))
         return blocked
 
     def poll(self, *, again: bool = False) -> None:

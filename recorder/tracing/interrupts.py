@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from typing import Self
 
 _SIGINT: Final = int(signal.SIGINT)
+_OURS: Final = ("pycram", "recorder", "replay", "_signal")  # packages of handlers that only interrupt
 _TERMINATING: Final = tuple(int(getattr(signal, name)) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -206,10 +207,9 @@ def interrupted_by() -> str:
 
 
 def has_handlers() -> bool:
-    """Return whether the program itself handles a signal in Python."""
-    ours = (_on_sigint, _on_termination, _ignore, signal.default_int_handler)
-    handlers = [signal.getsignal(number) for number in signal.valid_signals()]
-    return any(callable(each) and each not in ours for each in (*handlers, _handler if _open else None))
+    """Return whether the program itself handles a signal in Python; handlers of these packages wake no wait."""
+    handlers = (*map(signal.getsignal, signal.valid_signals()), _handler if _open else None)
+    return any(callable(each) and str(each.__module__).partition(".")[0] not in _OURS for each in handlers)
 
 
 def is_uninterrupted() -> bool:

@@ -30,6 +30,7 @@ from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from pycram.projection.child import Child, die_with, has_children, obstacle
+from pycram.scheduling.future import is_future
 from pycram.scheduling.schedule import is_held, scheduler
 from recorder.records import Task, format_error
 from recorder.records.tracebacks import text_or
@@ -167,6 +168,8 @@ def variables(frame: FrameType, *, arguments: bool = False) -> list[dict[str, st
 def parts(frame: FrameType, expression: str) -> list[dict[str, str | int]]:
     """Return the entries of an expression's value: of a sequence or a mapping, or the attributes of an object."""
     value = value_of(frame, expression)
+    if is_future(value):
+        return []
     if isinstance(value, dict):
         found = [(_repr(key), f"({expression})[{_repr(key)}]", each) for key, each in value.items()]
     elif isinstance(value, list | tuple):
@@ -177,7 +180,9 @@ def parts(frame: FrameType, expression: str) -> list[dict[str, str | int]]:
 
 
 def _described(name: str, expression: str, value: object) -> dict[str, str | int]:
-    count = len(value) if isinstance(value, dict | list | tuple) else len(_attributes(value))
+    count = 0
+    if not is_future(value):  # isinstance() would wait for its result
+        count = len(value) if isinstance(value, dict | list | tuple) else len(_attributes(value))
     kind = type(value).__name__
     return {"name": name, "value": _repr(value), "type": kind, "expression": expression, "parts": count}
 
