@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from recorder.urdf import Urdf, UrdfJoint
 
@@ -76,6 +76,13 @@ class JointTree:
         """Return the nearest movable joint above a joint."""
         return self._above[joint.name]
 
+    def within(self, arm: ArmChain, joint: UrdfJoint) -> list[UrdfJoint]:
+        """Return the joints of an arm's hand from the palm down to a joint of a finger."""
+        hand, found = {each.name for each in arm.fingers}, [joint]
+        while (above := self.above(found[0])) is not None and above.name in hand:
+            found.insert(0, above)
+        return found
+
     def below(self, joint: UrdfJoint) -> list[UrdfJoint]:
         """Return all movable joints below a joint."""
         found = []
@@ -119,6 +126,25 @@ class JointTree:
     def _upright(self, joint: UrdfJoint) -> bool:
         _, turn = self.urdf.forward_kinematics({}, joint.child)
         return abs(geometry.rotate(turn, joint.axis)[2]) > _UPRIGHT
+
+    def gripper_links(self, arm: ArmChain | None, arms: Sequence[ArmChain]) -> list[str]:
+        """Return links with names of grippers or fingers that no joint of an arm moves directly.
+
+        Args:
+            arm: The arm that has them at its end; None for links at the end of no arm.
+            arms: All arms.
+        """
+        of_arms = {joint.name: each for each in arms for joint in each.joints}
+        found = []
+        for link in filter(_FINGER.search, self.urdf.links[1:]):
+            joint = self.moved_by(link)
+            ends = joint is not None and joint.child == link and joint.name in of_arms
+            while joint is not None and joint.name not in of_arms:
+                joint = self.above(joint)
+            carrier = of_arms[joint.name] if joint is not None and joint == of_arms[joint.name].joints[-1] else None
+            if carrier is arm and not ends:
+                found.append(link)
+        return found
 
     def torso(self, arms: list[ArmChain]) -> UrdfJoint | None:
         """Return the joint that lifts the arms; None if there is none."""
@@ -173,16 +199,14 @@ def _short_names(runs: list[list[str]], robot: str) -> list[str]:
 
 
 def fingers_of(tree: JointTree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[UrdfJoint]]]:
-    """Yield the links of an arm's finger tips that have a shape, and the joints that move each."""
-    hand = {joint.name for joint in arm.fingers}
+    """Yield the links of an arm's finger tips that have a shape, and the joints that move each.
+
+    Links without a shape are frames below a tip, and sliders or screws of a motor above it, which stand still.
+    """
     for joint in arm.fingers:
-        if tree.below(joint) or joint.child not in with_shape:
+        if joint.child not in with_shape or any(below.child in with_shape for below in tree.below(joint)):
             continue
-        moving, above = [joint], tree.above(joint)
-        while above is not None and above.name in hand:
-            moving.insert(0, above)
-            above = tree.above(above)
-        yield joint.child, moving
+        yield joint.child, [each for each in tree.within(arm, joint) if each.child in with_shape]
 
 
 def limits(joint: UrdfJoint) -> tuple[float, float]:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.describing.grippers import Corners
+from pycram.describing.chains import ArmChain, JointTree
+from pycram.describing.grippers import Corners, guess_hand
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.kinematics import pan_tilt
 from pycram.reasoning.kinematics.forward import Chain
@@ -16,7 +17,7 @@ from pycram.reasoning.kinematics.inverse import Solver, halton_postures
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -35,6 +36,7 @@ _TRIED: Final = 4000  # candidates for a parking posture
 _CHECKED: Final = 300  # best candidates, which are checked for self-collisions
 _SAMPLED: Final = 40  # number of postures; links that overlap in all of them always overlap
 _FLOOR: Final = 0.05  # m, minimum height of a parked arm above the root link
+_NAMED: Final = 4  # maximum number of links that a finding names
 _STRAIN: Final = 0.1  # m, penalty in size for a posture at joint limits
 
 
@@ -57,6 +59,7 @@ def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
         if arm.hand is not None and arm.hand.fingers:
             yield from _fingers(robot, arm, arm.hand)
         yield from _postures(robot, arm)
+    yield from _missing_grippers(robot, description)
     if description.camera is not None:
         yield _head(robot, description)
     yield _stillness(robot)
@@ -79,6 +82,33 @@ def _reach(robot: Object, arm: Arm) -> Finding:
         f"{arm.name} arm, reach",
         f"{reached} of {_POSES} poses of its tool are reached, up to {far:.2f} m from {arm.base_link}",
     )
+
+
+def _missing_grippers(robot: Object, description: RobotDescription) -> Iterator[Finding]:
+    """Check that an arm has a gripper if links at its end are named after grippers or fingers."""
+    tree = JointTree(robot.urdf)
+    arms = {
+        arm.name: ArmChain(
+            arm.name, tuple(map(robot.urdf.joint, arm.joints)), tuple(tree.below(robot.urdf.joint(arm.joints[-1])))
+        )
+        for arm in description.arms.values()
+    }
+    chains = list(arms.values())
+    for name, chain in arms.items():
+        links = tree.gripper_links(chain, chains)
+        if links and description.arms[name].hand is None:
+            hand = guess_hand(tree, chain, Corners(robot.model))
+            reason = f"pycram describe finds none: {hand}" if isinstance(hand, str) else "pycram describe finds one"
+            text = (
+                f"its links {_some(links)} are named as a gripper's, but it is described without a gripper ({reason})"
+            )
+            yield Finding(False, f"{name} arm", text)
+    if links := tree.gripper_links(None, chains):
+        yield Finding(False, "grippers", f"links {_some(links)} are named as a gripper's, but are at the end of no arm")
+
+
+def _some(links: Sequence[str]) -> str:
+    return ", ".join(links[:_NAMED]) + (f" and {len(links) - _NAMED} more" if len(links) > _NAMED else "")
 
 
 def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:

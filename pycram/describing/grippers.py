@@ -125,27 +125,36 @@ def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | 
     """Return the gripper of an arm, or why no gripper that closes from two sides was recognised."""
     if not arm.fingers:
         return "no movable joint is below it"
-    ends = [joint for joint in arm.fingers if not tree.below(joint)]
+    ends = [joint for joint in arm.fingers if not tree.below(joint) and joint.type != "continuous"]  # without screws
     tips = list(fingers_of(tree, arm, {link for link in tree.urdf.links if link in corners}))
     if any(len(moving) > _PHALANGES for _, moving in tips):
         return f"{len(arm.fingers)} joints are below it, in fingers that curl"
-    if len(tips) < min(len(ends), _SIDES):
+    if len(tips) < max(min(len(ends), _SIDES), 1):
         solid = {link for link, _ in tips}
-        names = [joint.child for joint in ends if joint.child not in solid]
+        names = [joint.child for joint in ends or arm.fingers if joint.child not in solid]
         return f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} no collision shapes to hold objects with"
+    stuck = [joint.name for _, moving in tips for joint in moving if joint.lower == joint.upper]
+    palm = tree.within(arm, tips[0][1][0])[0].parent
     if len(tips) < _SIDES:
         ((jaw, (joint, *others)),) = tips
-        hand = None if others else _one_jaw(tree, corners, jaw, joint)
-        return hand or f"by its collision shapes, {jaw} doesn't close against a fixed link"
-    return _fingers(tree, tips, corners) or (
-        f"by their collision shapes, {', '.join(link for link, _ in tips)} don't close on one another from two sides"
-    )
+        hand = None if others else _one_jaw(tree, corners, palm, jaw, joint)
+        reason = f"by its collision shapes, {jaw} doesn't close against a fixed link"
+    else:
+        hand = _fingers(tree, palm, tips, corners)
+        names = [link for link, _ in tips]
+        reason = f"by their collision shapes, {', '.join(names)} don't close on one another from two sides"
+    if stuck:
+        limits_of = ", ".join(
+            f"{name} from {tree.urdf.joints[name].lower:g} to {tree.urdf.joints[name].upper:g}" for name in stuck
+        )
+        reason = f"by the limits in the URDF, its fingers can't move ({limits_of})"
+    return hand or reason
 
 
-def _fingers(tree: JointTree, tips: Sequence[tuple[str, list[UrdfJoint]]], corners: Corners) -> HandGuess | None:
+def _fingers(
+    tree: JointTree, palm: str, tips: Sequence[tuple[str, list[UrdfJoint]]], corners: Corners
+) -> HandGuess | None:
     """Return a gripper whose two or more fingers all move; None if they don't close from two sides."""
-    joints = list({joint.name: joint for _, moving in tips for joint in moving}.values())
-    palm = joints[0].parent
     links = [link for link, _ in tips]
     closed, widest = _ends(tree, corners, palm, tips)
     there = [corners.of([link], closed, palm, IDENTITY).mean(axis=0) for link in links]
@@ -166,9 +175,8 @@ def _openings(closed: Mapping[str, float], widest: Mapping[str, float]) -> Itera
         yield {name: value + share * (widest[name] - value) for name, value in closed.items()}
 
 
-def _one_jaw(tree: JointTree, corners: Corners, jaw: str, joint: UrdfJoint) -> HandGuess | None:
+def _one_jaw(tree: JointTree, corners: Corners, palm: str, jaw: str, joint: UrdfJoint) -> HandGuess | None:
     """Return a gripper with one moving and one fixed jaw; None if the jaw doesn't close against a link."""
-    palm = joint.parent
     still = [link for link in tree.urdf.links if link in corners and tree.moved_by(link) is tree.moved_by(palm)]
     if not still:
         return None

@@ -23,6 +23,7 @@ from pycram.designator import MotionDesignator
 from pycram.models import load
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
+from tests.pycram.models import hands
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -260,7 +261,10 @@ def test_unrecognised_hands_are_left_out(describe: Callable[..., Ended], tmp_pat
     ), "the file turns them otherwise than what is seen"
     (tmp_path / "mine.toml").write_text(ended.stdout)
     checked = describe("--check", "mine.toml", urdf)
-    assert checked.returncode == 0, checked.stdout  # also that parked arms don't meet
+    assert checked.returncode == 1
+    failed = [line for line in checked.stdout.splitlines() if not line.startswith("ok")]
+    assert len(failed) == 2, "parked arms don't meet, but both hands are missing"
+    assert all("SakeBaseFingerLink1" in line and "described without a gripper" in line for line in failed)
 
 
 @pytest.mark.slow
@@ -333,3 +337,57 @@ def test_a_floating_base_is_not_an_arm(describe: Callable[..., Ended], tmp_path:
     described = RobotDescription.parse(ended.stdout)
     assert [arm.joints for arm in described.arms.values()] == [("turn 0", "turn 1", "turn 2", "turn 3")]
     assert described.drives
+
+
+SHAPELESS = (
+    "<link name='{name}'/><joint name='{name}_joint' type='{kind}'><parent link='{parent}'/><child link='{name}'/>"
+    "<axis xyz='0 1 0'/><limit lower='0' upper='0.1' effort='1' velocity='1'/></joint>"
+)
+MOTOR = SHAPELESS.format(name="slider", kind="prismatic", parent="cup") + SHAPELESS.format(
+    name="screw", kind="continuous", parent="slider"
+)
+MOTORS = {  # as in the PR2 of the thesis: links without shapes, and the parent of a finger
+    "beside the fingers": (MOTOR, "cup"),
+    "above a finger": (MOTOR, "screw"),
+    "below a finger": (SHAPELESS.format(name="tip_frame", kind="prismatic", parent="b_finger"), "cup"),
+}
+
+
+@pytest.mark.parametrize("where", MOTORS)
+def test_grippers_are_found_whose_motors_have_no_shapes(where: str, tmp_path: Path) -> None:
+    file, _ = hands.write(tmp_path, {"a_finger": (0.0, True), "b_finger": (180.0, True)})
+    motor, parent = MOTORS[where]
+    ends = "<parent link='{}'/><child link='a_finger'/>"
+    text = file.read_text().replace(ends.format("cup"), ends.format(parent))
+    file.write_text(text.replace("</robot>", f"{motor}</robot>"))
+    ((_, hand),) = guess(load.load(file)).arms
+    assert not isinstance(hand, str), hand
+    assert (hand.palm, set(hand.fingers)) == ("cup", {"a_finger", "b_finger"})
+    assert set(hand.closed) == {"a_finger_joint", "b_finger_joint"}
+    assert hand.aperture == pytest.approx(0.163, abs=0.003)
+
+
+def test_fingers_that_can_not_move_are_named_and_a_check_misses_the_gripper(
+    describe: Callable[..., Ended], tmp_path: Path
+) -> None:
+    file, described = hands.write(tmp_path, {"a_finger": (0.0, True), "b_finger": (180.0, True)})
+    complete = file.read_text()
+    file.write_text(complete.replace(f"upper='{hands.OPEN}'", "upper='0'"))
+    stuck = "its fingers can't move (a_finger_joint from 0 to 0, b_finger_joint from 0 to 0)"
+    ended = describe(str(file))
+    assert f"# no gripper: by the limits in the URDF, {stuck}\n" in ended.stdout
+    without, _, _ = described.partition("[arms.z-axis.gripper]")
+    (tmp_path / "mine.toml").write_text(without)
+    for text, reason in ((file.read_text(), stuck), (complete, "pycram describe finds one")):
+        file.write_text(text)
+        checked = describe("--check", "mine.toml", str(file))
+        assert checked.returncode == 1
+        (failed,) = (line for line in checked.stdout.splitlines() if line.startswith("FAILED"))
+        assert "its links a_finger, b_finger are named as a gripper's" in failed
+        assert reason in failed
+    arms, _, _ = without.partition("[arms.z-axis]")
+    (tmp_path / "mine.toml").write_text(arms)
+    checked = describe("--check", "mine.toml", str(file))
+    assert "FAILED  grippers: links a_finger, b_finger are named as a gripper's, but are at the end of no arm" in (
+        checked.stdout
+    )
