@@ -44,6 +44,8 @@ class Rendering:
     triangles: NDArray[np.float64]  # (n, 3, 3) rendered triangles in the camera's frame, m
     colors: NDArray[np.float64]  # (n, 3) colours of the triangles, RGB 0..1
     seen: NDArray[np.int64]  # (height, width) number of the triangle at each pixel; -1 without a triangle
+    links: Sequence[str]  # names of the rendered links
+    numbers: NDArray[np.int64]  # (n,) number of each triangle's link
 
     def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
         """Return a colour image, lit from above and from the camera.
@@ -74,6 +76,8 @@ class Rendering:
             np.concatenate([self.triangles, other.triangles]),
             np.concatenate([self.colors, other.colors]),
             np.where(nearer, other.seen + len(self.triangles), self.seen),
+            [*self.links, *other.links],
+            np.concatenate([self.numbers, other.numbers + len(self.links)]),
         )
 
 
@@ -157,16 +161,18 @@ class Camera:
         """Render bodies without a physics engine; see :meth:`render` for the arguments."""
         limit = self.far if far is None else min(far, self.far)
         parts = list(self._parts(bodies, window, limit))
-        owners = np.repeat([index for index, _, _ in parts], [len(part) for _, part, _ in parts]).astype(np.int64)
-        triangles = np.concatenate([np.zeros((0, 3, 3)), *(part for _, part, _ in parts)])
-        colors = np.concatenate([np.zeros((0, 3)), *(paint for _, _, paint in parts)])
+        numbers = np.repeat(np.arange(len(parts)), [len(part) for _, _, part, _ in parts])
+        owners = np.array([index for index, _, _, _ in parts], dtype=np.int64)[numbers]
+        triangles = np.concatenate([np.zeros((0, 3, 3)), *(part for _, _, part, _ in parts)])
+        colors = np.concatenate([np.zeros((0, 3)), *(paint for _, _, _, paint in parts)])
         depth, seen = rasterize(triangles, window, size, self.near, limit)
-        return Rendering(depth, np.append(owners, -1)[seen], triangles, colors, seen)
+        names = [link for _, link, _, _ in parts]
+        return Rendering(depth, np.append(owners, -1)[seen], triangles, colors, seen, names, numbers)
 
     def _parts(
         self, bodies: Sequence[Drawable], window: Window, far: float
-    ) -> Iterator[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
-        """Yield links that may be visible: number of the body, triangles in the camera's frame, colours."""
+    ) -> Iterator[tuple[int, str, NDArray[np.float64], NDArray[np.float64]]]:
+        """Yield links that may be visible: number of the body, name, triangles in the camera's frame, colours."""
         models = [body.shapes for body in bodies]
         links = [(index, link) for index, shapes in enumerate(models) for link in range(len(shapes.links))]
         if not links:
@@ -186,7 +192,7 @@ class Camera:
             if paint is not None:
                 colors = np.tile(paint[:3], (len(colors), 1))
             turned = models[index].triangles[link] @ (to_camera @ boxes.turns[number]).T
-            yield index, turned + self.to_frame(boxes.positions[number]), colors
+            yield index, models[index].links[link], turned + self.to_frame(boxes.positions[number]), colors
 
     def _shown(self, boxes: _Boxes, window: Window, far: float) -> NDArray[np.bool_]:
         """Return for each box whether its bounding sphere is in the view frustum of a window."""

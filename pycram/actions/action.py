@@ -63,7 +63,11 @@ def _place(name: str, value: Any) -> Any:
     if isinstance(value, str) or hasattr(value, "outline"):
         value = LocationDesignator(on=value)
     if not isinstance(value, LocationDesignator):
-        return POSITION(name, value)
+        try:
+            return POSITION(name, value)
+        except BadArgument as error:
+            known = f"{error.expected}, the name of a surface, or a LocationDesignator"
+            raise BadArgument(name, value, known) from error
     value.check()
     return value
 

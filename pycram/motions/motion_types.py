@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 class MotionType(SlotTable):
     """A type of motion designators."""
 
+    takes_designators = True
     cmd: str  # ``cmd`` of its solutions; selects the process module
     resources: Callable[[dict[str, Value]], Resources]  # returns its needs, given its slots or its solution
     fixed: tuple[tuple[str, str], ...] = ()  # further parameters of its solutions

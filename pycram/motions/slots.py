@@ -8,7 +8,7 @@ from __future__ import annotations
 import keyword
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -36,7 +36,8 @@ class DesignatorError(UsageError):
     """A designator that can't be resolved: a slot is missing, unknown or wrong."""
 
     def __init__(self, problem: str, *, type: str = "", slot: str = "", value: object = None, takes: str = "") -> None:  # noqa: A002  the slot's name
-        super().__init__(f"{problem}\n{takes}" if takes else problem)
+        # the first line is for summaries; the last one is what a terminal shows below a long list
+        super().__init__(f"{problem}\n{takes}\n{problem}" if takes else problem)
         self.type = type  # type of the designator, "" if it has none
         self.slot = slot  # name of the slot, "" for none
         self.value = value
@@ -169,6 +170,7 @@ class SlotTable:
     one_of: tuple[str, ...] = ()  # at least one of these slots is required
     only_one: bool = False  # whether exactly one of these slots is required
     designator: str = ""  # name of the class, such as "an ObjectDesignator", if there is no slot ``type``
+    takes_designators: ClassVar[bool] = False  # whether a designator may stand for a value (ValueKind.designator)
 
     def describe(self) -> str:
         """Return a description of the slots, for messages."""
@@ -203,7 +205,9 @@ class SlotTable:
             try:
                 checked[slot.name] = slot.check(key, value)
             except BadArgument as error:
-                raise self.error(f"wrong value in slot {error}", key, value) from error
+                kind = slot.check.designator if self.takes_designators and isinstance(slot.check, ValueKind) else ""
+                also = f", or {'an' if kind.startswith('O') else 'a'} {kind}" if kind else ""
+                raise self.error(f"wrong value in slot {error}{also}", key, value) from error
         missing = [slot.name for slot in self.slots if slot.required and slot.name not in checked]
         if missing:
             raise self.error(f"missing slot {', '.join(missing)}", missing[0])

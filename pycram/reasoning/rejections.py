@@ -144,6 +144,17 @@ class Unseen(Rejection):
 
     share: float  # share of the object that is seen
     hidden_by: Sequence[str] = ()  # names of the objects before it
+    outside: float = 0.0  # share of the object outside of the picture
+    hiding_links: Mapping[str, str] = field(
+        default_factory=dict, hash=False
+    )  # the link of an object before it that hides most
+
+    def data(self) -> Mapping[str, object]:
+        """Return the fields for a record, without those that add nothing."""
+        optional = {"outside": self.outside, "hiding_links": self.hiding_links}
+        return {"share": short(self.share), "hidden_by": short(self.hidden_by)} | {
+            key: short(value) for key, value in optional.items() if value
+        }
 
     def alike(self) -> Hashable:
         """Return the objects before it."""

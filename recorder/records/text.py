@@ -55,6 +55,7 @@ _LEVELS: Final = {  # levels by the names of Python's logging levels
     "ERROR": _ERROR,
     "CRITICAL": _ERROR,
 }
+_LITTLE: Final = 0.005  # share that a text leaves out
 _NOTABLE_ERROR: Final = 0.01  # rad or m; motors usually lag by smaller errors
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # a fast path for three numbers
 
@@ -347,7 +348,12 @@ def pair_text(pair: Mapping[str, object]) -> str:
     moved = f"{mover} in the {pair['gripper']} gripper" if pair.get("gripper") else link or mover
     if body == mover:
         return f"its own {moved} would touch {body_link}"
-    return f"{moved} would touch {f'{body_link} of {body}' if body_link else body}"
+    return f"{moved} would touch {link_text(body, body_link)}"
+
+
+def link_text(body: str, link: str) -> str:
+    """Return "LINK of BODY"; the body's name alone if the link has the same name, or "" as the only one."""
+    return f"{link} of {body}" if link not in ("", body) else body
 
 
 def _pairs(data: Mapping[str, Any]) -> str:
@@ -359,6 +365,26 @@ def _out_of_reach(data: Mapping[str, Any]) -> str:
     parts = [f"{distance:.3f} m"] if distance else []
     parts += [f"{turn:.0f} degrees"] if turn >= 1.0 or not parts else []
     return "out of reach" if distance is None else f"out of reach by {' and '.join(parts)}"
+
+
+def unseen_text(data: Mapping[str, Any], reason: str = "") -> str:
+    """Return a text of an object of which too little is seen, by the fields of its rejection.
+
+    Args:
+        data: The fields.
+        reason: Why nothing is seen: "is hidden"; "" if unknown.
+    """
+    links = data.get("hiding_links", {})  # older recordings have none
+    hiders = [link_text(name, links.get(name, "")) for name in data["hidden_by"]]
+    text = f"only {data['share']:.0%} visible" if data["share"] else reason.removeprefix("is ") or "not seen"
+    if hiders:
+        text += f" (behind {', '.join(hiders)})"
+    outside = data.get("outside", 0.0)
+    return (
+        f"{text}; {outside:.0%} of it is outside of the picture"
+        if outside >= _LITTLE and text != "out of view"
+        else text
+    )
 
 
 _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
@@ -378,10 +404,7 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
         "its fingers would touch it on one side only" if data["sides"] else "its fingers would close on nothing"
     ),
     "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
-    "Unseen": lambda data: (
-        (f"only {data['share']:.0%} visible" if data["share"] else "not seen")
-        + (f" (behind {', '.join(data['hidden_by'])})" if data["hidden_by"] else "")
-    ),
+    "Unseen": unseen_text,
     "Unreached": lambda data: (
         f"no path in {data['checks']} checks, which came within {data['distance']:.2f} of the goal"
         + (f"; most often {pairs}" if (pairs := _pairs(data)) else "")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder import notebook
 from recorder.records import STEPS_PER_SECOND, Event, Query, Refusal, Task, argument_values, format_failure, from_json
-from recorder.records.text import is_choice, pair_text, rejection_lines, rejections, text_of
+from recorder.records.text import is_choice, link_text, pair_text, rejection_lines, rejections, text_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -330,10 +330,14 @@ def _share(share: Plain, evidence: _Evidence) -> str:
     return f"{how_much} of it is visible" + (f" ({visible} of {unoccluded} pixels)" if unoccluded else "")
 
 
-def _hidden(bodies: Plain, _: _Evidence) -> str:
+def _hidden(bodies: Plain, evidence: _Evidence) -> str:
     shares = bodies.items() if isinstance(bodies, dict) else ()
+    found = evidence.get("hiding_links")
+    links = found if isinstance(found, dict) else {}
     return ", ".join(
-        f"{name} hides {share:.0%}" if isinstance(share, int | float) else f"{name} hides it" for name, share in shares
+        f"{link_text(name, str(links.get(name, '')))} hides "
+        f"{f'{share:.0%}' if isinstance(share, int | float) else 'it'}"
+        for name, share in shares
     )
 
 
@@ -377,6 +381,7 @@ def _measure(text: str, factor: float) -> Callable[[Plain, _Evidence], str]:
 _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
     "share": _share,
     "hidden_by": _hidden,
+    "outside": _measure("{:.0f} % of it is outside of the picture", 100),
     "distance": _distance,
     "obstacles": _obstacles,
     "moved": _measure("it moved {:.1f} mm", 1e3),
@@ -387,4 +392,4 @@ _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
     ),
 }
 #: Parts that are included in phrases of other parts.
-_INCLUDED: Final = frozenset({"pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})
+_INCLUDED: Final = frozenset({"hiding_links", "pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})

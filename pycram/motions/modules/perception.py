@@ -12,6 +12,7 @@ from pycram.reasoning.queries.visibility import visible
 from pycram.reasoning.rejections import Inferior, Unseen
 from pycram.world.world import BulletWorld
 from recorder.records.beliefs import sightings
+from recorder.records.text import unseen_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -47,7 +48,7 @@ class Detecting(SimulatedModule):
                         choice.reject(body.name, Inferior("share", evidence["share"]))
                     else:
                         reasons[body.name] = _reason(evidence)
-                        choice.reject(body.name, Unseen(evidence["share"], list(evidence["hidden_by"])))
+                        choice.reject(body.name, _unseen(evidence))
                 if not seen:
                     raise PerceptionError(kind, reasons)
                 best = max(seen, key=lambda item: item[0])[1]
@@ -63,9 +64,12 @@ def _sightings(robot: Object, source: str, bodies: Iterable[Object]) -> dict[str
 
 def _reason(evidence: dict[str, Any]) -> str:
     """Return the reason why an object isn't seen."""
-    share, hiders = evidence["share"], ", ".join(evidence["hidden_by"])
-    reason = evidence.get("reason") or (f"is only {share:.0%} visible" if share else "is not seen")
-    return f"{reason} (behind {hiders})" if hiders else reason
+    return f"is {unseen_text(_unseen(evidence).data(), evidence.get('reason', ''))}"
+
+
+def _unseen(evidence: dict[str, Any]) -> Unseen:
+    links = evidence.get("hiding_links", {})
+    return Unseen(evidence["share"], list(evidence["hidden_by"]), evidence.get("outside", 0.0), links)
 
 
 class WorldStateDetecting(SimulatedModule):

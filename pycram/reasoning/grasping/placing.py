@@ -15,6 +15,7 @@ from pycram.reasoning.kinematics import inverse
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
 from recorder import geometry
+from recorder.records.text import link_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -105,7 +106,7 @@ def _resting_height(
         high -= _STEP
         still = touched(high)
     if still:
-        there = [f"{pair.body_link} of {pair.body}" if pair.body_link else pair.body for pair in blockers]
+        there = [link_text(pair.body, pair.body_link) for pair in blockers]
         reason = f"{' and '.join(there)} {'is' if len(there) == 1 else 'are'} there already"
         raise PlaceFailed(body.name, target, reason, pairs=blockers)
     free = high - gap(high)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
@@ -66,7 +66,8 @@ def visible(
         threshold: share of the object's pixels; the object is visible above it.
 
     Returns:
-        The answer. The evidence has the share, the pixels, and the objects that hide it.
+        The answer. The evidence has the share, the pixels, the share outside of the picture, the objects that hide it,
+        and the link that hides most of those with several links.
 
     Raises:
         NoWorld: The camera is a frame's name, but the world has no robot.
@@ -102,6 +103,10 @@ class View:
     seen: int  # pixels of the object that are seen
     hiding: Mapping[str, float]  # share of the object's pixels that each other object hides, largest first
     reason: str = ""  # why nothing is seen
+    outside: float = 0.0  # share of the object's pixels outside of the picture
+    links: Mapping[str, str] = field(
+        default_factory=dict
+    )  # of hiding objects with several links, the one that hides most
     bodies: Sequence[str] = ()  # names of the object and of the objects before it; empty if nothing was rendered
     # (height, width) the rendered picture: n for the n-th body, 0 for none
     pixels: NDArray[np.uint8] | None = None
@@ -116,7 +121,9 @@ class View:
     def evidence(self) -> dict[str, object]:
         """Return the view as evidence for a record."""
         counts: dict[str, object] = {"share": self.share, "pixels_seen": self.seen, "pixels_alone": self.alone}
-        return counts | {"hidden_by": dict(self.hiding)} | ({"reason": self.reason} if self.reason else {})
+        counts["hidden_by"] = dict(self.hiding)
+        others = {"reason": self.reason, "outside": self.outside, "hiding_links": dict(self.links)}
+        return counts | {key: value for key, value in others.items() if value}
 
 
 def _camera(given: object, target: Object, robot: Object | None) -> Camera:
@@ -177,8 +184,14 @@ def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View
     counts = np.bincount(before.bodies[hidden], minlength=len(others))
     shares = {other.name: int(count) / pixels for other, count in zip(others, counts, strict=True) if count}
     hiding = dict(sorted(shares.items(), key=lambda item: -item[1]))
+    links = {}
+    for index in np.flatnonzero(counts):
+        if len(others[index].urdf.links) > 1:
+            parts = before.numbers[before.seen[hidden & (before.bodies == index)]]
+            links[others[index].name] = before.links[int(np.bincount(parts).argmax())]
     reason = "" if seen else "is hidden" if hiding else "is out of view"
-    return View(seen / pixels, pixels, seen, hiding, reason, *_pixels(body, others, alone, before))
+    outside = 1 - int(inside.sum()) / pixels
+    return View(seen / pixels, pixels, seen, hiding, reason, outside, links, *_pixels(body, others, alone, before))
 
 
 def _pixels(

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records.text import rejection_lines
+from recorder.records.text import link_text, rejection_lines
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, joints_of, since
 from replay.explain.causes.changed import Misbelief, NoLonger
 from replay.explain.causes.lacked import Swallowed
@@ -58,7 +58,7 @@ class ObstructingBody(Cause):
         return any(isinstance(each, Physics) and each.body == self.body for each in found)
 
     def _words(self) -> Iterator[str]:
-        what = f"{self.link} of {self.body}" if self.link and self.link != self.body else self.body
+        what = link_text(self.body, self.link)
         whose = f" of {self.mover}" if self.mover else " of the camera's view"
         yield f"{what} was in the way{whose}{since(self.change)}"
 

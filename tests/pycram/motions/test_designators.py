@@ -202,3 +202,20 @@ def test_eight_threads_find_the_same_solutions() -> None:
         for thread in threads:
             thread.join()
     assert found == [["number 0", "number 1", "number 2", "looking"]] * 8
+
+
+@pytest.mark.parametrize(
+    ("slots", "end"),
+    [
+        ({"type": "pick-up", "objet": "milk"}, "unknown slot objet; did you mean object?"),
+        ({"type": "place", "object": 3}, "expected an Object of a world, or an ObjectDesignator"),
+        ({"type": "looking", "target": "island"}, "expected 3 finite numbers x, y, z, or a LocationDesignator"),
+    ],
+)
+def test_usage_errors_begin_and_end_with_the_error_and_name_all_kinds_of_values(slots: dict, end: str) -> None:
+    with pytest.raises(DesignatorError) as raised:
+        MotionDesignator(slots).reference()
+    first, *listed, last = str(raised.value).splitlines()
+    assert first == last
+    assert last.endswith(end)
+    assert "  type (required): " in "\n".join(listed)

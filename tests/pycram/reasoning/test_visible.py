@@ -12,7 +12,7 @@ from hypothesis import given, settings, strategies as st
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
-from pycram.failures import BadArgument
+from pycram.failures import BadArgument, PerceptionError
 from pycram.process_module import ProcessModule
 from pycram.reasoning.queries import visibility
 from recorder import geometry
@@ -219,3 +219,23 @@ def test_objects_without_a_shape_are_never_seen_and_hide_nothing(world: BulletWo
     cup = Object("cup", "cup", "cup.stl", [1, 0, 1])
     assert btr.visible(cup, [0, 0, 1])
     assert not btr.visible(frame, [1, 0, 0])
+
+
+def test_the_share_outside_of_the_picture_and_the_hiding_link_of_a_robot_are_evidence(scene: BulletWorld) -> None:
+    robot, milk = scene.robot, scene.get_object("milk")
+    eye = camera([-5.0, 0.0, 1.0], [-5.0 + math.cos(math.radians(30)), math.sin(math.radians(30)), 1.0])
+    milk.set_position([0, 0, 1])
+    evidence = btr.visible(milk, eye).evidence
+    assert evidence["outside"] == pytest.approx(0.5, abs=0.06)
+    assert evidence["outside"] + evidence["share"] == pytest.approx(1.0)
+    hand = robot.get_link_position("r_gripper_palm_link")
+    milk.set_position([hand[0], hand[1] + 0.25, hand[2]])
+    evidence = btr.visible(milk, [hand[0], hand[1] - 1.0, hand[2]]).evidence
+    assert "r_" in evidence["hiding_links"]["pr2"], "its right hand or arm"
+    assert "outside" not in evidence
+    frame = robot.get_link_position_and_orientation("wide_stereo_optical_frame")
+    eye_of_robot, depth = robot.description.camera, 0.8
+    edge = depth * math.tan(eye_of_robot.horizontal_fov / 2)
+    milk.set_position(geometry.transform(frame, (-edge - 0.02, 0.0, depth)))
+    with pytest.raises(PerceptionError, match=r"milk is only \d+% visible.*; \d+% of it is outside of the picture"):
+        ProcessModule.perform(MotionDesignator(type="detecting", object_type="milk"))
