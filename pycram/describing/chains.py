@@ -102,8 +102,6 @@ class JointTree:
             last = run[-1]
             below = self.below(last)
             text = " ".join(joint.name for joint in run)
-            while run and run[0].type == "prismatic" and self._upright(run[0]):
-                run.pop(0)  # a torso
             has_more_than_hand = any(_LEG.search(joint.name) or _WHEEL.search(joint.name) for joint in below)
             if len(run) >= ARM and not _LEG.search(text) and not _HEAD.search(text) and not has_more_than_hand:
                 found.append((run, below))

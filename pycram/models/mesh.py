@@ -79,7 +79,11 @@ def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[
 
 def _dae_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[ColoredPart]:
     """Yield parts as ROS reads COLLADA: in the file's unit of length, ignoring its up axis."""
-    document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
+    try:
+        document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
+    except collada.common.DaeMalformedError as error:  # it names the line
+        _, end, tail = content.rpartition(b"</COLLADA>")
+        raise ValueError(f"{error}{'; delete everything after </COLLADA>' if end and tail.strip() else ''}") from error
     unit = document.assetInfo.unitmeter or 1.0
     for geometry in document.scene.objects("geometry") if document.scene else ():
         for primitive in geometry.primitives():

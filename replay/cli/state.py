@@ -35,7 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the state."""
     state = log.state_at(options.step)
-    if options.object is not None and not any(world.open for world in state.worlds.values()):
+    if not any(world.open for world in state.worlds.values()):
         shown = last_open_step(log, state.step, options.world)
         if shown != state.step:
             print_message(f"no world is open after step {state.step}; this is the state after step {shown}")

@@ -367,6 +367,26 @@ def test_grippers_are_found_whose_motors_have_no_shapes(where: str, tmp_path: Pa
     assert hand.aperture == pytest.approx(0.163, abs=0.003)
 
 
+@pytest.mark.parametrize("also", ["", "head"])
+def test_a_lift_belongs_to_the_arm_that_alone_it_moves(also: str, tmp_path: Path) -> None:
+    """The lift of a Stretch, and the torso of a TIAGo, which also moves a head."""
+    links = ("base", "lift", "a", "b", "c", "d")
+    joints = "".join(
+        f"<joint name='{child}' type='{'prismatic' if child == 'lift' else 'revolute'}'><parent link='{parent}'/>"
+        f"<child link='{child}'/><axis xyz='{'0 0 1' if child in 'lift b' else '0 1 0'}'/>"
+        "<limit lower='-1' upper='1' effort='1' velocity='1'/></joint>"
+        for parent, child in [*pairwise(links), *([("lift", also)] if also else [])]
+    )
+    named = "".join(f"<link name='{link}'/>" for link in (*links, *([also] if also else [])))
+    (tmp_path / "mine.urdf").write_text(f"<robot name='mine'>{named}{joints}</robot>")
+    found = guess(load.load(tmp_path / "mine.urdf"))
+    ((arm, _),) = found.arms
+    torso = found.torso and found.torso.name
+    assert ([joint.name for joint in arm.joints], torso) == (
+        (["a", "b", "c", "d"], "lift") if also else (["lift", "a", "b", "c", "d"], None)
+    )
+
+
 def test_fingers_that_can_not_move_are_named_and_a_check_misses_the_gripper(
     describe: Callable[..., Ended], tmp_path: Path
 ) -> None:

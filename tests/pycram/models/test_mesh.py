@@ -70,6 +70,13 @@ def test_an_obj_file_with_broken_numbers_is_rejected(tmp_path: Path) -> None:
             read_parts(tmp_path / "x.obj", f"v 0 0 0\nv 1 0 0\n{line}\nf 1 2 3\n".encode())
 
 
+def test_text_after_the_end_of_a_dae_is_named_with_its_line_and_the_remedy(tmp_path: Path) -> None:
+    content = trimesh.creation.box((0.1, 0.1, 0.1)).export(file_type="dae")
+    lines = content.count(b"\n")
+    with pytest.raises(AssetError, match=rf"line {lines + 2}, column 0; delete everything after </COLLADA>"):
+        read_parts(tmp_path / "x.dae", content + b"\n\x00exported by hand\n")
+
+
 @pytest.mark.parametrize("kind", ["stl_ascii", "obj", "dae", "stl"])
 def test_meshes_of_all_formats_collide(tmp_path: Path, world: BulletWorld, kind: str) -> None:
     Object("floor", "environment", "plane.urdf")
