@@ -106,7 +106,7 @@ class PendingTask:
             yield from map(str, self.fulfillers)
             if not self.fulfillers:
                 leaves = " or ".join(self.values) or self.task.name
-                yield f"no line of the plan sets {leaves}, and no record shows a setter"
+                yield f"no record shows a setter of {leaves}, and none was found in the plan's source"
         elif self.holders:
             holders = [f"{phrases.node(task)} (since step {task.started.seq})" for task in self.holders]
             yield f"{phrases.node(self.task)} waited for {phrases.names(holders)}{phrases.at(self.line)}"
