@@ -70,18 +70,22 @@ def check(log: RecordReader, properties: Sequence[Property], geometry: Geometry 
 
 
 def _cause(log: RecordReader, verdict: Verdict) -> Record:
-    """Return the record of the first violation; if a value lacks, that of the last change of an object."""
+    """Return the record of the first violation; if something lacks at the end, that of the last change of an object.
+
+    A robot moves all the time, so its changes count only if the property names no other object.
+    """
     first = verdict.violations[0]
-    changes: list[Record] = []
+    changes: list[tuple[bool, int]] = []
     for name in verdict.statement.body.names if first.cause else ():
         with suppress(ReplayError):  # the name is that of an arm or a world
-            world = first.moment.world
-            body = state_at(log, first.moment.step).body(name, world)
-            if not (body.fixed_base or body.type == "robot"):
-                change = blame(log, name, first.moment.step, world)
-                settled = change.earlier is not None and change.distance < SETTLING[0] and change.angle < SETTLING[1]
-                changes.append(change.earlier.record if settled and change.earlier is not None else change.record)
-    return max(changes, key=lambda record: record.seq) if changes else log[first.moment.step]
+            world, step = first.moment.world, first.moment.step
+            body = state_at(log, step).body(name, world)
+            if not body.fixed_base or body.type == "robot":
+                change = blame(log, name, step, world)
+                if change.earlier is not None and change.distance < SETTLING[0] and change.angle < SETTLING[1]:
+                    change = change.earlier
+                changes.append((body.type != "robot", change.record.seq))
+    return log[max(changes)[1] if changes else first.moment.step]
 
 
 @report.data.register(CheckedProperty)

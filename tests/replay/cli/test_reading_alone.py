@@ -121,6 +121,7 @@ def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
     calls = {
         replay("ask", LOGS[0], "last", "stable(milk)"): ("pycram-replay: ask: ", "executor"),
         replay("render", LOGS[0], "last", "-o", str(tmp_path / "moment.png")): ("pycram-replay: render: ", "render"),
+        replay("check", LOGS[0], "never contact(milk, cabinet)"): ("pycram-replay: check: ", "executor"),
         replay("verify", LOGS[0]): ("pycram-replay: verify: ", "executor"),
         replay("restore", LOGS[0], "last", "--shell"): ("pycram-replay: restore: ", "executor"),
         replay("render", LOGS[0], "last", "-o", str(tmp_path / "x.png")): ("pycram-replay: render: ", "render"),

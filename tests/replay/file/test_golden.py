@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import replay
-from recorder.records import Event, Fluent, Keyframe, Mutation, Output, Query, Refusal, Run, Subscription, Task
+from recorder.records import Check, Event, Fluent, Keyframe, Mutation, Output, Query, Refusal, Run, Subscription, Task
 from replay.cli.main import main
 from replay.history.tasks import tree
 from replay.restore.verify import verify
@@ -33,6 +33,7 @@ GUIDE = Path(__file__).parents[3] / "docs" / "command_line.md"
 REASONS = sorted((Path(__file__).parents[1] / "golden" / "reasons").glob("*.mcap"))
 FORKS = sorted((Path(__file__).parents[1] / "golden" / "forks").glob("*[0-9].[0-9].mcap"))
 MOTIONS = sorted((Path(__file__).parents[1] / "golden" / "motions").glob("*[0-9].[0-9].mcap"))
+CHECKS = sorted((Path(__file__).parents[1] / "golden" / "checks").glob("*.mcap"))
 DEMOS = sorted((Path(__file__).parents[1] / "golden" / "demos").glob("*.mcap"))
 EXPLANATIONS = json.loads((Path(__file__).parents[1] / "golden" / "demos" / "why.json").read_text())
 COMMANDS = [
@@ -56,10 +57,11 @@ def log(request: pytest.FixtureRequest) -> Iterator[Recording]:
 
 def test_golden_recordings_are_small() -> None:
     assert GOLDEN
+    assert CHECKS
     assert REASONS
     assert FORKS
     assert MOTIONS
-    assert all(file.stat().st_size < 100_000 for file in (*GOLDEN, *REASONS, *FORKS))
+    assert all(file.stat().st_size < 100_000 for file in (*GOLDEN, *REASONS, *FORKS, *CHECKS))
     assert all(file.stat().st_size < 200_000 for file in MOTIONS)
 
 
@@ -125,6 +127,21 @@ def test_every_reading_verb_reads_the_golden_recording(
     output = capsys.readouterr()
     assert output.out.strip()
     assert not output.err
+
+
+@pytest.mark.parametrize("file", CHECKS, ids=lambda file: file.stem)
+def test_recorded_properties_stay_readable_and_violated(file: Path) -> None:
+    with replay.open(file) as log:
+        violated = [record for record in log.records(Check) if record.phase == Check.VIOLATED]
+        assert [(record.property, record.step, record.moment, record.by_run) for record in violated] == [
+            ("milk.z < 1 until milk.x > 1", 7, 0, False),
+            ("always milk.z > 0.3", 10, 56, True),
+            ("eventually milk.x > 1 within 1 s", 10, 72, True),
+        ]
+        again = [each.verdict.violations[0] for each in log.check(*(record.property for record in violated))]
+        assert [(each.moment.step, each.moment.sim_step) for each in again] == [(7, 0), (10, 56), (10, 72)]
+        assert [each.margin for each in again] == [record.margin for record in violated]
+        assert verify(log).sound
 
 
 @pytest.mark.parametrize("file", REASONS, ids=lambda file: file.stem)
