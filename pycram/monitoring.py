@@ -50,14 +50,18 @@ def monitored(*properties: str, only_record: bool = False) -> Iterator[None]:
 
 
 @contextmanager
-def watched(properties: Sequence[Property], *, by_run: bool = False, only_record: bool = False) -> Iterator[None]:
-    """Watch properties in the ``with`` block; see :func:`monitored`. ``by_run``: the block is the whole run."""
+def watched(properties: Sequence[Property], *, by_run: bool = False, only_record: bool = False) -> Iterator[list[str]]:
+    """Watch properties in the ``with`` block; see :func:`monitored`. ``by_run``: the block is the whole run.
+
+    Yields:
+        The violations so far, in words; a plan may have handled them.
+    """
     if not properties:
-        yield
+        yield []
         return
     sink = _MonitorSink(properties, by_run=by_run, only_record=only_record)
     with _attached(sink):
-        yield
+        yield sink.violations
         sink.finish()
 
 
@@ -104,6 +108,7 @@ class _MonitorSink(NullSink):
         self._monitor = Monitor(properties, ContactClient(_model_of))
         self._recorded = journal.recording()
         self._errors: list[PropertyViolated] = []
+        self.violations: list[str] = []
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  a sink's
         """Follow a record. The journal writes the records of violations after it."""
@@ -153,7 +158,7 @@ class _MonitorSink(NullSink):
             reason=violation.cause,
         )
         self.record(record)
-        return PropertyViolated(
+        error = PropertyViolated(
             record.property,
             at.step if self._recorded else -1,
             at.seconds,
@@ -161,6 +166,8 @@ class _MonitorSink(NullSink):
             violation.values,
             violation.cause,
         )
+        self.violations.append(str(error))
+        return error
 
 
 def _model_of(world: str, loaded: LoadBody) -> Model:

@@ -75,6 +75,7 @@ def run(
     code = SUCCEEDED
     error: BaseException | None = None
     parameters = dict(spec.parameters)
+    violations: list[str] = []
     seed_random_numbers(spec.seed)
     try:
         with needed():
@@ -100,9 +101,8 @@ def run(
             durable=durable,
             parameters=parameters,
         )
-        properties = [parse(text) for text in spec.checks]
-        watching = watched(properties, by_run=True, only_record=spec.only_record)
-        with recorded as recording, giving(parameters), watching:
+        watching = watched([*map(parse, spec.checks)], by_run=True, only_record=spec.only_record)
+        with recorded as recording, giving(parameters), watching as violations:
             try:
                 arguments_for_main = arguments_of_main(spec.plan, parameters)
                 names = runpy.run_path(
@@ -119,6 +119,8 @@ def run(
         code = _report(raised)
     finally:
         sys.argv, sys.path[:] = before
+    for violation in violations if code == SUCCEEDED else ():  # the plan handled it, or it is only recorded
+        tell(f"pycram: {violation}")
     unrecorded = isinstance(error, RecordingError | NotInstalled)  # or when the recording was closed after the plan:
     unrecorded |= isinstance(getattr(error, "__context__", None), RecordingError)
     if recording is not None and recording.path.is_file() and not unrecorded:
