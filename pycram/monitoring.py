@@ -43,14 +43,13 @@ def monitored(*properties: str, only_record: bool = False) -> Iterator[None]:
         PropertyViolated: A property is violated.
         BadProperty: A text isn't in the language (docs/properties.md), or has an unknown name.
     """
-    parsed = [parse(each) for each in properties]
-    with sequential() as settle, watched(parsed, only_record=only_record):
+    with sequential() as settle, watched(properties, only_record=only_record):
         yield
         settle()
 
 
 @contextmanager
-def watched(properties: Sequence[Property], *, by_run: bool = False, only_record: bool = False) -> Iterator[list[str]]:
+def watched(properties: Sequence[str], *, by_run: bool = False, only_record: bool = False) -> Iterator[list[str]]:
     """Watch properties in the ``with`` block; see :func:`monitored`. ``by_run``: the block is the whole run.
 
     Yields:
@@ -59,7 +58,7 @@ def watched(properties: Sequence[Property], *, by_run: bool = False, only_record
     if not properties:
         yield []
         return
-    sink = _MonitorSink(properties, by_run=by_run, only_record=only_record)
+    sink = _MonitorSink([parse(each) for each in properties], by_run=by_run, only_record=only_record)
     with _attached(sink):
         yield sink.violations
         sink.finish()

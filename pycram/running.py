@@ -83,7 +83,6 @@ def run(
             from pycram.motions.process_module import set_default  # noqa: PLC0415  --version and --help need no executor
             from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  as above
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
-            from recorder.properties import parse  # noqa: PLC0415  as above
         seed_order(spec.seed, spec.order)
         set_default(spec.motion)
         recorded = recorder.record(
@@ -101,7 +100,7 @@ def run(
             durable=durable,
             parameters=parameters,
         )
-        watching = watched([*map(parse, spec.checks)], by_run=True, only_record=spec.only_record)
+        watching = watched(spec.checks, by_run=True, only_record=spec.only_record)
         with recorded as recording, giving(parameters), watching as violations:
             try:
                 arguments_for_main = arguments_of_main(spec.plan, parameters)
