@@ -253,6 +253,9 @@ def options_parser() -> Parser:
     describe.add_argument("file", nargs="?", metavar="FILE.urdf", help="a URDF, or the name of a bundled one")
     describe.add_argument("--check", metavar="ROBOT.toml", help="test this description: reach, fingers, stillness, ...")
     describe.add_argument(
+        "--gripper", choices=("suction",), help="describe a suction cup at the end of each arm without a gripper"
+    )
+    describe.add_argument(
         "--picture",
         metavar="FILE",
         type=Path,

@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
             print(describe_furniture(model, options.file), end="")
             description = None
         else:
-            text = describe_robot(options.file)
+            text = describe_robot(options.file, suction=options.gripper == "suction")
             description = RobotDescription.parse(text, "the first description")
             print(text, end="")
         if options.picture:
@@ -100,14 +100,18 @@ def _refused(reason: str) -> int:
     return _WRONG_USAGE
 
 
-def describe_robot(urdf: str | Path) -> str:
+def describe_robot(urdf: str | Path, *, suction: bool = False) -> str:
     """Return a first description, as TOML, of the robot with a URDF: a file, or the name of a bundled robot.
+
+    Args:
+        urdf: The URDF.
+        suction: Whether arms without a recognised gripper get a suction cup at the end of their last link.
 
     Raises:
         AssetError: The URDF can't be loaded.
     """
     model = load.load(urdf)
-    found = guess(model)
+    found = guess(model, suction=suction)
     draft = RobotDescription.parse(as_toml(found), "the first description")
     with BulletWorld() as world:
         robot = Object("robot", "robot", urdf, description=draft, model=model)

@@ -121,6 +121,31 @@ class HandGuess:
     underside: float  # m from the tool frame down to the lowest point
 
 
+@dataclass(frozen=True, slots=True)
+class SuctionGuess:
+    """A suction cup at the end of an arm whose URDF has no gripper; its rim is at the end of the last link's shapes."""
+
+    offset: Pose  # pose of the tool frame in the arm's last link: x points away from the arm, along the last joint
+    underside: float  # m from the tool frame down to the lowest point of the last link
+
+
+def suction_cup(tree: JointTree, arm: ArmChain, corners: Corners) -> SuctionGuess:
+    """Return a suction cup for the end of an arm."""
+    last = arm.joints[-1]
+    links = [link for link in tree.urdf.links if link in corners and tree.moved_by(link) is last]
+    points = corners.of(links, {}, last.child, IDENTITY)
+    axis = np.array(last.axis)
+    along = points @ axis
+    ends = float(along.min(initial=0.0)), float(along.max(initial=0.0))
+    out, far = (-axis, -ends[0]) if -ends[0] > ends[1] else (axis, ends[1])
+    across = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < _STRAIGHT else np.array([0.0, 1.0, 0.0])
+    turn = _frame(out, np.cross(across, out))
+    assert turn is not None  # noqa: S101  the axis has length 1, and across isn't along it
+    position = out * far
+    around = np.linalg.norm(points - along[:, None] * axis, axis=1)
+    return SuctionGuess((tuple(position.tolist()), turn), float(around.max(initial=0.0)))
+
+
 def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | str:
     """Return the gripper of an arm, or why no gripper that closes from two sides was recognised."""
     if not arm.fingers:

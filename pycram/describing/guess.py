@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram.describing.chains import ARM, ArmChain, JointTree
-from pycram.describing.grippers import TIPS, Corners, HandGuess, guess_hand
+from pycram.describing.grippers import TIPS, Corners, HandGuess, SuctionGuess, guess_hand, suction_cup
 from recorder import geometry
 from recorder.geometry import IDENTITY
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 110  # characters per line
 _DIGITS: Final = 4
+_CUP: Final = 0.012  # m, radius of a suction cup
 _USUAL: Final = """horizontal_fov = 1.2  # typical values: a URDF has none
 vertical_fov = 0.96
 width = 640
@@ -39,22 +40,26 @@ class Guess:
     """The parts of a robot that were recognised in its URDF."""
 
     model: Model
-    arms: Sequence[tuple[ArmChain, HandGuess | str]]  # each with its gripper, or the reason why there is none
+    #: Each arm with its gripper, or the reason why there is none.
+    arms: Sequence[tuple[ArmChain, HandGuess | SuctionGuess | str]]
     torso: UrdfJoint | None  # the joint that lifts the arms
     camera: str  # the link of a camera; "" for none
     head: Mapping[str, str]  # the joints "pan" and "tilt"
     drives: bool  # whether the base can drive
 
 
-def guess(model: Model) -> Guess:
-    """Return the parts of a robot that can be recognised."""
+def guess(model: Model, *, suction: bool = False) -> Guess:
+    """Return the parts of a robot that can be recognised; with ``suction``, arms without a gripper get suction cups."""
     tree = JointTree(model.urdf)
     corners = Corners(model)
     arms = tree.arms()
     camera = tree.camera()
+    found = [(arm, guess_hand(tree, arm, corners)) for arm in arms]
     return Guess(
         model=model,
-        arms=[(arm, guess_hand(tree, arm, corners)) for arm in arms],
+        arms=[
+            (arm, suction_cup(tree, arm, corners) if suction and isinstance(hand, str) else hand) for arm, hand in found
+        ],
         torso=tree.torso(arms),
         camera=camera,
         head=tree.head(camera, arms),
@@ -112,10 +117,11 @@ def as_toml(
     return "\n".join(lines) + "\n"
 
 
-def _arm(arm: ArmChain, hand: HandGuess | str, park: Sequence[float] | None) -> Iterator[str]:
+def _arm(arm: ArmChain, hand: HandGuess | SuctionGuess | str, park: Sequence[float] | None) -> Iterator[str]:
     gripper = None if isinstance(hand, str) else hand
     yield from ("", f"[arms.{arm.name}]", f"base_link = {quoted(arm.joints[0].parent)}")
-    yield f"tool_frame = {quoted(gripper.palm if gripper else arm.joints[-1].child)}"
+    palm = gripper.palm if isinstance(gripper, HandGuess) else arm.joints[-1].child
+    yield f"tool_frame = {quoted(palm)}"
     if gripper and gripper.offset != IDENTITY:
         position, turn = gripper.offset
         angles = ", ".join(f"{round(angle, 12) + 0.0}" for angle in geometry.to_rpy(turn))
@@ -126,7 +132,11 @@ def _arm(arm: ArmChain, hand: HandGuess | str, park: Sequence[float] | None) -> 
     if isinstance(hand, str):
         yield f"# no gripper: {hand}"
         return
-    yield from ("", f"[arms.{arm.name}.gripper]", f"palm = {quoted(hand.palm)}")
+    yield from ("", f"[arms.{arm.name}.gripper]", f"palm = {quoted(palm)}")
+    if isinstance(hand, SuctionGuess):
+        yield f"suction = {_CUP:g}  # a typical radius: the URDF has no suction cup"
+        yield f"underside = {_number(hand.underside)}  # below the tool frame when the cup is level"
+        return
     yield from _listed("fingers", hand.fingers)
     yield from _listed("joints", list(hand.closed))
     yield f"closed = {_row(hand.closed.values())}"

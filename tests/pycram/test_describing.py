@@ -23,7 +23,8 @@ from pycram.designator import MotionDesignator
 from pycram.models import load
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
-from tests.pycram.models import hands
+from recorder import geometry
+from tests.pycram.models import gantry, hands
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -385,6 +386,23 @@ def test_a_lift_belongs_to_the_arm_that_alone_it_moves(also: str, tmp_path: Path
     assert ([joint.name for joint in arm.joints], torso) == (
         (["a", "b", "c", "d"], "lift") if also else (["lift", "a", "b", "c", "d"], None)
     )
+
+
+def test_an_arm_without_a_gripper_gets_a_suction_cup_that_passes_the_checks(
+    describe: Callable[..., Ended], tmp_path: Path
+) -> None:
+    file = gantry.write(tmp_path)
+    ended = describe(str(file), "--gripper", "suction")
+    assert ended.returncode == 0, ended.stderr
+    (arm,) = RobotDescription.parse(ended.stdout).arms.values()
+    (known,) = RobotDescription.parse(gantry.DESCRIPTION).arms.values()
+    assert (arm.joints, arm.gripper.palm, arm.gripper.suction) == (known.joints, "cup", known.gripper.suction)
+    assert arm.tool_offset[0] == pytest.approx(known.tool_offset[0], abs=1e-4)
+    out = geometry.rotate(arm.tool_offset[1], (1.0, 0.0, 0.0))
+    assert out == pytest.approx((0.0, 0.0, -1.0), abs=1e-6)
+    (tmp_path / "mine.toml").write_text(ended.stdout)
+    checked = describe("--check", "mine.toml", str(file))
+    assert checked.returncode == 0, checked.stdout
 
 
 def test_fingers_that_can_not_move_are_named_and_a_check_misses_the_gripper(
