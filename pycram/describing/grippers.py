@@ -30,6 +30,7 @@ TIPS: Final = 0.015
 _PADS: Final = 0.02  # m, length of the pads, from the finger tips back
 _NEAR_TIP: Final = 0.02  # m, maximum distance of a link that grasps from the finger tips
 _MAX_DEPTH: Final = 0.03  # m
+_CUP_RIM: Final = 0.003  # m by which a suction cup sticks out; without it, the arm's end pushes what it releases
 _PALM_CLEARANCE: Final = 0.003  # m, between a grasped object and the palm
 _PADDING: Final = 1e-3  # m, by which the engine thickens shapes
 _STRAIGHT: Final = math.cos(math.radians(10))  # minimum component of an axis that counts as an axis of the link
@@ -123,7 +124,7 @@ class HandGuess:
 
 @dataclass(frozen=True, slots=True)
 class SuctionGuess:
-    """A suction cup at the end of an arm whose URDF has no gripper; its rim is at the end of the last link's shapes."""
+    """A suction cup at the end of an arm whose URDF has no gripper; its rim is just beyond the last link's shapes."""
 
     offset: Pose  # pose of the tool frame in the arm's last link: x points away from the arm, along the last joint
     underside: float  # m from the tool frame down to the lowest point of the last link
@@ -141,7 +142,7 @@ def suction_cup(tree: JointTree, arm: ArmChain, corners: Corners) -> SuctionGues
     across = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < _STRAIGHT else np.array([0.0, 1.0, 0.0])
     turn = _frame(out, np.cross(across, out))
     assert turn is not None  # noqa: S101  the axis has length 1, and across isn't along it
-    position = out * far
+    position = out * (far + _CUP_RIM)
     around = np.linalg.norm(points - along[:, None] * axis, axis=1)
     return SuctionGuess((tuple(position.tolist()), turn), float(around.max(initial=0.0)))
 
