@@ -44,6 +44,8 @@ INTERVALS: Final = 4
 """Number of consecutive intervals in which an object at rest is slow."""
 _GAIN: Final = 1.15  # gain of speed over the intervals: a 2 m high shelf that begins to tip gains more, creep less
 _STRAY: Final = 0.25  # s at slow speed: an object at rest may stray that far
+_TREMBLES: Final = 3 * records.STEPS_PER_SECOND  # steps after which an object that trembles in place is at rest
+_TO_AND_FRO: Final = 4.0  # least ratio of the way of a trembling object to its distance from where it began
 _NOISE: Final = 0.1  # share of the slow speed: the speeds of solver noise go up and down
 
 _MAX_LISTED: Final = 5  # largest number of objects in a warning
@@ -394,8 +396,9 @@ class RestDetector:
     An object comes to rest if it moved by less than 2 mm/s and 0.02 rad/s in each of the last four intervals of
     1/30 s, and didn't gain speed: a tall object that begins to tip is slow at first. It stays at rest while it is that
     slow and within 0.5 mm and 5 mrad of where it came to rest: among many objects, solvers let one or another tremble
-    at any moment. So poses are compared, too, not velocities. Robots, objects that they hold, and objects that are
-    attached to a fixed base are ignored; joints of furniture aren't.
+    at any moment. So poses are compared, too, not velocities. An object that moves to and fro for 3 s, within 2 mm and
+    0.02 rad, is at rest as well: solvers let thin objects between others tremble forever. Robots, objects that they
+    hold, and objects that are attached to a fixed base are ignored; joints of furniture aren't.
     """
 
     def __init__(self, world: BulletWorld) -> None:
@@ -403,6 +406,9 @@ class RestDetector:
         self._last: tuple[int, Mapping[Object, Snapshot]] = self._snapshots()
         self._speeds: deque[Mapping[Object, Speed]] = deque(maxlen=INTERVALS)
         self._rested: dict[Object, Snapshot] = {}  # states in which objects came to rest
+        # for objects that aren't: a state, the step since when they have been near it, and their way since then in s at
+        # slow speed
+        self._near: dict[Object, tuple[Snapshot, int, float]] = {}
         #: The objects that weren't at rest at the last sample.
         self.restless: dict[Object, Speed] = dict.fromkeys(self._last[1], Speed(0.0))
 
@@ -427,8 +433,20 @@ class RestDetector:
         if len(speeds) == INTERVALS and at_rest(speeds):
             return state
         rested = self._rested.get(body)
-        stays = rested is not None and speeds[-1] < 1.0 and _speed(body, rested, state, 1.0).ratio <= _STRAY
-        return rested if stays else None
+        if rested is not None and speeds[-1] < 1.0 and _speed(body, rested, state, 1.0).ratio <= _STRAY:
+            return rested
+        return state if speeds and self._trembles(body, state, speeds[-1]) else None
+
+    def _trembles(self, body: Object, state: Snapshot, speed: float) -> bool:
+        """Return whether an object has moved to and fro for long enough, at a multiple of the slow speed now."""
+        now = self._world.sim_step
+        start, since, way = self._near.get(body, (state, now, 0.0))
+        way += speed * _SAMPLE_STEPS / records.STEPS_PER_SECOND
+        distance = _speed(body, start, state, 1.0).ratio
+        if distance > 1.0:
+            start, since, way = state, now, 0.0
+        self._near[body] = start, since, way
+        return now - since >= _TREMBLES and way > _TO_AND_FRO * distance
 
     def _snapshots(self) -> tuple[int, Mapping[Object, Snapshot]]:
         return self._world.sim_step, {body: take_snapshot(body) for body in self._world.objects if _must_rest(body)}

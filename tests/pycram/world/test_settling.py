@@ -6,6 +6,7 @@ import math
 import random
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 import recorder
@@ -13,6 +14,7 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument
 from pycram.world.simulation import SLOW_TURN, Restless
+from recorder import geometry
 from recorder.records import Mutation
 from replay.restore.verify import verify
 
@@ -112,3 +114,23 @@ def test_impossible_times_are_refused(world: BulletWorld, timeout: object) -> No
     with pytest.raises(BadArgument, match="timeout"):
         world.settle(timeout)
     assert world.sim_step == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("vessel", "kind", "seed"), [("cup", "knife", 9), ("glass", "knife", 16)])
+def test_a_thin_thing_that_trembles_in_a_vessel_is_at_rest(
+    world: BulletWorld, vessel: str, kind: str, seed: int
+) -> None:
+    """The solver turns the thing to and fro, by less than a degree, without end."""
+    rng = np.random.default_rng(seed)
+    Object("floor", "environment", "plane.urdf")
+    around = Object("vessel", vessel, f"{vessel}.stl", [0, 0, 0.1])
+    assert world.settle()
+    x, y = rng.uniform(-0.03, 0.03, 2)
+    turn = geometry.from_rpy(0, float(rng.uniform(0, 1.5)), float(rng.uniform(-3, 3)))
+    thing = Object("thing", kind, f"{kind}.stl", [x, y, around.get_AABB()[1][2] + 0.13], turn)
+    assert world.settle()
+    at, turned = thing.get_position_and_orientation()
+    world.simulate(2)
+    assert math.dist(thing.get_position(), at) < 2e-3
+    assert geometry.angle(thing.get_orientation(), turned) < 0.04
