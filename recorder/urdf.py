@@ -1,12 +1,12 @@
 """A URDF: its tree of links, its joints with limits and kinematics, and the shapes of its links.
 
-Pure arithmetic without any physics engine. Lengths are metres, angles radians, velocities per second; poses are
+Only arithmetic is used, no physics engine. Lengths are in m, angles in rad, velocities per second. Poses are
 ``(position, quaternion xyzw)`` of the link's frame in the frame of the root link. A joint without a given value is at
-0, or follows the joint that it mimics. Only direct children of the document are read, so elements of other namespaces
-and of Gazebo are not part of the robot.
+0, or follows the joint that it mimics. Only direct children of the root element are read, so elements of other
+namespaces and of Gazebo are not part of the robot.
 
 Shapes are read from canonical models (see ``docs/architecture.md``): every shape has its sizes, every mesh is STL or
-OBJ. A link has any number of "visual" and "collision" shapes. No mesh is read.
+OBJ. A link has any number of "visual" and "collision" shapes. The meshes themselves aren't read.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Urdf:
     root: str
     links: tuple[str, ...]  # names of the links: the root first, then depth-first in the document's order
     joints: Mapping[str, UrdfJoint] = field(repr=False)  # the joints by name, in the document's order
-    movable: tuple[str, ...] = field(repr=False)  # names of the joints with a value, in the document's order
+    movable: tuple[str, ...] = field(repr=False)  # names of the joints that aren't fixed, in the document's order
 
     @classmethod
     def parse(cls, text: str | bytes, *, chains: bool = False) -> Urdf:
@@ -68,7 +68,7 @@ class Urdf:
         return joint
 
     def chain(self, base_link: str, tip_link: str) -> tuple[UrdfJoint, ...]:
-        """Return all joints from a link to another link below it; raise :class:`UrdfError` if it isn't below."""
+        """Return all joints from a link to another link below it; raise :class:`UrdfError` if there is none."""
         self.parent_joint(base_link)
         self.parent_joint(tip_link)
         above, below = self._above[base_link], self._above[tip_link]
@@ -107,7 +107,7 @@ class Urdf:
         return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
 
     def value(self, joint: str, positions: Mapping[str, float]) -> float:
-        """Return a joint's position (rad or m): the given position, else one that follows from its leader, else 0."""
+        """Return a joint's position (rad or m): the given position, else the position from its leader, else 0."""
         value = positions.get(joint)
         if value is not None:
             return value
@@ -120,7 +120,7 @@ class Urdf:
     def mimics(self) -> Mapping[str, Mimic]:
         """The leader of each mimicking joint, by the joint's name; leaders mimic no joint themselves.
 
-        A joint is independent if the joint that it mimics doesn't exist, as in some published models.
+        In some published models, a joint mimics a joint that doesn't exist; then it is independent.
 
         Raises:
             UrdfError: a joint mimics itself.
@@ -347,7 +347,7 @@ def _number(robot: str, joint: str, what: str, text: str) -> float:
 
 
 def finite(text: str) -> float:
-    """Return a text as a number; refuse 1_0 and digits of other scripts, which only Python accepts.
+    """Return a text as a number; reject 1_0 and digits of other scripts, which Python accepts but URDF doesn't.
 
     Raises:
         ValueError: the text isn't a number, or the number isn't finite.

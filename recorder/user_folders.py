@@ -14,7 +14,7 @@ _ROOT: Final = 0  # the superuser can write anywhere
 
 
 def cache_folder() -> Path | None:
-    """Return the user's folder for caches, which may not exist: ``PYCRAM_CACHE`` or ``~/.cache/pycram``.
+    """Return the user's folder for caches, which may be missing: ``PYCRAM_CACHE`` or ``~/.cache/pycram``.
 
     Return None if the variable is empty, or if the folder isn't the user's own.
     """

@@ -1,14 +1,14 @@
-"""Open recordings, and read any past step; only the file is needed.
+"""Open recordings, and read any past step. Only the file is needed.
 
-``replay.open(path)`` returns a :class:`Recording`: its records by step, and with ``log.state_at(step)`` the state of
-every world after a step. It needs neither the plan nor the physics engine. ``replay.open_runs(folder)`` opens a folder
-of recordings as tables.
+``replay.open(path)`` returns a :class:`Recording`, which has the records by step; ``log.state_at(step)`` returns the
+state of every world after a step. Neither needs the plan or the physics engine. ``replay.open_runs(folder)`` opens a
+folder of recordings as tables.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-import recorder  # noqa: F401  limits the threads of NumPy, so before NumPy
+import recorder  # noqa: F401  limits the threads of NumPy, so it must come before NumPy
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     open = Recording  # noqa: A001  replay.open reads well
 
-#: Modules of public names; all others are errors.
+#: Modules of public names; all other public names are in ``replay.errors``.
 _MODULES = dict.fromkeys(("Attachment", "Body", "State", "World"), "state.state") | {
     "Recording": "recording",
     "open": "recording",
@@ -30,7 +30,7 @@ _MODULES = dict.fromkeys(("Attachment", "Body", "State", "World"), "state.state"
 
 
 def __getattr__(name: str) -> object:
-    """Import public names on demand: commands that open no recording start fast."""
+    """Import public names on demand: so commands that open no recording start fast."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = import_module(f"replay.{_MODULES.get(name, 'errors')}")

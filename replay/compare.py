@@ -1,12 +1,12 @@
-"""Compares two states, or two recordings: the first record that differs, and the difference of their final states.
+"""Compares two states, or two recordings. Recordings differ in the first differing record, and in their final states.
 
-Records are aligned by the path of their task and their index among that task's records, not by their step: concurrent
-branches may be scheduled differently in each run. Clocks, durations, ids and threads aren't compared. Both recordings
-are streamed.
+Records are aligned by the path of their task and their index among the records of the same task, not by their step,
+because concurrent branches may be scheduled differently in each run. Clocks, durations, ids and threads aren't
+compared. are streamed.
 
-A process numbers the worlds and fluents that a plan doesn't name (``world_3``), across all of its runs. Worlds are
-paired by name; numbered worlds and remaining worlds are paired in the order of opening. Fluents are paired by their
-offset from the first numbered fluent.
+A process numbers worlds and fluents that a plan doesn't name (``world_3``). It continues the numbers in its next run.
+Worlds are paired by name; numbered worlds and remaining worlds are paired in the order of opening. Fluents are paired
+by their offset from the first numbered fluent.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, Body, State, World
 
 
-#: Smaller changes in m and rad mean that objects settle in simulation.
+#: If a body changes less (in m and in rad), it only settles in simulation.
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
 _MAX_LISTED: Final = 8  # largest number of listed joints or fields
 _MIN_TURN: Final = math.radians(0.05)  # the text doesn't mention smaller turns
-#: Number of records after the divergence that are searched for missing records, because the order may differ.
+#: Number of records after the divergence that are searched for a missing record, because the order may differ.
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
@@ -79,12 +79,12 @@ class BodyChange:
 
     @property
     def moved(self) -> bool:
-        """Whether its base moved farther than objects settle."""
+        """Whether its base moved farther than a settling object."""
         return self.distance >= NOTABLE_METRES or self.angle >= NOTABLE_RADIANS
 
     @property
     def moved_joints(self) -> dict[str, tuple[float, float]]:
-        """The joints that moved farther than objects settle."""
+        """The joints that moved farther than those of a settling object."""
         return {name: pair for name, pair in self.joints.items() if abs(pair[1] - pair[0]) >= NOTABLE_METRES}
 
     @property
@@ -95,13 +95,13 @@ class BodyChange:
 
     @property
     def notable(self) -> bool:
-        """Whether it changed by more than objects settle."""
+        """Whether it changed more than a settling object."""
         return bool(self.moved or self.moved_joints or self.carrier_changed or self.details)
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The difference of a second state from a first."""
+    """The difference between two states."""
 
     opened: tuple[str, ...] = ()  # titles of worlds that are open only in the second state
     closed: tuple[str, ...] = ()  # titles of worlds that are open only in the first state
@@ -117,12 +117,12 @@ class Difference:
 
     @property
     def notable(self) -> tuple[BodyChange, ...]:
-        """The bodies that changed by more than objects settle."""
+        """The bodies that changed more than a settling object."""
         return tuple(change for change in self.changed if change.notable)
 
 
 def difference(before: State, after: State, names: Mapping[str, str] = MappingProxyType({})) -> Difference:
-    """Compare two states, also states of two recordings.
+    """Compare two states, which may be of two recordings.
 
     ``names`` maps names of worlds in the second state to different names of the same worlds in the first.
     """
@@ -206,7 +206,7 @@ def _body_change_data(change: BodyChange) -> dict[str, object]:
 
 
 def difference_lines(delta: Difference, *, whole: bool = False) -> Iterator[str]:
-    """Yield a difference as text; ``whole`` includes the settling of objects, and every joint."""
+    """Yield a difference as text; with ``whole``, also list settling objects and every joint."""
     yield from (f"{world} was opened" for world in delta.opened)
     yield from (f"{world} was closed" for world in delta.closed)
     yield from (f"{body} is new" for _, body in delta.added)
@@ -332,7 +332,7 @@ def _first_divergence(
     waiting: Sequence[Mapping[_Key, Record]],
     explaining: Sequence[bool],
 ) -> Divergence | None:
-    """Return the earliest divergence: a differing pair, or a record of a single run.
+    """Return the earliest divergence: a differing pair of records, or a record that only one run has.
 
     A record that explains a choice is ignored if the other run has no such records.
     """
@@ -350,7 +350,7 @@ def _first_divergence(
 
 
 def _steps(diverged: _Diverged) -> list[int]:
-    """Return the sorted steps of a pair; for a single record, its step twice."""
+    """Return the sorted steps of a pair of records; for a single record, return its step twice."""
     steps = sorted(record.seq for record in diverged[:2] if record is not None)
     return [steps[0], steps[-1]]
 
@@ -469,7 +469,7 @@ class PairedNames:
     def __init__(self, first: RecordReader, second: RecordReader) -> None:
         opened = (list(dict.fromkeys(lifetime.world for lifetime in log.lifetimes)) for log in (first, second))
         self.worlds = dict(_paired_worlds(*opened))  # names in the first run, by different names in the second run
-        self._offsets: list[int | None] = [None, None]  # number of the first numbered fluent, by run
+        self._offsets: list[int | None] = [None, None]  # for each run, the number of its first numbered fluent
 
     def note(self, run: int, record: Record) -> None:
         """Read a record of run 0 or 1 before its comparison; a run's first numbered fluent determines the offset."""
@@ -510,7 +510,7 @@ class PairedNames:
 
 
 def _paired_worlds(first: list[str], second: list[str]) -> Iterable[tuple[str, str]]:
-    """Yield the names of paired worlds that differ, second run first."""
+    """Yield pairs of worlds with different names, the name in the second run first."""
     numbered = [[name for name in names if _NUMBERED.fullmatch(name)] for names in (first, second)]
     yield from zip(numbered[1], numbered[0], strict=False)
     paired = [set(names[: min(map(len, numbered))]) for names in numbered]
@@ -536,7 +536,7 @@ def _(compared: Comparison) -> dict[str, object]:
 
 
 def comparison_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
-    """Yield a comparison as text; ``whole`` includes the settling of objects, and every joint."""
+    """Yield a comparison as text; with ``whole``, also list settling objects and every joint."""
     first, second = compared.outcomes
     if compared.divergence is None:
         yield f"the runs are equal: {compared.equal} records"

@@ -1,4 +1,4 @@
-"""The view of a recording in Rerun, live and afterwards, from the same records and by the same code.
+"""The view of a recording in Rerun. Live and afterwards, the same code makes it from the same records.
 
 :class:`recorder.viewer.translator.Translator` passes each record to the parts of the view.
 """

@@ -43,7 +43,7 @@ class ViewerGone(Exception):
 
 
 class ViewerKind(Enum):
-    """How the viewer is started."""
+    """Ways of starting the viewer."""
 
     SPAWN = "spawn"
     CONNECT = "connect"
@@ -81,7 +81,7 @@ def address(port: int) -> str:
 
 
 def answers(url: str) -> bool:
-    """Return whether a viewer's server accepts an empty stream of messages; an open port doesn't prove that."""
+    """Return whether a viewer's server accepts an empty stream of messages; an open port isn't always a viewer's."""
     import http.client  # noqa: PLC0415  most recordings have no viewer
 
     parts = urlsplit(url)
@@ -98,7 +98,7 @@ def answers(url: str) -> bool:
 
 
 def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
-    """Wait until a viewer answers; ``check`` is called before each attempt, and may raise."""
+    """Wait until a viewer answers; ``check`` is called before each attempt, and may raise an error."""
     pause = threading.Event()
     while not answers(url):
         check()
@@ -106,7 +106,7 @@ def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
 
 
 def is_own(port: int) -> bool:
-    """Return whether this user's process listens on a port of the loopback: records aren't sent to other users.
+    """Return whether a process of this user listens on a port of the loopback; records aren't sent to other users.
 
     Only Linux tells the owner of a port; on other systems, return True.
     """
@@ -129,14 +129,14 @@ def free_port(preferred: int) -> int:
     raise RecordingError(HOST, "no port is free")
 
 
-END_TIMEOUT: Final = 2.0  # seconds that a viewer needs to end after its connection broke
+END_TIMEOUT: Final = 2.0  # seconds that a viewer has to end after its connection broke
 
 
 class ViewerWindow:
     """This user's open viewer on this machine, or a new viewer process that outlives this process.
 
-    The viewer's server answers before the window opens, and without a screen the viewer ends then. So callers that lose
-    the connection call :meth:`check`.
+    The viewer's server answers before the window opens. If there is no screen, the viewer ends when it opens the
+    window. So callers that lose the connection call :meth:`check`.
 
     Raises:
         ViewerGone: the viewer ended immediately, or another user's program took its port.
@@ -175,6 +175,6 @@ class ViewerWindow:
             self._stderr.seek(0)
             lines = [line.strip() for line in self._stderr.read().decode(errors="replace").split("\n") if line.strip()]
             words = lines[-1] if lines else "without a message"
-            if code or words.startswith("Error"):  # the exit code may be 0 even then
+            if code or words.startswith("Error"):  # after an error, the exit code may still be 0
                 raise ViewerGone(f"the viewer didn't open ({words})")
             raise ViewerGone("the viewer was closed")

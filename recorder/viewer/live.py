@@ -2,14 +2,14 @@
 
 Records go into a bounded queue (:class:`LiveQueue`). A thread sends them in batches to a separate process
 (:func:`main`), which translates them for the viewer. The next batch is sent when the viewer has taken the previous one.
-When the recording ends, the viewer has a short time to take the rest. Then the process gets the rest, and more time to
-deliver it, even if it is still loading the viewer's library. Records that the viewer didn't get are counted and
-reported.
+When the recording ends, the viewer has a short time to take the remaining records. Then the process gets these records,
+and more time to deliver them, even if it is still loading the viewer's library. Records that the viewer didn't get are
+counted and reported.
 
 A viewer can stall its client, fill its memory or hang its exit; only the separate process suffers from that. On the
-socket, the process may send ``Status.ABSENT``. It sends ``Status.READY`` when there is a viewer, and then the number of
-shown records of each batch. The recording sends batches: lists of files, and of topics with payloads. An empty batch is
-the end.
+socket, the process sends ``Status.READY`` when there is a viewer, and then the number of shown records of each batch.
+If there is no viewer yet, it sends ``Status.ABSENT``. The recording sends batches: lists of files, and of topics with
+payloads. An empty batch means the end.
 """
 
 from __future__ import annotations
@@ -56,19 +56,19 @@ if TYPE_CHECKING:
     from recorder.viewer.translator import Translator
 
 
-_END_TIMEOUT: Final = 1.8  # seconds for the viewer to take the rest
+_END_TIMEOUT: Final = 1.8  # seconds for the viewer to take the remaining records
 _START_TIMEOUTS: Final = {
     ViewerKind.SPAWN: 5.0,
     ViewerKind.CONNECT: 3.0,
     ViewerKind.SERVE: 3.0,
-}  # s for a viewer to start, even if the plan ends sooner
+}  # seconds for a viewer to start, even if the plan ends earlier
 _LINGER_TIMEOUT: Final = 30.0  # seconds that the process waits for a late viewer after the end of a recording
-_HAND_OVER_TIMEOUT: Final = 0.5  # seconds for the process to read the rest
+_HAND_OVER_TIMEOUT: Final = 0.5  # seconds for the process to read the remaining records
 _BATCH_PERIOD: Final = 0.2  # seconds between batches: many small batches cost too much
 _MAX_ITEMS: Final = 500  # largest number of items in a batch
 _MAX_BYTES: Final = 4 << 20
 _ROOT: Final = str(Path(__file__).parent.parent.parent)
-_NICENESS: Final = 10  # the plan has priority if cores are few, also while the viewer's library is loaded
+_NICENESS: Final = 10  # if cores are few, the plan has priority, even while the viewer's library is loaded
 _CODE: Final = f"""
 import os, sys
 os.nice({_NICENESS})
@@ -82,11 +82,11 @@ _lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that still de
 
 
 class RerunSink:
-    """A sink that is a viewer; ``live`` is as for :func:`recorder.record`, otherwise RecordingError is raised."""
+    """A sink that is a viewer; ``live`` is as for :func:`recorder.record`. Raises RecordingError for other values."""
 
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
-        if not hasattr(os, "fork"):  # nor can a process inherit the pipe of records
+        if not hasattr(os, "fork"):  # without fork, a process can't inherit the pipe of records either
             hint = "record to a file, and show it with pycram-replay view"
             raise RecordingError(live, "this system can't pass an open pipe to a process", hint)
         self._queue = LiveQueue()
@@ -126,7 +126,7 @@ class RerunSink:
         """Do nothing: a viewer stores no records; see :class:`recorder.tracing.journal.Sink`."""
 
     def close(self) -> None:
-        """End, after waiting for the viewer up to a timeout."""
+        """End after the viewer has all records, or after a timeout."""
         if self._ended.is_set():
             return
         self._ended.set()
@@ -182,14 +182,17 @@ class RerunSink:
                     self._taken += self._connection.recv()
                     self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # use at most half a core
             self._connection.recv()
-        except (EOFError, OSError):  # the process has ended and printed the reason, or has received the rest
+        except (
+            EOFError,
+            OSError,
+        ):  # the process ended and printed the reason, or has received all records
             self._queue.take_rest()
         finally:
             self._settled.set()
 
     def _send(self) -> float | None:
-        """Wait for a batch and send it; return the time of sending, None for the empty batch at the end."""
-        with self._sending:  # the batch must be sent before the rest
+        """Wait for a batch and send it; return the time of sending; None for the empty batch at the end."""
+        with self._sending:  # the batch must be sent before the remaining records
             batch = self._queue.take(_MAX_ITEMS, _MAX_BYTES)
             started = time.monotonic()
             self._connection.send(batch)
@@ -215,7 +218,7 @@ _OVERHEAD: Final = 200  # approximate memory of an item in Python, in bytes
 
 
 class LiveQueue:
-    """A queue that never makes its writer wait, bounded in number and bytes.
+    """A queue with a limited number of items and bytes, which never makes its writer wait.
 
     A full queue drops the oldest transient items first: motions of bodies and simulations (the next keyframe has the
     poses), events, fluents and output. Models, tasks and the contents of worlds are dropped last.
@@ -236,7 +239,7 @@ class LiveQueue:
         return len(self._items)
 
     def put(self, item: Item, *, transient: bool) -> None:
-        """Append an item, and drop others if the queue is full; do nothing if it is closed."""
+        """Append an item, and drop other items if the queue is full; do nothing if the queue is closed."""
         with self._changed:
             if self._closed:
                 return
@@ -312,8 +315,8 @@ def main(arguments: list[str]) -> None:
     """Translate a recording for a viewer until its end, in a separate process.
 
     Args:
-        arguments: the socket's descriptor, the target, the recording's title, and the time for a late viewer after the
-            recording's end, s.
+        arguments: the socket's descriptor, the target, the recording's title, and the time in s to wait for a late
+            viewer after the recording's end.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C stops only the plan; a new session would undo nice()
     connection = Connection(int(arguments[0]))
@@ -339,7 +342,7 @@ def _print(text: str) -> None:
 
 
 def _end_with_parent(absent: threading.Event, linger: float) -> None:
-    """End this process ``linger`` seconds after the recording's process, which closes the pipe however it ends.
+    """End this process ``linger`` seconds after the recording's process has ended, which always closes the pipe.
 
     By then, this process has all records. Without a viewer, it ends immediately.
     """
@@ -351,7 +354,7 @@ def _end_with_parent(absent: threading.Event, linger: float) -> None:
 
 
 class _Batches:
-    """The batches of the recording; they are read immediately, even if the viewer is slow."""
+    """The batches of the recording. They are read immediately, even if the viewer is slow."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -377,7 +380,7 @@ class _Batches:
 
 
 def _serve(batches: _Batches, target: Target, title: str, absent: threading.Event) -> None:
-    # loading takes longer than a short plan; its records are read meanwhile
+    # loading the library takes longer than a short plan; the plan's records are read meanwhile
     import rerun as rr  # noqa: PLC0415
 
     from recorder.viewer.rerun_stream import APPLICATION  # noqa: PLC0415

@@ -2,11 +2,11 @@
 
 A failure's mark and its line in the log are one entity, so selecting the line shows the position. A failure for a
 collision marks the links that would have collided, joined by a line. Attachments are lines from carriers to carried
-bodies, cameras are frustums of their view; both move with their links.
+bodies. Cameras are frustums of their view. Attachments and cameras move with their links.
 
 The planned path of a tool frame or base is a blue line; a thicker green line covers its driven part. Both disappear
 when the body is at the end. The paths of a stopped trajectory stay until the body's next trajectory, with the planned
-part in grey. The planned path of a tool moves with the robot's base.
+part in grey. A tool's planned path moves with the robot's base.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ LINK: Final = 0.015
 _ARROW: Final = 0.35
 _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
-_PIN: Final = 0.3  # height of a failure's label, which is above the label of its target
+_PIN: Final = 0.3  # height in m of a failure's label above its target, so that the target's label stays visible
 _ABOVE_ROBOT: Final = 1.8  # height of the label of a failure without a position
 _MAX_PAIRS: Final = 5  # largest number of shown pairs of colliding links
 
@@ -70,7 +70,7 @@ class Marks:
 
 
 class TaskMarks:
-    """Targets of motions while they run; positions of failures until the next task begins."""
+    """The targets of running motions, and the positions of failures until the next task begins."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
@@ -78,7 +78,7 @@ class TaskMarks:
         self._running: dict[int, tuple[str, Marks]] = {}  # name and marks of running motions
         self._targets: dict[int, Vector] = {}  # positions of the targets of running tasks, by id
         self._failures = Marks(columns, scene)
-        self._failure = ("", "")  # the shown failure, which failed parents repeat
+        self._failure = ("", "")  # the shown failure; failed parent tasks repeat it
 
     def show(self, record: Task, now: TimePoint) -> None:
         """Update the marks at a task's start or end."""
@@ -107,7 +107,7 @@ class TaskMarks:
             shapes.append(_arrow(camera, (x, y, z), BLUE))
         elif orientation is not None:
             shapes.append(_arrow(target, geometry.rotate(orientation, (_ARROW, 0.0, 0.0)), BLUE))
-        # no other running motion has this name; names are reused so that there are few entities
+        # running motions have different names; names are reused so that there are few entities
         taken = {name for name, _ in self._running.values()}
         names = (record.name, *(f"{record.name} {number}" for number in range(2, len(taken) + 2)))
         name = next(name for name in names if name not in taken)

@@ -1,9 +1,9 @@
-"""The last reasoning query: a page with its answer and evidence, marks in the scene, the picture of its camera.
+"""The last reasoning query: a page with its answer and evidence, marks in the scene, and the picture of its camera.
 
 Marks are green if the answer is yes (or nothing blocks), and red if it is no. A query for places has a map on the
-floor, with cells from blue (hardly suitable) to green (suitable). A taken place is a green point with its heading, a
-rejected place a red point with the reason, an untried place a grey point. Maps are validated, because a recording may
-come from a stranger.
+floor, whose cells are blue (hardly suitable) to green (suitable). A taken place is a green point with its heading, a
+rejected place is a red point with the reason, and an untried place is a grey point. Maps are validated, because a
+recording may come from a stranger.
 """
 
 from __future__ import annotations
@@ -85,14 +85,14 @@ def _cell(text: str) -> str:
 
 
 def _text(line: str) -> str:
-    """Escape Markdown: for a stranger's recording, a viewer would fetch the pictures of its links."""
+    """Escape Markdown: otherwise, a viewer would fetch pictures from the links of a stranger's recording."""
     return _ACTIVE.sub(r"\\\g<0>", " ".join(line.splitlines()))
 
 
 PICTURE: Final = "picture"
-_MAX_CLASSES: Final = 60_000  # largest number of classes, which have 16 bits in the viewer
-MAX_PIXELS: Final = 1 << 24  # largest number of pixels of a picture; robots' cameras have a tenth
-_GOLDEN_RATIO: Final = 0.618034  # steps of hue, so that the colours of neighbours differ
+_MAX_CLASSES: Final = 60_000  # largest number of classes; the viewer stores a class in 16 bits
+MAX_PIXELS: Final = 1 << 24  # largest number of pixels of a picture; pictures of robots' cameras have a tenth
+_GOLDEN_RATIO: Final = 0.618034  # step of the hue from one colour to the next, so that neighbouring colours differ
 
 
 class QueryPicture:
@@ -101,7 +101,7 @@ class QueryPicture:
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._path = columns.path(QUERIES, PICTURE)
-        self._classes: dict[str, int] = {}  # class numbers by body, the same in all pictures
+        self._classes: dict[str, int] = {}  # class numbers by body; they are the same in all pictures
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show a query's picture, if it has one."""
@@ -141,7 +141,7 @@ _COLORS: Final = {TAKEN: GREEN, NOT_TRIED: GREY}
 
 
 class QueryPlaces(Marks):
-    """The map and the samples of the last query for places, until the next such query or motion."""
+    """The map and the samples of the last query for places; they are shown until the next such query or motion."""
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show a query for places; raise ValueError for an invalid map."""
@@ -167,7 +167,7 @@ class QueryPlaces(Marks):
 
 
 def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[rr.AsComponents]:
-    """Return the taken places with their headings; without any, a label above the map with the results."""
+    """Return the taken places with their headings; if none was taken, a label with the results above the map."""
     text = fates_text(record)
     chosen = [number for number, name in enumerate(names) if name == TAKEN]
     if not chosen:
@@ -178,7 +178,7 @@ def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[
 
 
 def _cells(record: Query) -> rr.Mesh3D | None:
-    """Return the cells with a score as coloured squares; None if there are none."""
+    """Return the cells with a score as coloured squares; None if no cell has a score."""
     grid = record.grid
     scores = scores_of(grid)
     rows, columns = np.nonzero(scores)
@@ -206,7 +206,7 @@ _FARTHEST: Final = 1e6  # largest distance in m from the world's origin
 
 
 def scores_of(grid: Grid) -> NDArray[np.float64]:
-    """Return the scores (height, width) of a map's cells, 0 to 1, rows along x from the lowest y.
+    """Return the scores (height, width) of a map's cells, 0 to 1. Rows run along x; the first row has the lowest y.
 
     Raises:
         ValueError: the size, origin or content of the map is invalid.
@@ -243,12 +243,12 @@ def spots_of(grid: Grid) -> NDArray[np.float64]:
 _MAX_LETTERS: Final = 60
 _ANSWERS: Final = "answers"
 _NO: Final = ("false", "null", "[]", "")
-#: The verbs, by the evidence that names the bodies.
+#: Words for blocking, by the evidence that names the blocking bodies.
 _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}
 
 
 class QueryMarks(Marks):
-    """Target, posture, contacts and obstacles of the last query, until the next task begins."""
+    """Target, posture, contacts and obstacles of the last query; they are shown until the next task begins."""
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show a query."""

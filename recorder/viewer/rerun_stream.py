@@ -1,8 +1,8 @@
-"""Rerun streams, to a viewer or into an ``.rrd`` file: rows of components, buffered and sent as columns.
+"""Rerun streams, to a viewer or into an ``.rrd`` file: they buffer rows of components, and send them as columns.
 
 Every row is on three time lines: ``step`` (the record's number), ``sim`` (simulated time) and ``wall`` (the clock).
-A later row of a time point replaces an earlier one. Colours of marks, log lines and tasks are readable on the viewer's
-dark and light backgrounds.
+A later row of a time point replaces an earlier row of it. Colours of marks, log lines and tasks are readable on the
+viewer's dark and light backgrounds.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None
 
 @contextlib.contextmanager
 def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
-    """Open a stream into a file, which is replaced and complete at the block's end; raise OSError after an error."""
+    """Open a stream that replaces a file, which is complete at the block's end; raise OSError if writing fails."""
     with stream_to_viewer(lambda stream: stream.save(file)) as stream:
         yield stream
         try:
             stream.flush(timeout_sec=_WRITE_TIMEOUT)
-        except RuntimeError as error:  # the library raises RuntimeError for all errors; the message has the cause
+        except RuntimeError as error:  # the library raises RuntimeError for all errors; its message has the cause
             raise OSError(str(error)) from error
         stream.disconnect()
 
@@ -110,7 +110,7 @@ class Columns:
         return makers[maker]
 
     def send(self, path: str, time: TimePoint, *archetypes: rr.AsComponents) -> None:
-        """Send one row immediately: the entity's components from that time on."""
+        """Send one row immediately: the entity has these components from that time on."""
         self._flush(path)  # rows of one entity keep their order
         batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
         columns = [

@@ -1,7 +1,8 @@
 """Bodies in the viewer's 3D scene: their shapes at the recorded poses.
 
-A link's entity has its transform, between frames named as on ``/tf``; entities below it have shapes and name their
-frame. A body has shapes only while it exists. Its frames always exist, as the viewer requires a path to the root.
+A link's entity has the link's transform between frames that are named as on ``/tf``. Entities below it have shapes, and
+name their frame. A body has shapes only while it exists, but its frames always exist: the viewer needs a path to the
+root.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ class ViewerScene:
         self._first: TimePoint | None = None
         self.bodies: dict[str, dict[str, SceneBody]] = {}  # the bodies by world and name
         self.robots: dict[str, str] = {}  # names of the controlled robots, by world
-        #: Missing files of bodies, such as ``<sha256>/<file name>``; one for each body.
+        #: Names of missing files, such as ``<sha256>/<file name>``; one for each body with a missing file.
         self.absent: dict[str, None] = {}
 
     def attach(self, asset: AssetFile) -> None:
@@ -119,9 +120,9 @@ class ViewerScene:
         return x, y, z
 
     def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
-        """Return the positions, in the world in m, of the joints from the first given joint (rad or m) to a link.
+        """Return the positions (m, in the world) of the joints from the first given joint to a link.
 
-        The other joints keep their positions. Without a model, the list is empty.
+        ``joints`` has positions in rad or m; other joints keep theirs. Without a model, the list is empty.
         """
         found = self._with_link(world, body, link)
         if found is None:
@@ -138,7 +139,7 @@ class ViewerScene:
     def link_position(
         self, world: str, body: str, link: str, offset: Vector
     ) -> Callable[[Mapping[str, float]], Vector] | None:
-        """Return a function for the position of a link's point in the body's base, in m; None without such a link.
+        """Return a function that computes where a link's point is in the body's base, in m; None without such a link.
 
         The function takes positions of joints in rad or m; the other joints keep their current positions.
         """
@@ -275,10 +276,10 @@ _MEDIA_TYPES: Final = {"stl": "model/stl", "obj": "model/obj"}
 def draw(
     shapes: Sequence[Shape], meshes: Callable[[str], bytes | None], color: Color | None
 ) -> Iterator[tuple[str, list[rr.AsComponents]]]:
-    """Yield the entities of a link's shapes: one for all boxes, one for all cylinders and so on, one for each mesh.
+    """Yield the entities of a link's shapes: one for all boxes, one for all cylinders and so on, but one for each mesh.
 
-    Each entity has a name, unique within the link, and its components. ``meshes`` returns a mesh's content, None if
-    unknown. Without ``color``, shapes have their own colours.
+    Each entity has a name, unique within the link, and its components. ``meshes`` returns the content of a mesh, or
+    None if the mesh is unknown. Without ``color``, shapes have their own colours.
     """
     for kind in ("box", "cylinder", "sphere", "capsule"):
         alike = [shape for shape in shapes if shape.kind == kind]
@@ -308,7 +309,7 @@ def _solids(kind: str, shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.A
     radii, lengths = zip(*sizes, strict=True)
     if kind == "cylinder":
         return rr.Cylinders3D(lengths=lengths, radii=radii, centers=centers, quaternions=turns, **look)
-    # a capsule of the viewer begins at its origin, and its length excludes the caps; a capsule of a URDF is centred
+    # the viewer's capsules begin at their origin, and their length excludes the caps; a URDF's capsules are centred
     feet = [geometry.transform(shape.pose, (0.0, 0.0, -shape.size[1] / 2)) for shape in shapes]
     return rr.Capsules3D(lengths=lengths, radii=radii, translations=feet, quaternions=turns, **look)
 
@@ -323,7 +324,7 @@ def table(robot: LoadBody, name: str) -> Mapping[str, Any]:
 
 
 def offset(described: Mapping[str, Any], name: str) -> Pose:
-    """Return a described pose in a link; by default the link's own frame."""
+    """Return a described pose in a link; if it isn't described, the link's own frame."""
     found = described.get(name, {})
     x, y, z = found.get("xyz", (0.0, 0.0, 0.0))
     return (x, y, z), geometry.from_rpy(*found.get("rpy", (0.0, 0.0, 0.0)))

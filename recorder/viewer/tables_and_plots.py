@@ -133,7 +133,7 @@ KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
 
 
 class RecordTables:
-    """A table for each type of record; keyframes have none, because they contain no new facts."""
+    """A table for each type of record; keyframes have no table, because they contain no new facts."""
 
     def __init__(self, columns: Columns) -> None:
         self._tables = {
@@ -178,7 +178,7 @@ _STEPS: Final = rr.components.InterpolationMode.StepAfter  # a value holds until
 
 
 class Plots:
-    """A curve for each body's height (m) and for each joint (rad or m) that ever changes."""
+    """A curve for each body height (m) and each joint (rad or m) that ever changes."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns

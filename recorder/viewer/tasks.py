@@ -1,7 +1,7 @@
 """Tasks in the viewer: lanes over time, and the task tree as a graph.
 
 A lane has the tasks of one depth, one after the other; parallel tasks have separate lanes. When a task ends, its
-beginning is sent again with its outcome: later rows of a time point replace earlier ones.
+beginning is sent again with its outcome; later rows of a time point replace earlier rows.
 
 The graph shows the running tasks, the tasks around them, the latest tasks, and the path to a failure. Succeeded tasks
 are folded: only the last few children of a task are shown, and only the children of the last one.
@@ -35,7 +35,7 @@ _MAX_NAMES: Final = 300  # largest number of names with their own colours in a l
 class _Lane:
     path: str
     states: Series
-    labels: dict[str, tuple[str, State]] = field(default_factory=dict)  # label and status by the viewer's state
+    labels: dict[str, tuple[str, State]] = field(default_factory=dict)  # labels and statuses by viewer state
 
 
 @dataclass(slots=True)

@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from recorder.records.values import AssetFile
 
 
-_BATCH: Final = 20_000  # number of records in a batch: fewer take more time, more take more memory
+_BATCH: Final = 20_000  # number of records in a batch: smaller batches take more time, larger batches more memory
 _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that neither add nor remove bodies
 
 
 class Translator:
-    """Shows records in a viewer; an optional ``root`` is their root entity and the prefix of frames. For one thread."""
+    """Shows records in a viewer; ``root`` is the root entity and the prefix of frames. Not thread-safe."""
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         columns = self._columns = Columns(stream, root)
@@ -138,11 +138,11 @@ class ActiveWorlds:
     def __init__(self, scene: ViewerScene) -> None:
         self._scene = scene
         self._open: dict[str, None] = {}  # open worlds in which a plan acted
-        self.centres: dict[str, Vector] = {}  # centres in m when plans began to act, by world
+        self.centres: dict[str, Vector] = {}  # centres of worlds in m, at the moment when plans began to act in them
         self.front = ""  # the first world that is still open; "" before there is one
 
     def follow(self, record: Record) -> None:
-        """Note when a plan begins to act in a world, and when it closes it; the scene must show the record first."""
+        """Note when a plan begins to act in a world, or closes it; the scene must show the record first."""
         world, action = record.world, _action(record)
         if world not in self.centres and action not in _SETUP:
             self.centres[world] = self._scene.centre(world)

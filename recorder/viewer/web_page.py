@@ -3,16 +3,16 @@
 Its server listens on the loopback only, which other machines can't reach. But other users of this machine, and all
 pages in its browsers, can reach the server. So each request must
 
-- name this server as its ``Host``: other names that resolve to this address (DNS rebinding) are refused;
+- name this server as its ``Host``: other names that resolve to this address are refused (DNS rebinding);
 - contain the token, which is part of the page's address only;
 - come from the page itself, if the browser sends an ``Origin``; other pages can't read the answer.
 
-The page works without a network: the font and examples that the viewer's page would fetch are left out, and a policy
+The page works without a network: the viewer's page would fetch a font and examples, which are left out, and a policy
 forbids connections to other servers. Records reach the page as one file that grows.
 
-The viewer's files, as WebAssembly, are in the viewer's program, which serves them over HTTP only. The library's own
-page server listens on all addresses of the machine; the program can listen on the loopback alone. So the program is
-started, its files are fetched, and the program is stopped.
+The viewer's files are WebAssembly. They are in the viewer's program, which serves them over HTTP only. The library's
+own page server listens on all addresses of the machine, but the program can listen on the loopback alone. So the
+program is started, its files are fetched, and the program is stopped.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 
 
 class WebPage:
-    """Serves the viewer and a stream's rows as a page, while this process lives; raises ViewerGone after an error.
+    """Serves the viewer and a stream's rows as a page, while this process runs; raises ViewerGone if that fails.
 
     A page that is opened late gets all rows from the beginning.
     """
@@ -144,7 +144,7 @@ class PageServer(ThreadingHTTPServer):
     """Serves the page in its own threads until it is closed, or this process ends.
 
     Args:
-        port: 0 for any free port; OSError is raised if a port isn't free.
+        port: the port; 0 for any free port. If the port isn't free, OSError is raised.
         files: called when a browser requests the first file; returns the content of each file of the page.
         pieces: yields the content of ``RECORDS``, from the beginning for each browser.
     """
@@ -209,14 +209,14 @@ class _Request(BaseHTTPRequestHandler):
     def _begin(self, media_type: str, size: int | None) -> None:
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", media_type)
-        if size is not None:  # otherwise the content ends with the connection
+        if size is not None:  # without a size, the content ends with the connection
             self.send_header("Content-Length", str(size))
         for name, value in _HEADERS.items():
             self.send_header(name, value)
         self.end_headers()
 
     def _refuse(self, status: HTTPStatus) -> None:
-        """Answer without content: the answer tells strangers nothing."""
+        """Answer without content, so that strangers learn nothing."""
         self.close_connection = True
         with contextlib.suppress(OSError):
             self.send_response(status)
@@ -231,7 +231,7 @@ NAMES: Final = (INDEX, "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico")
 _PROGRAM: Final = Path(rerun_cli.__file__).with_name("rerun")
 _TIMEOUT: Final = 20.0  # seconds for the program to answer
 _ADDRESS: Final = re.compile(rb"web-viewer at http://127\.0\.0\.1:(\d+)")
-# With an address of records, the program serves the page only. CI=1 turns its usage statistics off.
+# If the program gets an address of records, it serves only the page. CI=1 turns its usage statistics off.
 _OPTIONS: Final = ("--serve-web", "--bind", HOST, "--web-viewer-port", "0", f"rerun+http://{HOST}:1/proxy")
 _ENVIRONMENT: Final = {"CI": "1", "NO_COLOR": "1", "RUST_LOG": "re_sdk=info"}
 _END_WITH_PARENT: Final = """
@@ -267,7 +267,7 @@ def read_viewer_files() -> dict[str, bytes]:
 
 
 def _port(process: subprocess.Popen[bytes]) -> int:
-    """Return the port that the program prints: a port that was free before may now belong to another server."""
+    """Return the port that the program prints: a port that was free earlier may now belong to another server."""
     said = b""
     for line in process.stderr or ():
         said = line

@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "question",
         metavar="QUESTION",
         nargs="?",
-        help="such as 'visible(milk, wide_stereo_optical_frame)'; default: the query that this step recorded",
+        help="such as 'visible(milk, wide_stereo_optical_frame)'; default: repeat the query that this step recorded",
     )
     parser.add_argument(
         "--move",
@@ -32,7 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="before the query, move an object to a position (m) and an orientation (quaternion); repeatable",
     )
-    parser.add_argument("--world", metavar="NAME", help="in this world (default: the last opened world)")
+    parser.add_argument("--world", metavar="NAME", help="ask in this world (default: the last opened world)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:

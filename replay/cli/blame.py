@@ -1,4 +1,4 @@
-"""``blame``: the last change of a body or a joint, and its cause, up to the plan's line."""
+"""``blame``: the last change of a body or a joint, its cause, and the plan's line that led to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``cheat``: what to type for which question, on one page. The help of each verb shows its examples."""
+"""``cheat``: a page that says what to type for which question. The help of each verb shows its examples."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from replay.cli.console import print_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-#: For each verb under its heading two examples: its arguments, and what they show or do.
+#: Headings, with verbs, each with two examples: arguments, and what the command shows or does.
 SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
     "What happened": {
         "info": (
@@ -43,7 +43,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap task:pick-up@end", "why this task failed"),
         ),
         "check": (
-            ("run.mcap 'never contact(pr2, kitchen)'", "whether a property holds, or where not"),
+            ("run.mcap 'never contact(pr2, kitchen)'", "whether a property holds, and where it is violated"),
             ("runs/ -f table.properties", "in how many runs each property holds"),
         ),
         "blame": (
@@ -52,7 +52,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
         ),
         "diff": (
             ("run.mcap 10 failure", "what changed between two steps"),
-            ("run.mcap other.mcap", "the first difference of two runs"),
+            ("run.mcap other.mcap", "the first difference between two runs"),
         ),
     },
     "At a step": {
@@ -61,7 +61,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap 12.5s pr2", "the robot's joints at 12.5 s"),
         ),
         "ask": (
-            ("run.mcap 156", "the query of that step again"),
+            ("run.mcap 156", "repeat the query of that step"),
             ("run.mcap 100 'stable(milk)'", "another query at step 100"),
         ),
         "render": (
@@ -83,7 +83,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap --plan new.py", "the same with an edited plan"),
         ),
         "fork": (
-            ("run.mcap --at 100 --set milk.position=1.3,0.9,0.95", "continue with the milk elsewhere"),
+            ("run.mcap --at 100 --set milk.position=1.3,0.9,0.95", "continue with the milk in another place"),
             ("run.mcap --at 100 --plan new.py", "continue with an edited plan"),
         ),
         "debug": (

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from recorder.terminal import Parser
     from replay.recording import Recording
 
-_LIMIT: Final = 0.1  # s that reading a long recording may take: names that come later aren't offered
+_LIMIT: Final = 0.1  # seconds for reading a long recording; names that come later in it aren't offered
 
 
 def add_cached(verb: str, module: str, parser: Parser, add: Callable[[argparse.ArgumentParser], None]) -> None:

@@ -1,7 +1,7 @@
 """Console output: results to stdout, messages to stderr.
 
 Recorded texts are untrusted, and terminals obey control characters, so control characters are printed as escapes. JSON
-is ASCII, so no terminal's encoding loses a character. While a world is open, output of native code goes to stderr.
+is ASCII, so that no terminal's encoding loses a character. While a world is open, output of native code goes to stderr.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 _STDOUT, _STDERR = 1, 2
-#: What is coloured on a terminal.
+#: The texts that are coloured on a terminal.
 _COLOURED: Final = re.compile(
     r"(?P<bold>^[a-z]{1,10}(?=  +\S)|(?:(?<=\n\n)|(?<=\A\n)|\A)[A-Z][^\n.]*(?=\n  ))"  # fields of info, headings
     r"|(?P<yellow>\bsteps? \d+(?:-\d+)?|^ *\d+(?= +(?:[\d.]+s )?[a-z-]+ ))"
@@ -128,7 +128,7 @@ def _is_descriptor_of_stdout(stream: object) -> bool:
 
 
 def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
-    """If the step is a time within a stretch of simulation, print how its state is known."""
+    """If the step is a time within a stretch of simulation, print how exactly its state is known."""
     from replay.report.phrases import sampled  # noqa: PLC0415  slow to import
 
     within = log.state_at(step).sampled
@@ -139,7 +139,7 @@ def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
 def numbers(
     text: str, expected: str, *counts: int, separator: str = ",", kind: Callable[[str], float] = float
 ) -> list[float]:
-    """Parse finite numbers, such as "0.5,1,0"; ``counts`` are the allowed numbers of numbers.
+    """Parse finite numbers, such as "0.5,1,0"; ``counts`` says how many numbers are allowed.
 
     Raises:
         ReplayError: the text is invalid; ``expected`` is part of the message.

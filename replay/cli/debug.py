@@ -1,7 +1,7 @@
 """``debug``: a prompt at a step of a recording, in the plan's frame, that steps forwards and back.
 
-Commands are pdb's, and verbs of ``pycram-replay`` at the step. Lines come from a terminal, with history and completion,
-or from a script on stdin.
+The commands are those of pdb, and verbs of ``pycram-replay``, applied to the step. Lines come from a terminal, with
+history and completion, or from a script on stdin.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ _VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
 _HELP: Final = """\
 where (w, bt)  up (u)  down (d)  list (l)  ll     the plan's frames, and their source
 locals  args (a)  p EXPR  pp EXPR  whatis EXPR   variables of a frame; an expression alone is evaluated, too
-step (s)  next (n)  return (r)  until [STEP]     to the next step; on the same task level; to the end of the task
-rstep (rs)  rnext (rn)                           the same, backwards
+step (s)  next (n)  return (r)  until [STEP]     to the next step; on this task level; to the task's end; to a later
+line rstep (rs)  rnext (rn)                           the same, backwards
 continue (c)  rcontinue (rc)  goto STEP (g)      to the next breakpoint; to the previous breakpoint; to any step
 break (b) [STEP | TASK | KIND | FILE:LINE | failure | event NAME]  tbreak  clear [N]  enable N  disable N
-watch EXPR  rwatch EXPR                          stop when milk.z, holding(left), a variable changes; back to it
+watch EXPR  rwatch EXPR                          stop when milk.z, holding(left) or a variable changes; back to a change
 state  tree  show  log  ask  blame  why  diff  render  info    verbs of pycram-replay, at this step
 view                                             show the Rerun viewer, which follows each step
 fork [NAME] [--plan FILE]                        continue live from here, into a new recording
@@ -78,13 +78,17 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it was moved after the recording")
     parser.add_argument(
-        "--no-checkpoints", action="store_true", help="keep no copies of the process: stepping back runs the plan again"
+        "--no-checkpoints", action="store_true", help="keep no copies of the process; run the plan again to step back"
     )
     parser.add_argument(
-        "--dap", action="store_true", help="serve an editor by the Debug Adapter Protocol; it names the recording"
+        "--dap",
+        action="store_true",
+        help="serve an editor by the Debug Adapter Protocol; the editor names the recording",
     )
     parser.add_argument(
-        "--port", type=int, help="with --dap: listen on this port of this machine (0: any), not on stdin and stdout"
+        "--port",
+        type=int,
+        help="with --dap: listen on this port of this machine (0: any), instead of stdin and stdout",
     )
     add_source_and_arguments(parser)
 
@@ -112,7 +116,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def first_step(log: Recording, step: int | str | None) -> int:
-    """Return the number of a given step; without one, of the failure, or 0."""
+    """Return the number of a given step; without a given step, the step of the failure, or 0."""
     from replay.retrace.plan_process import last_own_step  # noqa: PLC0415  needs the executor
 
     if step is not None:
@@ -121,7 +125,7 @@ def first_step(log: Recording, step: int | str | None) -> int:
 
 
 def new_session(log: Recording, plan: GuidedPlan) -> Session:
-    """Return a session; its source lines are those that run, also if these aren't the files on the disk."""
+    """Return a session. Its source lines are the lines that run, even if the files on the disk differ."""
     from replay.debug.session import Session  # noqa: PLC0415  needs the executor
 
     for file, source in plan.recorded_files.items():
@@ -221,7 +225,7 @@ class Prompt(cmd.Cmd):
             print(visible(line))
 
     def painted(self, text: str, colour: str) -> str:
-        """Return a text in a colour, an ANSI number; without a terminal, the plain text."""
+        """Return a text in a colour (an ANSI number); without a terminal, return it unchanged."""
         shown = visible(text)
         return f"\x1b[{colour}m{shown}\x1b[0m" if self._coloured else shown
 
@@ -438,7 +442,7 @@ class Prompt(cmd.Cmd):
         self._forward(self.session.timeline.end(self.session.step))
 
     def do_until(self, step: str) -> None:
-        """``until`` (unt) [STEP]: forwards to a step; without a step, to a later line, out of a loop."""
+        """``until`` (unt) [STEP]: forwards to a step; without a step, to a later line, for example out of a loop."""
         timeline, now = self.session.timeline, self.session.step
         target = self.log.step(step) if step else timeline.onwards(now)
         if target <= now:
@@ -604,7 +608,7 @@ def _add_verb(name: str) -> None:
     def do(self: Prompt, text: str) -> None:
         self._verb(name, text)
 
-    do.__doc__ = f"``{name}``: {main.VERBS[name]}; by default at the current step. See pycram-replay {name} --help."
+    do.__doc__ = f"``{name}``: {main.VERBS[name]}; by default, at this step. See pycram-replay {name} --help."
     setattr(Prompt, f"do_{name}", do)
 
 

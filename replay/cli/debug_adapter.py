@@ -1,7 +1,8 @@
-"""``debug --dap``: the Debug Adapter Protocol, by which an editor drives a session of the debugger.
+"""``debug --dap``: the Debug Adapter Protocol, with which an editor controls a session of the debugger.
 
-The main thread carries out the editor's requests in their order. A second one reads them, so that ``pause``,
-``disconnect`` and a closed connection reach a plan that runs. See https://microsoft.github.io/debug-adapter-protocol/specification.
+The main thread executes the editor's requests in their order. A second thread reads the requests, so that ``pause``,
+``disconnect`` and a closed connection reach a running plan. See
+https://microsoft.github.io/debug-adapter-protocol/specification.
 """
 
 from __future__ import annotations
@@ -61,14 +62,14 @@ _CAPABILITIES: Final = {
     "supportsTerminateRequest": True,
     "exceptionBreakpointFilters": [{"filter": _FAILURES, "label": "Failures", "default": False}],
 }
-#: Why the plan stopped, by what stopped it.
+#: Names in the protocol for the reason of a stop.
 _LINE, _TASK, _DATA, _EXCEPTION = "breakpoint", "function breakpoint", "data breakpoint", "exception"
 
 
 def serve(port: int | None, recording: str | None = None) -> int:
-    """Serve one editor: on stdin and stdout, or on a port of this machine (0: a free one, which is told on stderr).
+    """Serve one editor: on stdin and stdout, or on a port of this machine (0: a free port, which is printed on stderr).
 
-    The recording is the one that is debugged if the editor names none.
+    ``recording`` is debugged if the editor names no recording.
     """
     if port is None:
         # a thread that reads sys.stdin would hold its lock when Python ends
@@ -82,23 +83,23 @@ def serve(port: int | None, recording: str | None = None) -> int:
     with connected, connected.makefile("rb") as reading, connected.makefile("wb") as writing:
         Adapter(cast("BinaryIO", reading), cast("BinaryIO", writing), recording).run()
         with contextlib.suppress(OSError):  # the editor has closed it
-            connected.shutdown(socket.SHUT_RDWR)  # ends the thread that reads
+            connected.shutdown(socket.SHUT_RDWR)  # ends the reading thread
     return FINE
 
 
 class _Wrong(ReplayError):
-    """The editor's request can't be carried out now."""
+    """The editor's request can't be executed now."""
 
 
 @dataclass(slots=True)
 class _Variable:
-    """What an editor shows in a line; ``parts`` gives the lines below it."""
+    """A line of variables in an editor; ``parts`` returns the lines below it."""
 
     name: str
     value: str
     type: str = ""
-    expression: str = ""  # gives the value in the plan's frame
-    watched: str = ""  # gives it in recorded states
+    expression: str = ""  # expression for the value in the plan's frame
+    watched: str = ""  # expression for the value in recorded states
     parts: _Lister | None = None
 
 
@@ -113,13 +114,15 @@ class Adapter:
         self._sent = 0
         self._open = contextlib.ExitStack()  # recording, plan
         self._prompt: Prompt | None = None
-        self._client: Message = {}  # what the editor can do
+        self._client: Message = {}  # the editor's capabilities
         self._start = 0  # the step at which the plan stops first
-        self._then: Callable[[], None] | None = None  # carried out after the response
-        self._recording: subprocess.Popen[str] | None = None  # of a plan that is recorded first
+        self._then: Callable[[], None] | None = None  # executed after the response
+        self._recording: subprocess.Popen[str] | None = None  # the process of a plan that is recorded first
         self._ending = False  # whether the editor has disconnected
         self._numbers: dict[int, str] = {}  # kinds of breakpoints, by their numbers
-        self._lists: list[_Lister] = []  # of what the editor may unfold until the plan moves on
+        self._lists: list[
+            _Lister
+        ] = []  # functions that list variables; the editor may unfold them until the plan moves
         self._listed: dict[tuple[int, str], _Variable] = {}
 
     def run(self) -> None:
@@ -137,7 +140,7 @@ class Adapter:
     # --- messages ---------------------------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        """Queue requests; those that can't wait for a plan that runs stop it as well."""
+        """Queue requests; a request that can't wait for the running plan also stops the plan."""
         while (request := _message(self._reading)) is not None:
             if request.get("command") == "pause":
                 self._stop()
@@ -182,7 +185,10 @@ class Adapter:
             if handler is None:
                 raise _Wrong(f"the request {command} isn't supported")
             body = handler(request.get("arguments") or {})
-        except (ReplayError, KeyboardInterrupt) as error:  # the latter by a pause, or the end, during an evaluation
+        except (
+            ReplayError,
+            KeyboardInterrupt,
+        ) as error:  # a pause during an evaluation raises KeyboardInterrupt
             text = str(error) or "interrupted"
             facts = {"error": {"id": 1, "format": _braced(text), "showUser": command in ("launch", "attach")}}
             self._send("response", success=False, message=text, body=facts, **answered)
@@ -209,7 +215,7 @@ class Adapter:
         return _CAPABILITIES
 
     def _on_launch(self, arguments: Message) -> None:
-        """Open a recording (``recording``), or record a plan first (``program``, ``args``, ``log``)."""
+        """Open a recording (``recording``), or first record a plan (``program``, ``args``, ``log``)."""
         program = arguments.get("program")
         recording = arguments.get("recording") or (None if program else self._given)
         if not recording and not program:
@@ -252,7 +258,7 @@ class Adapter:
         self._moving(lambda: self._session.go(self._start), "entry", f"running the plan up to step {self._start}")
 
     def _on_disconnect(self, _: Message) -> None:
-        """The thread that reads has ended the plan."""
+        """Do nothing: the reading thread has ended the plan."""
 
     def _on_terminate(self, _: Message) -> None:
         self._then = lambda: self._event("terminated")
@@ -335,14 +341,14 @@ class Adapter:
         self._moving(lambda: self._session.go(arguments["targetId"]), "goto")
 
     def _on_pause(self, _: Message) -> None:
-        self._session.plan.pause(wanted=False)  # whatever was asked for before has stopped
+        self._session.plan.pause(wanted=False)  # the previous request has already stopped
 
     def _moving(self, move: Callable[[], Halt], reason: str = "step", title: str = "") -> None:
-        self._session  # noqa: B018  refuses while nothing was launched
+        self._session  # noqa: B018  raises an error if nothing was launched
         self._then = lambda: self._move(move, reason, title)
 
     def _move(self, move: Callable[[], Halt], reason: str, title: str) -> None:
-        """Move the plan, then tell the editor where it stands, and why."""
+        """Move the plan, then send the editor its position and the reason of the stop."""
         prompt, before = self._at_prompt, self._session.step
         try:
             with self._told(title):
@@ -351,7 +357,7 @@ class Adapter:
             if isinstance(error, PlanEnded) or self._session.step < 0:
                 self._output(f"{error}\n", "important")
                 self._event("terminated")
-            else:  # NoFurther, or the plan was interrupted twice
+            else:  # there is no further step, or the plan was interrupted twice
                 self._stand("pause", str(error))
             return
         step = halt.arrival.step
@@ -382,7 +388,7 @@ class Adapter:
 
     @contextlib.contextmanager
     def _told(self, title: str) -> Iterator[None]:
-        """Tell an editor that shows progress about what takes time."""
+        """Report a long action to an editor that shows progress."""
         shown = bool(title) and self._client.get("supportsProgressReporting")
         number = str(self._sent)
         if shown:
@@ -393,7 +399,8 @@ class Adapter:
             if shown:
                 self._event("progressEnd", progressId=number)
 
-    # --- what there is at a step ------------------------------------------------------------------------------------
+    # --- variables, frames and sources at a step
+    # ------------------------------------------------------------------------------------
 
     def _on_threads(self, _: Message) -> Message:
         step = self._session.step if self._prompt is not None else -1
@@ -401,7 +408,7 @@ class Adapter:
         return {"threads": [{"id": _THREAD, "name": branch}]}
 
     def _on_stackTrace(self, arguments: Message) -> Message:  # noqa: N802
-        """The plan's frames, innermost first; then the tasks around the step, as labels."""
+        """The plan's frames, innermost first; then the tasks around the step, shown as labels."""
         frames: list[Message] = []
         for number, each in enumerate(self._at_prompt.stack):
             place = {"source": self._source(each["file"]), "line": each["line"], "column": 1}
@@ -500,7 +507,7 @@ class Adapter:
         return [_Variable(name, value) for name, value in facts]
 
     def _on_evaluate(self, arguments: Message) -> Message:
-        """Evaluate an expression; at the console also any command of the prompt."""
+        """Evaluate an expression; at the console, also execute any command of the prompt."""
         text, prompt = str(arguments["expression"]).strip(), self._at_prompt
         if 0 <= arguments.get("frameId", -1) < _TASK_FRAMES:
             prompt.frame = arguments["frameId"]
@@ -588,12 +595,12 @@ def _later(lister: Callable[..., list[_Variable]], *arguments: object) -> _Liste
 
 
 def _braced(text: str) -> str:
-    """Return a text in which the protocol finds no variables."""
+    """Escape braces, so that the protocol finds no variables in a text."""
     return text.replace("{", "(").replace("}", ")")
 
 
 def _message(reading: BinaryIO) -> Message | None:
-    """Read a message; None at the end, or after what isn't one."""
+    """Read a message; None at the end of the input, or if it isn't a message."""
     length = 0
     while (line := reading.readline()).strip():
         name, _, value = line.partition(b":")

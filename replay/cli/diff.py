@@ -51,7 +51,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError(f"{options.first}: no such recording; to compare two steps of this recording, give both")
     with Recording(options.first) as other:
         compared = compare_recordings(log, other, options.tolerance)
-        problems = other.problems  # known after the recording was read to the end
+        problems = other.problems  # they are known after the recording was read to the end
     print_result(lambda: report.data(compared), comparison_lines(compared, whole=options.all), as_json=options.json)
     if problems:
         print_message(f"{other.path} is incomplete: {problems}")

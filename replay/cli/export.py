@@ -1,8 +1,8 @@
 """``export``: the trajectories of a recording as a table; a folder of recordings as a data set for training.
 
-The table has a row for each moment of a joint, planned and driven. Driven positions are known 30 times a simulated
-second, from the samples of simulations. Velocities of joints are read from the engine; a base has none, as it moves
-from pose to pose.
+The table has a row for each moment of a joint, for planned and for driven positions. Driven positions are known 30
+times in a simulated second, from the samples of simulations. Velocities of joints are read from the engine. A base has
+no velocities, because it moves from pose to pose.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="for a data set: add a video from the robot's camera, or from a frame of the robot (extra: video)",
     )
     parser.add_argument("-o", dest="file", metavar="FILE", help="the table's file (default: CSV on standard output)")
-    parser.add_argument("--format", choices=_FORMATS, help="format of the file (default: by its suffix, otherwise csv)")
+    parser.add_argument("--format", choices=_FORMATS, help="format of the file (default: its suffix, otherwise csv)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -155,8 +155,8 @@ class MotionRow(NamedTuple):
     body: str
     joint: str  # name of a joint, or x, y or yaw of the base in the world frame
     source: str  # "planned" or "driven"
-    time: float  # the trajectory's own time in s, which slows down when the trajectory is stopped
-    seconds: float  # simulated time of the world in s; for a planned position, the time if the trajectory isn't stopped
+    time: float  # the trajectory's own time in s; it slows down when the trajectory is stopped
+    seconds: float  # simulated time of the world in s; for a planned position, as if the trajectory isn't stopped
     position: float  # rad or m
     velocity: float | None  # rad/s or m/s; None if unknown
 

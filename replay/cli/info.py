@@ -28,7 +28,7 @@ _VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Print no suggestions of next commands; only ``pycram-replay LOG`` prints them."""
+    """Turn off suggestions of next commands, which only ``pycram-replay LOG`` prints."""
     parser.set_defaults(next_steps=False)
 
 

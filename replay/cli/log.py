@@ -1,4 +1,4 @@
-"""``log``, ``show`` and ``tree``: the records as lines, a whole record, and the task tree."""
+"""``log``, ``show`` and ``tree``: print records as lines, a whole record, or the task tree."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--object", metavar="NAME", help="only records about this object")
     parser.add_argument("--world", metavar="NAME", help="only records about this world")
     parser.add_argument("--where", metavar="FILE[:LINE]", help="only records with this line in their call stack")
-    parser.add_argument("--text", metavar="TEXT", help="only lines with this text")
+    parser.add_argument("--text", metavar="TEXT", help="only records whose line contains this text")
     parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"begin at this step: {HINT}")
     parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="end at this step")
     parser.add_argument("--follow", action="store_true", help="continue while the recording is being written")
@@ -103,8 +103,8 @@ class RecordFilter:
     #: A file of the plan, and a line number or None, in the record's call stack.
     where: tuple[str, int | None] | None = None
     _tasks: set[int] = field(default_factory=set)  # ids of the matching tasks
-    _led_to: set[int] = field(default_factory=set)  # ids of the tasks with the line in their call stack
-    _known: int = 0  # the first step that wasn't searched for tasks
+    _led_to: set[int] = field(default_factory=set)  # ids of the tasks whose call stack contains the line
+    _known: int = 0  # the first step that has not been searched for tasks
 
     def matches(self, log: Recording, start: int, stop: int) -> Iterator[tuple[Record, str]]:
         """Yield the matching records with their lines."""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.runs.folder import Runs
 
-#: A verb's file is imported when the verb is called: some need libraries that others don't.
+#: A verb's file is imported when the verb is called, because some verbs need libraries that others don't.
 VERBS: Final = {
     "info": "summarise a run: plan, time, outcome, worlds, versions",
     "log": "print records as lines",
@@ -43,7 +43,7 @@ VERBS: Final = {
     "blame": "find the last change of an object or a joint, and its cause",
     "why": "explain why the plan failed",
     "check": "check properties, such as 'never contact(pr2, kitchen)', and find the first violation",
-    "ask": "answer a reasoning query at a step, also with objects moved before",
+    "ask": "answer a reasoning query at a step, optionally after moving objects",
     "render": "draw a picture of the scene at a step, without a viewer",
     "view": "show the recording in the Rerun viewer: scene, tasks, queries, curves",
     "verify": "check that a recording is consistent, and that repeating its changes has the recorded effects",
@@ -59,7 +59,7 @@ VERBS: Final = {
     "stats": "report success rates, causes of failures and slow parts of a folder of recordings",
     "separate": "find facts that separate failed from successful runs in a folder of recordings",
 }
-#: Verbs that share the file of another verb, with functions of their own: ``add_fork``, ``run_fork``.
+#: Verbs that share another verb's file, in which they have functions such as ``add_fork`` and ``run_fork``.
 _FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"}
 _CHEAT: Final = "cheat"  # the only verb that takes no recording
 _DEBUG: Final = "debug"
@@ -79,7 +79,7 @@ _READ: Final = (
     "separate",
 )
 """Verbs whose output is paged."""
-_TAKE_INCOMPLETE: Final = ("debug", "resume")  # verbs that are made for incomplete recordings
+_TAKE_INCOMPLETE: Final = ("debug", "resume")  # verbs that are meant for incomplete recordings
 _FOLDER: Final = "the folder of recordings"
 _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.fromkeys(
     ("info", "diff", "why", "check", "view", "export"), "the recording, or a folder of recordings"
@@ -94,7 +94,7 @@ _NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a negative time; its error me
 
 
 class Verb(NamedTuple):
-    """The functions of a verb."""
+    """The functions that implement a verb."""
 
     add: Callable[[argparse.ArgumentParser], None]  # function that adds the verb's arguments
     #: Function that runs the verb on a recording; None if the verb takes only folders.
@@ -200,9 +200,9 @@ def _own_error(error: Exception) -> str:
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
-    """Join negative points and times so that argparse doesn't take them for options.
+    """Change negative points and times in the arguments so that argparse doesn't take them for options.
 
-    A point is joined to its option. A time gets a space before it, which no option has.
+    A point is joined to its option with "=". A time gets a space before it, because no option begins with a space.
     """
     joined: list[str] = []
     for text in arguments:
@@ -247,7 +247,7 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         description = f"{text[0].upper()}{text[1:]}."
         examples = functools.partial(_examples, name)
         verb = verbs.add_parser(name, help=text, description=description, examples=examples, completers=completers)
-        count = "?" if name == _DEBUG else None  # an editor names the recording later
+        count = "?" if name == _DEBUG else None  # the recording is optional, because an editor may name it later
         verb.add_argument("log", metavar="LOG", nargs=count, help=_LOG_HELP.get(name, "the recording"))
         if name in arguments and completing:
             add_cached(name, _FILES.get(name, name), verb, lambda parser: _verb(parser.prog.split()[-1]).add(parser))
@@ -282,7 +282,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
         return _report(str(error), USAGE)
     except OSError:
         raise
-    except Exception as error:  # noqa: BLE001  no recording may cause an unexpected exception: it is a defect
+    except Exception as error:  # noqa: BLE001  an unexpected exception is a defect, whatever the recording contains
         return _report(_own_error(error), INTERNAL)
     if problems and options.verb not in _TAKE_INCOMPLETE:
         return _report(f"the recording is incomplete: {problems}", code or INCOMPLETE)
@@ -325,7 +325,7 @@ def opened(path: str) -> Iterator[Runs]:
             print(f"\rpycram-replay: reading recordings: {done} of {of}", end="", file=sys.stderr, flush=True)
 
     with ExitStack() as opening:
-        if Path(path).is_file():  # a folder of one
+        if Path(path).is_file():  # a single recording is treated as a folder
             path = opening.enter_context(_folder_of(Path(path).absolute()))
         runs = opening.enter_context(Runs(path, progress))
         if shown:

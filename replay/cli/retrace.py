@@ -57,7 +57,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Retrace the recordings one after another; the highest exit code counts."""
+    """Retrace the recordings one after another; return the highest exit code."""
     results: list[dict[str, object]] = []
     code = _retrace(log, options, results)
     for name in options.more:
@@ -133,7 +133,7 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
     """Add the step, the changes, the control run and the new recording."""
     parser.epilog = (
         "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs before the step. "
-        "With --control, 0: the control run matches the recording. 1: it differs."
+        "With --control, the exit code is 0 if the control run matches the recording, and 1 if it differs."
     )
     parser.add_argument(
         "--at", metavar="STEP", required=True, help=f"fork after this step, the last unchanged step: {HINT}"
@@ -155,8 +155,8 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         metavar="QUERY=ANSWER",
         action="append",
         default=[],
-        help="override the answer of the next such query: 'reachable_object(milk, ...)=false', 'blocking(...)=[bowl]'; "
-        "repeatable",
+        help="override the answer of the next matching query: 'reachable_object(milk, ...)=false', "
+        "'blocking(...)=[bowl]'; repeatable",
     )
     parser.add_argument(
         "--seed", metavar="N", type=int, help="seed of random numbers and of the order of branches after that step"

@@ -27,7 +27,7 @@ HOW_FAR: Final = "this fact reflects the run's progress, so it may be a symptom 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the cause, and the number of claims."""
-    parser.epilog = "With random data, fewer than 1 of 100 folders would lead to a claim (Westfall, Young)."
+    parser.epilog = "With random data, fewer than 1 of 100 folders would yield a claim (Westfall, Young)."
     parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
     parser.add_argument(
         "--cause", metavar="N", type=int, help="only failures with cause number N of the output of stats"

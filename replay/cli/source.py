@@ -53,7 +53,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 def _find(keys: list[str], name: str) -> str:
     """Return the key of an attached file by its name; ``HASH/FILE`` distinguishes files with the same name."""
     digits, _, file = name.rpartition("/")
-    if digits.strip("0123456789abcdef"):  # it isn't a hash but a folder of a path, as in a call stack
+    if digits.strip("0123456789abcdef"):  # this isn't a hash, but a folder of a path as in a call stack
         digits = ""
     fitting = [key for key in keys if name_of(key) == file and key.startswith(digits)]
     if not fitting:
@@ -65,7 +65,7 @@ def _find(keys: list[str], name: str) -> str:
 
 
 def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> list[str]:
-    """Write attached files, and return their paths. Files that share a name get their hashes."""
+    """Write attached files, and return their paths. If files have the same name, their hashes are added."""
     # names from an untrusted recording could control the terminal that lists the folder
     names = ["".join(each if each.isprintable() else "_" for each in name_of(key)) for key in keys]
     written = []

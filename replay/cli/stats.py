@@ -82,7 +82,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the report and the picture."""
     parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
     parser.add_argument("--html", metavar="FILE", help="write a report with plots and pictures, as a single file")
-    parser.add_argument("--picture", metavar="FILE", help="write pictures of failures with each cause into a PNG file")
+    parser.add_argument("--picture", metavar="FILE", help="write a picture for each cause of failures into a PNG file")
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
@@ -221,7 +221,7 @@ def _summary(stats: Statistics) -> str:
 
 
 def _shares(shares: Sequence[Share]) -> str:
-    """Return a plot with a bar for each share of successes, and its interval."""
+    """Return a plot with a bar and an interval for each share of successes."""
     rows = []
     for at, share in enumerate(shares):
         low, high = share.interval
@@ -322,7 +322,7 @@ def _slow_table(folder: Path, slow: Sequence[Slow]) -> str:
 
 
 def _table(heads: Iterable[str], rows: Iterable[Sequence[str | tuple[float, str]]]) -> str:
-    """Return a table. If a head begins with #, the column contains numbers and is sorted by them."""
+    """Return a table. If a column's head begins with #, the column contains numbers, by which it is sorted."""
     head = "".join(f'<th class="n">{name[1:]}</th>' if name.startswith("#") else f"<th>{name}</th>" for name in heads)
     body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -107,7 +107,7 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
 def _notes(verification: Verification) -> Iterator[str]:
     if verification.environment:
         same = "" if verification.largest is None else "; not comparable bit for bit"
-        yield f"note   the environment differs from the recorded one: {', '.join(verification.environment)}{same}"
+        yield f"note   the environment differs from the recording's: {', '.join(verification.environment)}{same}"
     if verification.late:
         yield f"note   {', '.join(verification.late)} began before the recording: the physics isn't compared"
     if verification.unknown:

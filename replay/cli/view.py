@@ -1,4 +1,4 @@
-"""``view``: recordings, up to four side by side, in the Rerun viewer."""
+"""``view``: show up to four recordings side by side in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from replay.runs.folder import Runs
 
-_MAX_BESIDE: Final = 3  # largest number of recordings next to the first; more than four views are too small
+_MAX_BESIDE: Final = 3  # largest number of recordings next to the first; five or more views would be too small
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -37,11 +37,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--save", metavar="FILE", help="write an .rrd file instead of opening the viewer")
     parser.add_argument("--open", action="store_true", help="open the viewer, also with --save")
     parser.add_argument("--web", action="store_true", help="show the whole recording in the browser until Ctrl-C")
-    parser.add_argument("--connect", metavar="URL", help="show it in the viewer at this URL")
+    parser.add_argument("--connect", metavar="URL", help="show the recording in the viewer at this URL")
 
 
 def imagined(log: Recording) -> list[Path]:
-    """Return the recordings of a recording's projections in the same folder, in their order.
+    """Return the recordings of a recording's projections in the same folder, in the order of the projections.
 
     Raises:
         ReplayError: there is no such recording.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
 
-_COMMONEST: Final = 3  # largest number of explained causes of a folder's failures
+_COMMONEST: Final = 3  # largest number of causes that are explained for a folder
 
 
 def add(parser: argparse.ArgumentParser) -> None:
